@@ -1,6 +1,5 @@
 """The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
 
-import os
 from collections import deque
 
 import numpy as np
@@ -17,8 +16,9 @@ from leglab.control.feedforward.fault_monitor import (
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, Trend
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
-# A map with less than this share of what is used has lost.
-_GONE = 1e-3
+# Blocks of samples by which a map that joins is first held against the one that learned them: few,
+# for the machine has just changed.
+_BLOCKS = 4
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -85,7 +85,7 @@ class BankController(AdaptiveController):
         self.adaptation.keep(2 * self._config.monitor.block)
         self._stopped = False
         self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
-        self._recent: deque[np.ndarray] = deque(maxlen=int(os.environ.get("NB","4")))
+        self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
 
     def freeze(self) -> None:
         """Stops adapting until the next `reset`."""
@@ -119,7 +119,7 @@ class BankController(AdaptiveController):
         if proposal.key in self._proposed:
             number, last = self._proposed[proposal.key]
             # One that predicts badly is not asked again.
-            if adaptation.shares()[1 + number] > _GONE:
+            if adaptation.shares()[1 + number] > 0.0:
                 moved = proposal.parameters - last
                 learner = adaptation.contenders[number]
                 now = learner.parameters.reshape(moved.shape) + moved

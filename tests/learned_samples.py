@@ -25,12 +25,12 @@ def make_bank(rng):
 
 
 def stream(monitor, true, *, seed=1, excited=None, end=END, learned=()):
-    """Feeds samples of a map `true(time)`; the learner is a fixed one that takes every advice.
+    """Feeds samples of a map `true(time)`; the learner is a fixed one that takes the best proposal.
 
     At the times in `learned` it has learned the map of then.
 
     Returns:
-        Its parameters at the end, and every advice with its time.
+        Its parameters at the end, and all proposals with their time.
     """
     rng = np.random.default_rng(seed)
     parameters, given = true(0.0).copy(), []
@@ -46,11 +46,10 @@ def stream(monitor, true, *, seed=1, excited=None, end=END, learned=()):
         output += 1e-3 * rng.standard_normal(output.shape)
         error = output - np.einsum("njp,jp->nj", regressor, parameters)
         parts = (regressor, output[..., None], error[..., None], np.ones((*error.shape, 1)))
-        advice = monitor.take(time, np.concatenate(parts, axis=-1), parameters)
-        if advice is not None:
-            given.append((time, advice))
-            if advice.parameters is not None:
-                parameters = advice.parameters
+        proposals = monitor.take(time, np.concatenate(parts, axis=-1), parameters)
+        if proposals:
+            given.append((time, proposals))
+            parameters = max(proposals, key=lambda p: p.odds).parameters
         if any(time - BLOCK * PERIOD < at <= time for at in learned):
             parameters = true(time).copy()
     return parameters, given

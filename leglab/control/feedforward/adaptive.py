@@ -1,7 +1,6 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 import math
-import os
 from collections.abc import Mapping
 from typing import Literal
 
@@ -37,8 +36,9 @@ _PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
 # What the slow and the learned map differ by without being held to it [share of full speed].
 _PROOF_NOISE = 0.0005
 
-# Maps beside each other are compared over this time [s], which has so many independent errors.
-_CONTEST_TIME, _CONTEST_ERRORS = 0.08, 4.0
+# Maps beside each other are compared over this time [s], which has so many independent errors; one
+# that is less probable than the best one by this factor is out.
+_CONTEST_TIME, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 4.0, 0.1
 
 
 class LearningConfiguration(Configuration):
@@ -188,8 +188,9 @@ class AdaptiveFeedforward:
                 "proof_horizon": _PROOF_HORIZON,
                 "proof_doubt": _PROOF_DOUBT,
                 "proof_noise": _PROOF_NOISE,
-                "contest_time": float(os.environ.get("CT", _CONTEST_TIME)),
-                "contest_errors": float(os.environ.get("CE", _CONTEST_ERRORS)),
+                "contest_time": _CONTEST_TIME,
+                "contest_errors": _CONTEST_ERRORS,
+                "contest_window": _CONTEST_WINDOW,
                 "contest_floor": config.noise**2,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,

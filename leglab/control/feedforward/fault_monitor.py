@@ -11,7 +11,6 @@ is said, and what stands, is decided here.
 """
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
@@ -56,9 +55,8 @@ _HIT = 2.0
 # nothing explains is told [1], how long after its onset, and over what time [s].
 _UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
 
-# So many faults are proposed at a look; the share of the squared error that one leaves counts by
-# this power in its odds.
-_CONTENDERS, _ODDS = 3, float(os.environ.get("OD", 2.0))
+# So many faults are proposed at a look: each is a map that learns.
+_CONTENDERS = 3
 
 # What comes later corrects nothing: the learner has found its own way by then [s].
 _LATE = 1.0
@@ -90,11 +88,10 @@ class MonitorConfiguration(Configuration):
             away to be named, of the share that it takes away on the nominal machine: a tenth of a
             second after the onset, and from four tenths on.
         kept: Least share with which a name stays, likewise.
-        evidence: Least log-likelihood ratio of a fault to no change with which it corrects the map,
-            at the same two times.
+        evidence: Least log-likelihood ratio of a fault to no change with which its map is proposed.
         proof: The same with which it is named: a tenth of a second after the onset, and from six
             tenths on. What a machine has never done before may look like a fault at first; a
-            correction that explains it does no harm, a name would be false.
+            map that explains it does no harm, a name would be false.
         confidence: Least probability among all faults of the bank of one that is named.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
@@ -110,7 +107,7 @@ class MonitorConfiguration(Configuration):
     discrepancy: float = Field(default=DISCREPANCY, gt=0, lt=1)
     explained: tuple[_Share, _Share] = Field(default=(0.8, 0.6))
     kept: float = Field(default=0.5, gt=0, lt=1)
-    evidence: tuple[_Evidence, _Evidence] = Field(default=(20.0, 8.0))
+    evidence: _Evidence = 8.0
     proof: tuple[_Evidence, _Evidence] = Field(default=(60.0, 8.0))
     confidence: float = Field(default=0.5, gt=0, lt=1)
     open_share: float = Field(default=0.1, ge=0, le=1)
@@ -170,7 +167,8 @@ class Proposal(NamedTuple):
         key: Fault and element.
         parameters: Of the map, (joints, parameters).
         gain: Gain to be opened, as a share of the one on a change, (joints,); NaN leaves it.
-        odds: Of this map against one that learns without knowing of the fault.
+        odds: Of this map against one that learns without knowing of the fault: how probable the
+            fault is among all, over the share of the squared error that it leaves.
     """
 
     key: tuple[str, str]
@@ -369,8 +367,8 @@ class FaultMonitor:
             curve = int(curves[np.argmin(costs[curves])])
             evidence = (without - costs[curve]) / (2 * config.correlation)
             left = 1.0 - explained_share(costs[curve], without, noise)
-            odds = float(chances[key]) * (1.0 / max(left, config.discrepancy**2)) ** _ODDS
-            if evidence < config.evidence[1] or odds < 1.0:
+            odds = float(chances[key]) / max(left, config.discrepancy**2)
+            if evidence < config.evidence or odds < 1.0:
                 continue
             shift = bank.curves[curve].shift(float(sizes[curve]))
             rest = moments.about(shift).power / np.maximum(moments.power, 1e-300)

@@ -97,7 +97,7 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_3(trust_time, margin, noise)
   LEGLAB_READ_3(settle_time, proof_time, proof_horizon)
   LEGLAB_READ_2(proof_doubt, proof_noise)
-  LEGLAB_READ_3(contest_time, contest_errors, contest_floor)
+  LEGLAB_READ_4(contest_time, contest_errors, contest_floor, contest_window)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;

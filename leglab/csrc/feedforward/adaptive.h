@@ -36,6 +36,7 @@ struct AdaptiveSettings {
   double proof_noise = 0.0;     // predictions that differ by less need no proof [share of full speed]
   double contest_time = 0.0;    // time constant of the errors of maps beside each other [s]
   double contest_errors = 0.0;  // see ContenderSettings
+  double contest_window = 0.0;  // see ContenderSettings
   double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
@@ -204,7 +205,7 @@ class AdaptiveFeedforward {
   ContenderSettings contest() const {
     const double sample = settings_.interval * settings_.control_period;
     return {std::min(1.0, sample / settings_.contest_time), settings_.contest_errors,
-            settings_.contest_floor * double(tables_.size())};
+            settings_.contest_floor * double(tables_.size()), settings_.contest_window};
   }
 
   ProofSettings proof() const {

@@ -13,7 +13,7 @@ struct ContenderSettings {
   double forget = 1.0;   // share by which mean squared errors move at a sample
   double errors = 0.0;   // independent errors that such a mean has
   double floor = 0.0;    // mean squared error that is noise
-  double window = 0.05;  // share of the best one's odds below which one is out
+  double window = 0.3;   // share of the best one's odds below which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each

@@ -1,0 +1,87 @@
+"""Corrections by name have to predict: in closed loop on a bench that shares no code with leglab.
+
+No other test runs the bank where its simulation is not the machine.
+"""
+
+import numpy as np
+import pytest
+
+from leglab.studies.blind.rough_bench import exact_specimen
+from leglab.studies.blind.rough_loop import bench_loop, bench_settings, run_bench
+
+CHANGE = 10.0  # s
+HEALTHY = exact_specimen(1)
+EDGES = ("lap_pa", "lap_at", "lap_pb", "lap_bt")
+LAP = HEALTHY.changed(**{edge: HEALTHY[edge] + 0.03 for edge in EDGES})
+SEALS = HEALTHY.changed(internal_leakage=25.0 * HEALTHY["internal_leakage"])
+
+
+def settings_of(controller):
+    return bench_settings(HEALTHY, controller, duration=CHANGE + 3.0, seed=1)
+
+
+def errors(controller, changed, windows):
+    """RMS error [rad] in windows after the change."""
+    history = run_bench(settings_of(controller), [(0.0, HEALTHY), (CHANGE, changed)])
+    assert not history.failure
+    after = history.time - CHANGE
+    parts = [history.error[(after >= a) & (after < b)] for a, b in windows]
+    return np.array([np.sqrt(np.mean(part**2)) for part in parts])
+
+
+def test_a_change_that_the_bank_has_not_costs_little():
+    windows = [(0.6, 1.2), (1.2, 2.4)]
+    base, bank = (errors(name, LAP, windows) for name in ("bsnn_arx", "bsnn_arx_bank"))
+    assert (bank < 1.4 * base).all()
+
+
+def test_a_change_that_the_bank_has_gains():
+    windows = [(0.3, 0.6), (0.6, 1.2)]
+    base, bank = (errors(name, SEALS, windows) for name in ("bsnn_arx", "bsnn_arx_bank"))
+    assert (bank < 0.5 * base).all()
+
+
+def test_a_map_that_predicts_badly_is_out_at_once_and_for_good():
+    """The bench stays as it is; a map that is wrong everywhere joins, sure of itself."""
+    loop = bench_loop(settings_of("bsnn_arx"), [(0.0, HEALTHY)])
+    adaptation, shares = loop.controller.adaptation, []
+    command = loop.controller.command
+
+    def joined(measurement, reference):
+        if measurement.time >= CHANGE and not adaptation.contenders:
+            wrong = adaptation.learner.copy()
+            wrong.parameters = wrong.parameters + 0.1
+            adaptation.propose(wrong, odds=40.0, error=1.0)
+        if adaptation.contenders:
+            shares.append(adaptation.shares())
+        return command(measurement, reference)
+
+    loop.controller.command = joined
+    history = loop.run()
+    shares = np.array(shares)
+    assert shares[0, 1] > 0.9
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    out = np.flatnonzero(shares[:, 1] == 0.0)
+    assert out[0] * 0.002 < 0.05
+    assert (shares[out[0] :, 1] == 0.0).all()
+    late = history.time > CHANGE + 1.0
+    assert np.abs(history.error[late]).max() < 5e-3
+
+
+def test_a_map_that_won_goes_on_alone():
+    loop = bench_loop(settings_of("bsnn_arx"), [(0.0, HEALTHY)])
+    adaptation = loop.controller.adaptation
+    loop.run()
+    other = adaptation.learner.copy()
+    other.parameters = other.parameters + 1e-3
+    adaptation.propose(other, odds=9.0, error=1.0)
+    np.testing.assert_allclose(adaptation.shares(), [0.1, 0.9])
+    adaptation.settle()
+    np.testing.assert_array_equal(adaptation.learner.parameters, other.parameters)
+    assert adaptation.shares().tolist() == [1.0]
+
+
+@pytest.mark.parametrize("controller", ["bsnn_arx", "bsnn_arx_bank"])
+def test_the_same_bench_moves_alike_twice(controller):
+    first, second = (errors(controller, SEALS, [(0.0, 3.0)]) for _ in range(2))
+    assert first.tolist() == second.tolist()
