@@ -1,6 +1,7 @@
 """The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
 
 from collections import deque
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +21,9 @@ from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveControlle
 # for the machine has just changed.
 _BLOCKS = 4
 
+# Odds of a hysteresis of one width against a map that learns without knowing of any.
+_PLAY_ODDS = 0.03
+
 
 class BankConfiguration(AdaptiveConfiguration):
     """Settings of `bsnn_arx`, and of the monitor that names faults.
@@ -36,6 +40,9 @@ class BankConfiguration(AdaptiveConfiguration):
     health: HealthConfiguration = Field(default_factory=HealthConfiguration)
     left_out: tuple[str, ...] = Field(default=())
     corrects: bool = Field(default=True)
+    plays: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
+        default=(0.02, 0.04, 0.06, 0.08, 0.12)
+    )
 
 
 @register_controller(
@@ -83,7 +90,7 @@ class BankController(AdaptiveController):
         self.health.reset()
         self._told = 0
         self.adaptation.keep(2 * self._config.monitor.block)
-        self._stopped = False
+        self._stopped = self._played = False
         self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
         self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
 
@@ -110,8 +117,25 @@ class BankController(AdaptiveController):
         if not self.monitor.busy:
             self.adaptation.settle()
             self._proposed.clear()
+            self._played = False
+        if proposals is not None and not self._played:
+            self._propose_plays(self.monitor.before)
         for proposal in proposals or ():
             self._propose(proposal)
+
+    def _propose_plays(self, before: np.ndarray) -> None:
+        """Lets a map for each width of hysteresis learn beside the others, from before the change."""
+        adaptation, config = self.adaptation, self._config
+        self._played = True
+        for play in range(1 + len(config.plays)):
+            if play == adaptation.play:
+                continue
+            learner = adaptation.learner.copy()
+            learner.parameters = before.reshape(learner.parameters.shape)
+            for joint in range(len(before)):
+                learner.hold_alarm(joint)
+                learner.set_gain(config.change_gain * np.eye(before.shape[1]), joint)
+            adaptation.propose(learner, _PLAY_ODDS, 1.0, play)
 
     def _propose(self, proposal: Proposal) -> None:
         """Lets a map learn beside the others, or moves the one that the fault has already."""

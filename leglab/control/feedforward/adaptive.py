@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -36,9 +36,13 @@ _PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
 # What the slow and the learned map differ by without being held to it [share of full speed].
 _PROOF_NOISE = 0.0005
 
+# A command that changes by this has turned [valve command]: noise of the feedback does less.
+_TURN = 0.002
+
 # Maps beside each other are compared over this time [s], which has so many independent errors; one
-# that is less probable than the best one by this factor is out.
-_CONTEST_TIME, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 4.0, 0.1
+# that is so much less likely than the map that knows nothing is out: its squared error is six times
+# as large. What is right errs more than what has just learned the motion of now, but not so much.
+_CONTEST_TIME, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 4.0, 0.03
 
 
 class LearningConfiguration(Configuration):
@@ -71,6 +75,7 @@ class LearningConfiguration(Configuration):
         settle_time: Time constant of a slow mean of the parameters [s]: what was learned beyond it
             is used as far as its predictions held. 0 uses all that was learned at once.
         supervised: Whether the calibrated map takes over where it predicts better.
+        plays: Widths of hysteresis that the valves may have, beside none [valve command].
     """
 
     stop_time: float | None = Field(default=None, ge=0)
@@ -94,6 +99,7 @@ class LearningConfiguration(Configuration):
     least_speed: float = Field(default=1e-3, ge=0)
     settle_time: float = Field(default=0.4, ge=0)
     supervised: bool = Field(default=True)
+    plays: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(default=())
 
     @field_validator("window")
     @classmethod
@@ -192,6 +198,8 @@ class AdaptiveFeedforward:
                 "contest_errors": _CONTEST_ERRORS,
                 "contest_window": _CONTEST_WINDOW,
                 "contest_floor": config.noise**2,
+                "plays": np.array(config.plays, dtype=float),
+                "turn": _TURN,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
                 "acceleration": ACCELERATION,
@@ -226,15 +234,19 @@ class AdaptiveFeedforward:
         """Stops learning until the next `reset`."""
         self._core.freeze()
 
-    def propose(self, learner: SplineNarx, odds: float, error: float) -> None:
+    def propose(
+        self, learner: SplineNarx, odds: float, error: float, play: int | None = None
+    ) -> None:
         """Lets another map learn beside `learner`, and uses it by how well it predicts.
 
         Args:
             learner: The map, of `learner`'s structure.
             odds: Of this map against `learner` before either has predicted.
             error: Mean squared error that it would have made lately, over that of `learner`.
+            play: Place in (0, *plays) of the width of the valves' hysteresis that it is for; None
+                for the one in use.
         """
-        self._core.propose(learner._bank, math.log(odds), error)
+        self._core.propose(learner._bank, math.log(odds), error, -1 if play is None else play)
         self.contenders.append(learner)
 
     def revise(self, contender: int, shift: np.ndarray, error: float) -> None:
@@ -242,6 +254,11 @@ class AdaptiveFeedforward:
         learner = self.contenders[contender]
         learner.parameters = learner.parameters + shift.reshape(learner.parameters.shape)
         self._core.revise(contender, error)
+
+    @property
+    def play(self) -> int:
+        """Place in (0, *plays) of the width of the valves' hysteresis that `learner` is for."""
+        return self._core.play()
 
     def shares(self) -> np.ndarray:
         """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""

@@ -258,6 +258,13 @@ class FaultMonitor:
         """Whether a change was noticed whose samples are being collected."""
         return self._case is not None
 
+    @property
+    def before(self) -> np.ndarray:
+        """The map before the change whose samples are being collected, (joints, parameters)."""
+        if self._case is None:
+            raise ValueError("no change was noticed")
+        return self._case.base
+
     def take(
         self, time: float, samples: np.ndarray, parameters: np.ndarray
     ) -> list[Proposal] | None:

@@ -98,6 +98,7 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_3(settle_time, proof_time, proof_horizon)
   LEGLAB_READ_2(proof_doubt, proof_noise)
   LEGLAB_READ_4(contest_time, contest_errors, contest_floor, contest_window)
+  LEGLAB_READ_2(plays, turn)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
@@ -156,9 +157,10 @@ class Feedforward {
   }
 
   void freeze() { core_.freeze(); }
-  void propose(SplineNarxBank64& bank, double odds, double error) {
-    core_.propose(learners(bank), odds, error);
+  void propose(SplineNarxBank64& bank, double odds, double error, int play) {
+    core_.propose(learners(bank), odds, error, play);
   }
+  int play() const { return core_.play(); }
   void revise(int contender, double error) { core_.revise(contender, error); }
   void settle(int winner) { core_.settle(winner); }
   std::vector<double> shares() const { return core_.shares(); }
@@ -214,7 +216,8 @@ void bind_feedforward(nb::module_& module) {
       .def("take_kept", &Feedforward::take_kept)
       .def("freeze", &Feedforward::freeze)
       .def("propose", &Feedforward::propose, nb::arg("bank"), nb::arg("odds"), nb::arg("error"),
-           nb::keep_alive<1, 2>())
+           nb::arg("play"), nb::keep_alive<1, 2>())
+      .def("play", &Feedforward::play)
       .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"))
       .def("settle", &Feedforward::settle, nb::arg("winner"))
       .def("shares", &Feedforward::shares);

@@ -8,6 +8,7 @@
 #include "feedforward/contenders.h"
 #include "feedforward/inverse_map.h"
 #include "feedforward/motion.h"
+#include "feedforward/plays.h"
 #include "feedforward/pressure_valve.h"
 #include "feedforward/proof.h"
 #include "feedforward/valve_table.h"
@@ -38,6 +39,8 @@ struct AdaptiveSettings {
   double contest_errors = 0.0;  // see ContenderSettings
   double contest_window = 0.0;  // see ContenderSettings
   double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
+  std::vector<double> plays;    // widths of hysteresis that valves may have [valve command]
+  double turn = 0.0;            // change of a command that is a turn [valve command]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -77,7 +80,8 @@ class AdaptiveFeedforward {
                       std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
         reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)),
-        contenders_(contest()) {
+        contenders_(contest()),
+        plays_(settings_.plays, settings_.turn, window_, tables_.size()) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
@@ -100,22 +104,31 @@ class AdaptiveFeedforward {
     proofs_.clear();
     for (const Learner* learner : learners_) proofs_.emplace_back(proof(), learner->parameters());
     contenders_.clear();
+    plays_.reset();
+    play_ = 0;
     count_ = 0;
     frozen_ = false;
   }
 
   // Another map beside the one that is learned, with the log odds that it is the better one; it
-  // learns and is used by how well it predicts, until `reset` or `settle`.
-  void propose(std::vector<Learner*> learners, double odds, double error) {
-    contenders_.add(std::move(learners), proof(), odds, error);
+  // learns and is used by how well it predicts, until `reset` or `settle`. `play` is the place of the
+  // width that it takes the valves to have; the one in use where it is -1.
+  void propose(std::vector<Learner*> learners, double odds, double error, int play = -1) {
+    contenders_.add(std::move(learners), proof(), odds, error, play < 0 ? play_ : play);
   }
+
+  // Place of the width in use.
+  int play() const { return play_; }
 
   // The caller has set a contender's parameters.
   void revise(int contender, double error) { contenders_.revise(contender, error); }
 
   // No contender is left; the caller has copied the one that won, counted from 1, or none, 0.
   void settle(int winner) {
-    if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
+    if (winner > 0) {
+      proofs_ = contenders_.proofs(winner - 1);
+      play_ = contenders_.play(winner - 1);
+    }
     contenders_.clear();
   }
 
@@ -170,7 +183,8 @@ class AdaptiveFeedforward {
       const double derivative =
           settings_.velocity_gain[j] * (seen_velocity_[j] - measured_velocity[j]);
       out.feedback[j] = proportional + derivative;
-      const double sum = wish + out.feedback[j];
+      double sum = wish + out.feedback[j];
+      if (plays_.count() > 1) sum += 0.5 * width() * plays_.direction(j, sum);
       out.command[j] = std::isfinite(sum) ? sum : wish;
       out.error[j] = error_[j];
       out.fallback[j] = fallback_[j];
@@ -200,6 +214,15 @@ class AdaptiveFeedforward {
     const double learned = learners_[j]->peek(inputs_);
     const double own = proofs_[j].used(count_, learners_[j]->regressor(), learned);
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
+  }
+
+  // Width of the valves' hysteresis that is in use [valve command].
+  double width() const {
+    double sum = plays_.width(play_) * contenders_.weight()[0];
+    for (std::size_t k = 1; k < contenders_.weight().size(); ++k) {
+      sum += plays_.width(contenders_.play(int(k) - 1)) * contenders_.weight()[k];
+    }
+    return sum;
   }
 
   ContenderSettings contest() const {
@@ -269,8 +292,16 @@ class AdaptiveFeedforward {
       const PressureValve& valve = valves_[j];
       flow_[j] = valve.share(valve.at(position[j], now, supply_), now, sent_[j]);
     }
-    if (jumps(position)) window_.clear();
+    if (jumps(position)) {
+      window_.clear();
+      plays_.clear();
+    }
     window_.push(position, flow_.data(), sent_.data());
+    if (plays_.count() > 1) {
+      plays_.take(position, sent_.data(), [&](std::size_t j, double spool) {
+        return tables_[j].share(position[j], spool);
+      });
+    }
     if (!valves_.empty()) window_.push_pressures(pressure_a_.data(), pressure_b_.data());
     ++count_;
     const bool stopped = frozen_ || time >= settings_.stop_time;
@@ -278,6 +309,7 @@ class AdaptiveFeedforward {
     window_.middle(motion_.data(), flow_.data());
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
+    if (plays_.count() > 1) plays_.middle(flow_.data());
     if (!valves_.empty()) {
       window_.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
     }
@@ -302,6 +334,8 @@ class AdaptiveFeedforward {
 
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
+    const double without = flow_[j];
+    if (play_ > 0) flow_[j] = plays_.now(play_)[j];
     map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
     double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
@@ -314,7 +348,10 @@ class AdaptiveFeedforward {
     if (learners_[j]->state().learned > learned) {
       proofs_[j].take(count_, excess, learners_[j]->rls().theta());
     }
-    contenders_.take(j, inputs_, excess, usable, error_[j], count_);
+    const auto found_with = [&](int play) {
+      return excess + (play > 0 ? plays_.now(play)[j] : without) - flow_[j];
+    };
+    contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
     if (kept_ < capacity_) keep_sample(j, excess, usable);
   }
 
@@ -372,6 +409,8 @@ class AdaptiveFeedforward {
   std::vector<Learner*> learners_, load_learners_;
   std::vector<Proof> proofs_;
   Contenders<Learner> contenders_;
+  Plays plays_;
+  int play_ = 0;  // place of the width that the learners' map is for
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].
   std::vector<double> applied_, withheld_;

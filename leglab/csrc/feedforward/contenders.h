@@ -13,13 +13,13 @@ struct ContenderSettings {
   double forget = 1.0;   // share by which mean squared errors move at a sample
   double errors = 0.0;   // independent errors that such a mean has
   double floor = 0.0;    // mean squared error that is noise
-  double window = 0.3;   // share of the best one's odds below which one is out
+  double window = 0.0;   // likelihood, over that of the map without any, below which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
 // predicts every sample before it learns it, and counts by the likelihood of its errors, whose
-// variance nobody knows: odds mean^(-errors/2). One that falls out of Occam's window (Madigan and
-// Raftery 1994) is out for good: it learns as well, and would come back where the motion is easy.
+// variance nobody knows: odds mean^(-errors/2). One that predicts much worse than the map that knows
+// nothing (Occam's window; Madigan and Raftery 1994) is out for good: it learns as well, and would come back where the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -36,10 +36,11 @@ class Contenders {
   bool any() const { return !others_.empty(); }
   const std::vector<double>& weight() const { return weight_; }
 
-  // With log odds, and the mean squared error that it would have made until now over that of the map
-  // without it.
-  void add(std::vector<Learner*> learners, const ProofSettings& proof, double odds, double error) {
-    Other other{std::move(learners), {}, odds};
+  // With log odds, the mean squared error that it would have made until now over that of the map
+  // without it, and the play that it takes the valves to have.
+  void add(std::vector<Learner*> learners, const ProofSettings& proof, double odds, double error,
+           int play) {
+    Other other{std::move(learners), {}, odds, play};
     for (const Learner* learner : other.learners) other.proofs.emplace_back(proof, learner->parameters());
     others_.push_back(std::move(other));
     error_.push_back(error * error_[0]);
@@ -49,6 +50,7 @@ class Contenders {
     weigh();
   }
 
+  int play(int which) const { return others_[std::size_t(which)].play; }
   const std::vector<Proof>& proofs(int which) const { return others_[std::size_t(which)].proofs; }
 
   // A contender has other parameters now; `error` as of `add`.
@@ -79,12 +81,15 @@ class Contenders {
     return sum;
   }
 
-  // A sample of a joint, and the error of the map without a contender.
-  void take(std::size_t j, const double* inputs, double found, bool usable, double own, long period) {
+  // A sample of a joint, and the error of the map without a contender. `found` by play.
+  template <class Found>
+  void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
+            long period) {
     sum_[0] += own * own;
     for (std::size_t k = 0; k < others_.size(); ++k) {
       if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
+      const double found = found_with(others_[k].play);
       const auto learned = learner.state().learned;
       const double error = found - learner.update(inputs, found, usable);
       if (learner.state().learned == learned) continue;
@@ -107,22 +112,23 @@ class Contenders {
     std::vector<Learner*> learners;
     std::vector<Proof> proofs;
     double odds;
+    int play;
     bool out = false;
   };
 
   void weigh() {
-    double most = 0.0;
-    for (std::size_t k = 0; k < weight_.size(); ++k) {
-      const double odds = k > 0 ? others_[k - 1].odds : 0.0;
-      weight_[k] = odds - 0.5 * settings_.errors *
-                              std::log((error_[k] + settings_.floor) / (error_[0] + settings_.floor));
-      if (k == 0 || !others_[k - 1].out) most = std::max(most, weight_[k]);
+    const auto in = [&](std::size_t k) { return k == 0 || !others_[k - 1].out; };
+    double most = weight_[0] = 0.0;
+    for (std::size_t k = 1; k < weight_.size(); ++k) {
+      const double ratio = (error_[k] + settings_.floor) / (error_[0] + settings_.floor);
+      const double likelihood = -0.5 * settings_.errors * std::log(ratio);
+      others_[k - 1].out |= likelihood < std::log(settings_.window);
+      weight_[k] = likelihood + others_[k - 1].odds;
+      if (in(k)) most = std::max(most, weight_[k]);
     }
     double sum = 0.0;
     for (std::size_t k = 0; k < weight_.size(); ++k) {
-      const double share = std::exp(weight_[k] - most);
-      if (k > 0) others_[k - 1].out |= share < settings_.window;
-      sum += weight_[k] = k > 0 && others_[k - 1].out ? 0.0 : share;
+      sum += weight_[k] = in(k) ? std::exp(weight_[k] - most) : 0.0;
     }
     for (double& weight : weight_) weight /= sum;
   }

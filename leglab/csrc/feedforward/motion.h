@@ -44,6 +44,11 @@ class SmoothingWindow {
     for (int order = 0; order < 4; ++order) {
       accumulate(position, kernel_.data() + order * window_, motion + order * joints_);
     }
+    middle_flow(flow);
+  }
+
+  // Smoothed flow (joints) in the middle.
+  void middle_flow(double* flow) const {
     std::fill_n(flow, joints_, 0.0);
     accumulate(flow_.data() + next_ * joints_, kernel_.data(), flow);
   }
