@@ -39,10 +39,11 @@ _PROOF_NOISE = 0.0005
 # A command that changes by this has turned [valve command]: noise of the feedback does less.
 _TURN = 0.002
 
-# Maps beside each other are compared over this time [s], which has so many independent errors; one
-# that is so much less likely than the map that knows nothing is out: its squared error is six times
-# as large. What is right errs more than what has just learned the motion of now, but not so much.
-_CONTEST_TIME, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 4.0, 0.03
+# Squared errors of maps beside each other are averaged over this time [s], the logarithms of their
+# ratios over the second one, half a stride's motion; each has so many independent errors. A map of
+# which the ratio to the one that knows nothing exceeds the last number is out. One that is right may
+# err more than one that has just learned the motion of now, but not so much.
+_CONTEST_TIME, _CONTEST_GATHER, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 0.25, 4.0, 6.0
 
 
 class LearningConfiguration(Configuration):
@@ -195,6 +196,7 @@ class AdaptiveFeedforward:
                 "proof_doubt": _PROOF_DOUBT,
                 "proof_noise": _PROOF_NOISE,
                 "contest_time": _CONTEST_TIME,
+                "contest_gather": _CONTEST_GATHER,
                 "contest_errors": _CONTEST_ERRORS,
                 "contest_window": _CONTEST_WINDOW,
                 "contest_floor": config.noise**2,

@@ -36,6 +36,7 @@ struct AdaptiveSettings {
   double proof_doubt = 0.0;     // see ProofSettings
   double proof_noise = 0.0;     // predictions that differ by less need no proof [share of full speed]
   double contest_time = 0.0;    // time constant of the errors of maps beside each other [s]
+  double contest_gather = 0.0;  // and of the logarithms of their ratios [s]
   double contest_errors = 0.0;  // see ContenderSettings
   double contest_window = 0.0;  // see ContenderSettings
   double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
@@ -227,7 +228,8 @@ class AdaptiveFeedforward {
 
   ContenderSettings contest() const {
     const double sample = settings_.interval * settings_.control_period;
-    return {std::min(1.0, sample / settings_.contest_time), settings_.contest_errors,
+    return {std::min(1.0, sample / settings_.contest_time),
+            std::min(1.0, sample / settings_.contest_gather), settings_.contest_errors,
             settings_.contest_floor * double(tables_.size()), settings_.contest_window};
   }
 

@@ -11,15 +11,18 @@ namespace leglab::feedforward {
 
 struct ContenderSettings {
   double forget = 1.0;   // share by which mean squared errors move at a sample
-  double errors = 0.0;   // independent errors that such a mean has
+  double gather = 1.0;   // the same of the logarithms of their ratios
+  double errors = 0.0;   // independent errors that each of both has
   double floor = 0.0;    // mean squared error that is noise
-  double window = 0.0;   // likelihood, over that of the map without any, below which one is out
+  double window = 0.0;   // mean squared error, over that of the map without any, at which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
 // predicts every sample before it learns it, and counts by the likelihood of its errors, whose
-// variance nobody knows: odds mean^(-errors/2). One that predicts much worse than the map that knows
-// nothing (Occam's window; Madigan and Raftery 1994) is out for good: it learns as well, and would come back where the motion is easy.
+// variance nobody knows: odds ratio^(-errors/2), with the ratio of mean squared errors to those of
+// the map that knows nothing, of now and, as a geometric mean, of what has been. One that predicts
+// much worse than that map (Occam's window; Madigan and Raftery 1994) is out for good: it learns as
+// well, and would come back where the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -31,6 +34,7 @@ class Contenders {
     weight_.assign(1, 1.0);
     error_.assign(1, 0.0);
     sum_.assign(1, 0.0);
+    ratio_.assign(1, 0.0);
   }
 
   bool any() const { return !others_.empty(); }
@@ -45,6 +49,7 @@ class Contenders {
     others_.push_back(std::move(other));
     error_.push_back(error * error_[0]);
     sum_.push_back(0.0);
+    ratio_.push_back(0.0);
     weight_.push_back(0.0);
     trust(int(others_.size()) - 1);
     weigh();
@@ -55,7 +60,9 @@ class Contenders {
 
   // A contender has other parameters now; `error` as of `add`.
   void revise(int which, double error) {
-    error_[std::size_t(which) + 1] = error * error_[0];
+    const std::size_t k = std::size_t(which) + 1;
+    error_[k] = error * error_[0];
+    ratio_[k] = 0.0;
     trust(which);
     weigh();
   }
@@ -104,6 +111,9 @@ class Contenders {
       error_[k] += settings_.forget * (sum_[k] - error_[k]);
       sum_[k] = 0.0;
     }
+    for (std::size_t k = 1; k < sum_.size(); ++k) {
+      ratio_[k] += settings_.gather * (std::log(ratio(k)) - ratio_[k]);
+    }
     weigh();
   }
 
@@ -116,14 +126,16 @@ class Contenders {
     bool out = false;
   };
 
+  double ratio(std::size_t k) const {
+    return (error_[k] + settings_.floor) / (error_[0] + settings_.floor);
+  }
+
   void weigh() {
     const auto in = [&](std::size_t k) { return k == 0 || !others_[k - 1].out; };
     double most = weight_[0] = 0.0;
     for (std::size_t k = 1; k < weight_.size(); ++k) {
-      const double ratio = (error_[k] + settings_.floor) / (error_[0] + settings_.floor);
-      const double likelihood = -0.5 * settings_.errors * std::log(ratio);
-      others_[k - 1].out |= likelihood < std::log(settings_.window);
-      weight_[k] = likelihood + others_[k - 1].odds;
+      others_[k - 1].out |= ratio(k) > settings_.window;
+      weight_[k] = others_[k - 1].odds - 0.5 * settings_.errors * (std::log(ratio(k)) + ratio_[k]);
       if (in(k)) most = std::max(most, weight_[k]);
     }
     double sum = 0.0;
@@ -135,7 +147,7 @@ class Contenders {
 
   ContenderSettings settings_;
   std::vector<Other> others_;
-  std::vector<double> weight_, error_, sum_;  // of the map without a contender, and of each
+  std::vector<double> weight_, error_, sum_, ratio_;  // of the map without a contender, and of each
 };
 
 }  // namespace leglab::feedforward
