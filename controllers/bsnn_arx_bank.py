@@ -127,9 +127,7 @@ class BankController(AdaptiveController):
         """Lets a map for each width of hysteresis learn beside the others, from before the change."""
         adaptation, config = self.adaptation, self._config
         self._played = True
-        for play in range(1 + len(config.plays)):
-            if play == adaptation.play:
-                continue
+        for play in range(0 if adaptation.play.any() else 1, 1 + len(config.plays)):
             learner = adaptation.learner.copy()
             learner.parameters = before.reshape(learner.parameters.shape)
             for joint in range(len(before)):

@@ -6,7 +6,6 @@ No other test runs the bank where its simulation is not the machine.
 import numpy as np
 import pytest
 
-from leglab.controllers.bsnn_arx_bank import BankConfiguration
 from leglab.studies.blind.rough_bench import exact_specimen
 from leglab.studies.blind.rough_loop import bench_loop, bench_settings, run_bench
 
@@ -90,7 +89,7 @@ def test_the_same_bench_moves_alike_twice(controller):
 
 def test_hysteresis_is_found_and_undone():
     """One map of motion has no memory: `bsnn_arx` keeps ten times as much error for good."""
-    changed = HEALTHY.changed(hysteresis=0.06)
+    changed = HEALTHY.changed(hysteresis=0.055)
     windows = [(1.2, 3.0)]
     base, bank = (errors(name, changed, windows) for name in ("bsnn_arx", "bsnn_arx_bank"))
     assert bank < 0.15 * base
@@ -98,11 +97,11 @@ def test_hysteresis_is_found_and_undone():
     loop.run()
     adaptation = loop.controller.adaptation
     loop.controller.adaptation.settle()
-    assert (0.0, *BankConfiguration().plays)[adaptation.play] == 0.06
+    assert adaptation.play[0] == pytest.approx(0.055, abs=0.003)
 
 
 def test_no_hysteresis_is_found_where_there_is_none():
     loop = bench_loop(settings_of("bsnn_arx_bank"), [(0.0, HEALTHY), (CHANGE, SEALS)])
     loop.run()
     loop.controller.adaptation.settle()
-    assert loop.controller.adaptation.play == 0
+    assert not loop.controller.adaptation.play.any()

@@ -39,6 +39,10 @@ _PROOF_NOISE = 0.0005
 # A command that changes by this has turned [valve command]: noise of the feedback does less.
 _TURN = 0.002
 
+# A width of hysteresis in use follows errors within this time [s]: half a stride, in which commands
+# turn some times. What a little more of it would do is seen over this step [valve command].
+_PLAY_TIME, _PLAY_STEP = 0.5, 0.01
+
 # Squared errors of maps beside each other are averaged over this time [s], the logarithms of their
 # ratios over the second one, half a stride's motion; each has so many independent errors. A map of
 # which the ratio to the one that knows nothing exceeds the last number is out. One that is right may
@@ -177,7 +181,7 @@ class AdaptiveFeedforward:
         latency: float,
         velocity_delay: float,
     ) -> None:
-        self._map, self._load_map = inverse_map, loads
+        self._map, self._load_map, self._plays = inverse_map, loads, bool(config.plays)
         width = table.end - table.start
         self._core = Feedforward(
             {
@@ -202,6 +206,9 @@ class AdaptiveFeedforward:
                 "contest_floor": config.noise**2,
                 "plays": np.array(config.plays, dtype=float),
                 "turn": _TURN,
+                "play_time": _PLAY_TIME,
+                "play_step": _PLAY_STEP,
+                "play_noise": config.noise,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
                 "acceleration": ACCELERATION,
@@ -228,7 +235,9 @@ class AdaptiveFeedforward:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
         self.loads = None if self._load_map is None else self._load_map.learner()
-        self._core.reset(self.learner._bank, None if self.loads is None else self.loads._bank)
+        self._slopes = self._map.learner() if self._plays else None
+        maps = (self.learner, self.loads, self._slopes)
+        self._core.reset(*(None if one is None else one._bank for one in maps))
         self._core.keep(0)
         self._out[:] = 0.0
 
@@ -258,9 +267,9 @@ class AdaptiveFeedforward:
         self._core.revise(contender, error)
 
     @property
-    def play(self) -> int:
-        """Place in (0, *plays) of the width of the valves' hysteresis that `learner` is for."""
-        return self._core.play()
+    def play(self) -> np.ndarray:
+        """Width of hysteresis that `learner` takes the valves to have [valve command], (joints,)."""
+        return np.array(self._core.play())
 
     def shares(self) -> np.ndarray:
         """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""

@@ -99,7 +99,8 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_2(proof_doubt, proof_noise)
   LEGLAB_READ_3(contest_time, contest_gather, contest_errors)
   LEGLAB_READ_2(contest_floor, contest_window)
-  LEGLAB_READ_2(plays, turn)
+  LEGLAB_READ_3(plays, turn, play_step)
+  LEGLAB_READ_2(play_time, play_noise)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
@@ -129,9 +130,10 @@ class Feedforward {
   Feedforward& operator=(const Feedforward&) = delete;
 
   // The banks must outlive this object: Python keeps them. The second one is that of the loads.
-  void reset(SplineNarxBank64& bank, SplineNarxBank64* loads) {
+  void reset(SplineNarxBank64& bank, SplineNarxBank64* loads, SplineNarxBank64* slopes) {
     if (pressures_ != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
-    core_.reset(learners(bank), loads ? learners(*loads) : Learners{});
+    core_.reset(learners(bank), loads ? learners(*loads) : Learners{},
+                slopes ? learners(*slopes) : Learners{});
   }
 
   // Rows of `out`: command, feed-forward, feedback, error of the model, whether the calibration
@@ -161,7 +163,11 @@ class Feedforward {
   void propose(SplineNarxBank64& bank, double odds, double error, int play) {
     core_.propose(learners(bank), odds, error, play);
   }
-  int play() const { return core_.play(); }
+  std::vector<double> play() const {
+    std::vector<double> out;
+    for (std::size_t j = 0; j < tables_.tables().size(); ++j) out.push_back(core_.play(j));
+    return out;
+  }
   void revise(int contender, double error) { core_.revise(contender, error); }
   void settle(int winner) { core_.settle(winner); }
   std::vector<double> shares() const { return core_.shares(); }
@@ -206,7 +212,8 @@ void bind_feedforward(nb::module_& module) {
   nb::class_<Feedforward>(module, "Feedforward")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("reset", &Feedforward::reset, nb::arg("bank"), nb::arg("loads").none() = nb::none(),
-           nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
+           nb::arg("slopes").none() = nb::none(), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(),
+           nb::keep_alive<1, 4>())
       .def("step", &Feedforward::step, nb::arg("time"), nb::arg("measured"),
            nb::arg("measured_velocity"), nb::arg("position"), nb::arg("velocity"),
            nb::arg("acceleration"), nb::arg("out"), nb::arg("pressure_a").none() = nb::none(),

@@ -40,8 +40,9 @@ struct AdaptiveSettings {
   double contest_errors = 0.0;  // see ContenderSettings
   double contest_window = 0.0;  // see ContenderSettings
   double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
-  std::vector<double> plays;    // widths of hysteresis that valves may have [valve command]
-  double turn = 0.0;            // change of a command that is a turn [valve command]
+  std::vector<double> plays;    // see PlaySettings
+  double turn = 0.0, play_step = 0.0, play_noise = 0.0;
+  double play_time = 0.0;       // time constant of a width in use [s]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
   std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -82,7 +83,7 @@ class AdaptiveFeedforward {
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
         reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)),
         contenders_(contest()),
-        plays_(settings_.plays, settings_.turn, window_, tables_.size()) {
+        plays_(plays(), window_, tables_.size()) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
@@ -91,9 +92,11 @@ class AdaptiveFeedforward {
     pressure_a_ = pressure_b_ = middle_a_ = middle_b_ = middle_command_ = feedforward_;
   }
 
-  // The second map is needed where pressures are measured.
-  void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {}) {
+  // The second map is needed where pressures are measured, the third where there are plays.
+  void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {},
+             std::vector<Learner*> slope_learners = {}) {
     learners_ = std::move(learners);
+    slope_learners_ = std::move(slope_learners);
     load_learners_ = std::move(load_learners);
     supply_ = 0.0;
     window_.clear();
@@ -118,8 +121,8 @@ class AdaptiveFeedforward {
     contenders_.add(std::move(learners), proof(), odds, error, play < 0 ? play_ : play);
   }
 
-  // Place of the width in use.
-  int play() const { return play_; }
+  // Width of hysteresis that the map in use takes a valve to have [valve command].
+  double play(std::size_t j) const { return plays_.width(play_, j); }
 
   // The caller has set a contender's parameters.
   void revise(int contender, double error) { contenders_.revise(contender, error); }
@@ -128,7 +131,10 @@ class AdaptiveFeedforward {
   void settle(int winner) {
     if (winner > 0) {
       proofs_ = contenders_.proofs(winner - 1);
-      play_ = contenders_.play(winner - 1);
+      if (const int play = contenders_.play(winner - 1); play != play_) {
+        plays_.use(play);
+        play_ = play > 0 ? plays_.used() : 0;
+      }
     }
     contenders_.clear();
   }
@@ -185,7 +191,7 @@ class AdaptiveFeedforward {
           settings_.velocity_gain[j] * (seen_velocity_[j] - measured_velocity[j]);
       out.feedback[j] = proportional + derivative;
       double sum = wish + out.feedback[j];
-      if (plays_.count() > 1) sum += 0.5 * width() * plays_.direction(j, sum);
+      if (plays_.any()) sum += 0.5 * width(j) * plays_.direction(j, sum);
       out.command[j] = std::isfinite(sum) ? sum : wish;
       out.error[j] = error_[j];
       out.fallback[j] = fallback_[j];
@@ -218,12 +224,18 @@ class AdaptiveFeedforward {
   }
 
   // Width of the valves' hysteresis that is in use [valve command].
-  double width() const {
-    double sum = plays_.width(play_) * contenders_.weight()[0];
+  double width(std::size_t j) const {
+    double sum = plays_.width(play_, j) * contenders_.weight()[0];
     for (std::size_t k = 1; k < contenders_.weight().size(); ++k) {
-      sum += plays_.width(contenders_.play(int(k) - 1)) * contenders_.weight()[k];
+      sum += plays_.width(contenders_.play(int(k) - 1), j) * contenders_.weight()[k];
     }
     return sum;
+  }
+
+  PlaySettings plays() const {
+    const double sample = settings_.interval * settings_.control_period;
+    const double settle = std::min(1.0, sample / settings_.play_time);
+    return {settings_.plays, settings_.turn, settings_.play_step, settle, settings_.play_noise};
   }
 
   ContenderSettings contest() const {
@@ -299,7 +311,7 @@ class AdaptiveFeedforward {
       plays_.clear();
     }
     window_.push(position, flow_.data(), sent_.data());
-    if (plays_.count() > 1) {
+    if (plays_.any()) {
       plays_.take(position, sent_.data(), [&](std::size_t j, double spool) {
         return tables_[j].share(position[j], spool);
       });
@@ -311,7 +323,7 @@ class AdaptiveFeedforward {
     window_.middle(motion_.data(), flow_.data());
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
-    if (plays_.count() > 1) plays_.middle(flow_.data());
+    if (plays_.any()) plays_.middle();
     if (!valves_.empty()) {
       window_.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
     }
@@ -336,8 +348,7 @@ class AdaptiveFeedforward {
 
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
-    const double without = flow_[j];
-    if (play_ > 0) flow_[j] = plays_.now(play_)[j];
+    if (play_ > 0) flow_[j] = plays_.flow(play_, j);
     map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
     double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
@@ -351,9 +362,14 @@ class AdaptiveFeedforward {
       proofs_[j].take(count_, excess, learners_[j]->rls().theta());
     }
     const auto found_with = [&](int play) {
-      return excess + (play > 0 ? plays_.now(play)[j] : without) - flow_[j];
+      return play == play_ ? excess : excess + plays_.flow(play, j) - flow_[j];
     };
     contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
+    if (play_ > 0) {
+      const double slope = plays_.slope(j);
+      const double beyond = slope - slope_learners_[j]->update(inputs_, slope, usable);
+      if (usable) plays_.learn(j, error_[j], beyond);
+    }
     if (kept_ < capacity_) keep_sample(j, excess, usable);
   }
 
@@ -408,11 +424,11 @@ class AdaptiveFeedforward {
   ReferenceMotion reference_;
   std::vector<ValveTable> tables_;
   std::vector<PressureValve> valves_;  // none without pressures
-  std::vector<Learner*> learners_, load_learners_;
+  std::vector<Learner*> learners_, load_learners_, slope_learners_;
   std::vector<Proof> proofs_;
   Contenders<Learner> contenders_;
   Plays plays_;
-  int play_ = 0;  // place of the width that the learners' map is for
+  int play_ = 0;  // place of the widths that the learners' map is for
   std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
   // What the excess in use adds to the tracking error, and what the one not in use would [rad].
   std::vector<double> applied_, withheld_;

@@ -11,27 +11,43 @@
 
 namespace leglab::feedforward {
 
-// Follows where spools are if the valves have a play of a width (Krasnosel'skii and Pokrovskii 1989);
-// of width 0 where the commands are. A command reaches the spool half a width late, so the inverse of
-// a play adds half its width in the direction in which the command moves.
+struct PlaySettings {
+  std::vector<double> widths;  // that are tried, beside none [valve command]
+  double turn = 0.0;           // change of a command that is a turn [valve command]
+  double step = 0.0;           // of a width, over which it is seen what more of it would do
+  double settle = 1.0;         // share of its error by which a width in use moves at a sample
+  double noise = 0.0;          // flow of that step which is noise [share of full speed]
+};
+
+// Follows where spools are if the valves have a play of a width (Krasnosel'skii and Pokrovskii 1989).
+// A command reaches the spool half a width late, so the inverse of a play adds half its width in the
+// direction in which the command moves. Place 0 has no play, the next ones those that are tried, and
+// the last but one those in use: one of its own for each joint, found by least squares of the map's
+// errors on what a little more of it would change and the map cannot tell.
 class Plays {
  public:
-  // Widths beside 0 and the change that counts as a turn, both in valve command.
-  Plays(std::vector<double> widths, double turn, const SmoothingWindow& window, std::size_t joints)
-      : widths_(std::move(widths)), turn_(turn), windows_(widths_.size(), window) {
-    widths_.insert(widths_.begin(), 0.0);
-    spool_.assign(widths_.size(), std::vector<double>(joints));
-    flow_ = spool_;
-    direction_ = last_ = spool_[0];
+  Plays(PlaySettings settings, const SmoothingWindow& window, std::size_t joints)
+      : settings_(std::move(settings)) {
+    const std::size_t n = settings_.widths.empty() ? 1 : settings_.widths.size() + 3;
+    width_.assign(n, std::vector<double>(joints));
+    spool_ = flow_ = width_;
+    windows_.assign(n, window);
+    last_ = direction_ = power_ = width_[0];
+    for (std::size_t k = 0; k < settings_.widths.size(); ++k) {
+      std::fill(width_[k + 1].begin(), width_[k + 1].end(), settings_.widths[k]);
+    }
   }
 
-  int count() const { return int(widths_.size()); }
-  double width(int play) const { return widths_[std::size_t(play)]; }
+  bool any() const { return width_.size() > 1; }
+  int used() const { return any() ? int(width_.size()) - 2 : 0; }
+  double width(int play, std::size_t j) const { return width_[std::size_t(play)][j]; }
 
   void reset() {
     for (auto& spool : spool_) std::fill(spool.begin(), spool.end(), 0.0);
-    std::fill(direction_.begin(), direction_.end(), 0.0);
-    std::fill(last_.begin(), last_.end(), 0.0);
+    for (auto* values : {&last_, &direction_, &power_}) {
+      std::fill(values->begin(), values->end(), 0.0);
+    }
+    use(0);
     clear();
   }
 
@@ -40,31 +56,57 @@ class Plays {
     for (auto& window : windows_) window.clear();
   }
 
+  // These widths are in use from now on.
+  void use(int play) {
+    const std::size_t from = std::size_t(play), to = std::size_t(used());
+    for (std::size_t k = to; to > 0 && k < width_.size(); ++k) {
+      width_[k] = width_[from];
+      spool_[k] = spool_[from];
+      windows_[k] = windows_[from];
+    }
+    if (to > 0) further();
+  }
+
   // Takes the commands that were sent, and what flow each position of a spool gives now.
   template <class Flow>
   void take(const double* position, const double* sent, const Flow& flow) {
-    for (std::size_t k = 0; k < widths_.size(); ++k) {
-      const double half = 0.5 * widths_[k];
-      for (std::size_t j = 0; j < direction_.size(); ++j) {
+    for (std::size_t k = 0; k < width_.size(); ++k) {
+      for (std::size_t j = 0; j < last_.size(); ++j) {
+        const double half = 0.5 * width_[k][j];
         double& spool = spool_[k][j];
         spool = std::clamp(spool, sent[j] - half, sent[j] + half);
         flow_[k][j] = flow(j, spool);
       }
-      if (k > 0) windows_[k - 1].push(position, flow_[k].data(), sent);
+      windows_[k].push(position, flow_[k].data(), sent);
     }
   }
 
-  const double* now(int play) const { return flow_[std::size_t(play)].data(); }
+  // Takes the flows in the window's middle; they stay until the next call of `take`.
+  void middle() {
+    for (std::size_t k = 0; k < width_.size(); ++k) windows_[k].middle_flow(flow_[k].data());
+  }
 
-  // Flows in the window's middle; `without` are those of width 0. They stay until the next call.
-  void middle(const double* without) {
-    std::copy_n(without, direction_.size(), flow_[0].data());
-    for (std::size_t k = 1; k < widths_.size(); ++k) windows_[k - 1].middle_flow(flow_[k].data());
+  double flow(int play, std::size_t j) const { return flow_[std::size_t(play)][j]; }
+
+  // What a little more of the widths in use would change of the flow, by width.
+  double slope(std::size_t j) const {
+    return (flow_.back()[j] - flow_[flow_.size() - 2][j]) / settings_.step;
+  }
+
+  // The width in use of a joint, after an error of its map and the part of `slope` that the map
+  // cannot tell: normalised least mean squares.
+  void learn(std::size_t j, double error, double slope) {
+    const std::size_t own = std::size_t(used());
+    power_[j] += settings_.settle * (slope * slope - power_[j]);
+    const double least = settings_.noise / settings_.step;
+    const double by = settings_.settle * error * slope / (power_[j] + least * least);
+    width_[own][j] = std::clamp(width_[own][j] - by, 0.0, 1.0);
+    further();
   }
 
   // The direction, -1, 0 or 1, in which the command of a joint moves.
   double direction(std::size_t j, double command) {
-    if (std::abs(command - last_[j]) > turn_) {
+    if (std::abs(command - last_[j]) > settings_.turn) {
       direction_[j] = command > last_[j] ? 1.0 : -1.0;
       last_[j] = command;
     }
@@ -72,11 +114,16 @@ class Plays {
   }
 
  private:
-  std::vector<double> widths_;
-  double turn_;
-  std::vector<SmoothingWindow> windows_;  // of all widths but 0
-  std::vector<std::vector<double>> spool_, flow_;
-  std::vector<double> direction_, last_;
+  // The last place is a little wider than what is in use.
+  void further() {
+    const auto& own = width_[width_.size() - 2];
+    for (std::size_t j = 0; j < own.size(); ++j) width_.back()[j] = own[j] + settings_.step;
+  }
+
+  PlaySettings settings_;
+  std::vector<std::vector<double>> width_, spool_, flow_;  // by place and joint
+  std::vector<SmoothingWindow> windows_;
+  std::vector<double> last_, direction_, power_;
 };
 
 }  // namespace leglab::feedforward
