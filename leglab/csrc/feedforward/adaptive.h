@@ -365,12 +365,20 @@ class AdaptiveFeedforward {
       return play == play_ ? excess : excess + plays_.flow(play, j) - flow_[j];
     };
     contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
-    if (play_ > 0) {
-      const double slope = plays_.slope(j);
-      const double beyond = slope - slope_learners_[j]->update(inputs_, slope, usable);
-      if (usable) plays_.learn(j, error_[j], beyond);
-    }
+    if (play_ > 0) learn_width(j, usable);
     if (kept_ < capacity_) keep_sample(j, excess, usable);
+  }
+
+  // The width of a hysteresis is one more parameter of the map (least squares by blocks): a map of
+  // the motion says what part of it the others can tell, and they make room for it.
+  void learn_width(std::size_t j, bool usable) {
+    const double slope = plays_.slope(j);
+    Learner& told = *slope_learners_[j];
+    const double beyond = slope - told.update(inputs_, slope, usable);
+    if (!usable) return;
+    const double by = plays_.learn(j, error_[j], beyond);
+    double* theta = learners_[j]->rls().theta();
+    for (int k = 0; k < learners_[j]->parameters(); ++k) theta[k] += by * told.rls().theta()[k];
   }
 
   // The second map learns. Returns the flow of the sample's command at the pressures that this map

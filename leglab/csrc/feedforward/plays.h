@@ -94,14 +94,16 @@ class Plays {
   }
 
   // The width in use of a joint, after an error of its map and the part of `slope` that the map
-  // cannot tell: normalised least mean squares.
-  void learn(std::size_t j, double error, double slope) {
+  // cannot tell: normalised least mean squares. Returns by how much it grew.
+  double learn(std::size_t j, double error, double slope) {
     const std::size_t own = std::size_t(used());
     power_[j] += settings_.settle * (slope * slope - power_[j]);
     const double least = settings_.noise / settings_.step;
     const double by = settings_.settle * error * slope / (power_[j] + least * least);
-    width_[own][j] = std::clamp(width_[own][j] - by, 0.0, 1.0);
+    const double before = width_[own][j];
+    width_[own][j] = std::clamp(before - by, 0.0, 1.0);
     further();
+    return width_[own][j] - before;
   }
 
   // The direction, -1, 0 or 1, in which the command of a joint moves.
