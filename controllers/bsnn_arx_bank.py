@@ -21,6 +21,10 @@ from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveControlle
 # for the machine has just changed.
 _BLOCKS = 4
 
+# A named fault's map learns slowly what the name does not say: the one that was never corrected
+# stays beside it for so long after the case [s], two strides and a half.
+_AFTER = 3.0
+
 # Odds of a hysteresis of one width against a map that learns without knowing of any.
 _PLAY_ODDS = 0.03
 
@@ -91,6 +95,7 @@ class BankController(AdaptiveController):
         self._told = 0
         self.adaptation.keep(2 * self._config.monitor.block)
         self._stopped = self._played = False
+        self._closed: float | None = None
         self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
         self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
 
@@ -114,14 +119,24 @@ class BankController(AdaptiveController):
         self._follow(time, samples, parameters)
         if not self._corrects:
             return
-        if not self.monitor.busy:
-            self.adaptation.settle()
-            self._proposed.clear()
-            self._played = False
+        self._end(time)
         if proposals is not None and not self._played:
             self._propose_plays(self.monitor.before)
         for proposal in proposals or ():
             self._propose(proposal)
+
+    def _end(self, time: float) -> None:
+        """Ends a contest some time after its case: the best map may have more to learn."""
+        if not self.adaptation.contenders or (self.monitor.busy and self._closed is None):
+            return
+        if self._closed is None:
+            self.adaptation.narrow()
+            self._closed = time
+        if self.monitor.busy or time > self._closed + _AFTER:
+            self.adaptation.settle()
+        if not self.adaptation.contenders:
+            self._proposed.clear()
+            self._played, self._closed = False, None
 
     def _propose_plays(self, before: np.ndarray) -> None:
         """Lets a map for each width of hysteresis learn beside the others, from before the change."""

@@ -44,9 +44,9 @@ _TURN = 0.002
 _PLAY_TIME, _PLAY_STEP = 0.5, 0.01
 
 # Squared errors of maps beside each other are averaged over this time [s], the logarithms of their
-# ratios over the second one, half a stride's motion; each has so many independent errors. A map of
-# which the ratio to the one that knows nothing exceeds the last number is out. One that is right may
-# err more than one that has just learned the motion of now, but not so much.
+# ratios over the second one, a quarter of a stride; each has so many independent errors. A map of
+# which the ratio to the one that knows nothing exceeds the last number is out: what is right may
+# err more than what has just learned the motion of now, but not so much.
 _CONTEST_TIME, _CONTEST_GATHER, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 0.25, 4.0, 6.0
 
 
@@ -234,6 +234,7 @@ class AdaptiveFeedforward:
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
+        self._with_play: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
         self._slopes = self._map.learner() if self._plays else None
         maps = (self.learner, self.loads, self._slopes)
@@ -259,6 +260,7 @@ class AdaptiveFeedforward:
         """
         self._core.propose(learner._bank, math.log(odds), error, -1 if play is None else play)
         self.contenders.append(learner)
+        self._with_play.append(play is not None)
 
     def revise(self, contender: int, shift: np.ndarray, error: float) -> None:
         """Moves the parameters of a contender by (joints, parameters); `error` as of `propose`."""
@@ -268,12 +270,23 @@ class AdaptiveFeedforward:
 
     @property
     def play(self) -> np.ndarray:
-        """Width of hysteresis that `learner` takes the valves to have [valve command], (joints,)."""
+        """Width of hysteresis that `learner` is for [valve command], (joints,)."""
         return np.array(self._core.play())
 
     def shares(self) -> np.ndarray:
         """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""
         return np.array(self._core.shares())
+
+    def narrow(self) -> None:
+        """Leaves `learner` and the contender with the largest share to go on.
+
+        One with a hysteresis of its own goes on alone: the other can never learn it.
+        """
+        best = int(np.argmax(self.shares()))
+        if best == 0 or self._with_play[best - 1]:
+            self.settle()
+        else:
+            self._core.only(best - 1)
 
     def settle(self) -> None:
         """Goes on with the map that has the largest share."""
@@ -282,7 +295,7 @@ class AdaptiveFeedforward:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
             self._core.settle(best)
-            self.contenders = []
+            self.contenders, self._with_play = [], []
 
     def keep(self, samples: int) -> None:
         """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""

@@ -169,6 +169,7 @@ class Feedforward {
     return out;
   }
   void revise(int contender, double error) { core_.revise(contender, error); }
+  void only(int contender) { core_.only(contender); }
   void settle(int winner) { core_.settle(winner); }
   std::vector<double> shares() const { return core_.shares(); }
 
@@ -227,6 +228,7 @@ void bind_feedforward(nb::module_& module) {
            nb::arg("play"), nb::keep_alive<1, 2>())
       .def("play", &Feedforward::play)
       .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"))
+      .def("only", &Feedforward::only, nb::arg("contender"))
       .def("settle", &Feedforward::settle, nb::arg("winner"))
       .def("shares", &Feedforward::shares);
   nb::class_<ValveMaps>(module, "ValveMaps")

@@ -124,6 +124,9 @@ class AdaptiveFeedforward {
   // Width of hysteresis that the map in use takes a valve to have [valve command].
   double play(std::size_t j) const { return plays_.width(play_, j); }
 
+  // No contender but this one goes on, beside the map without any.
+  void only(int contender) { contenders_.only(contender); }
+
   // The caller has set a contender's parameters.
   void revise(int contender, double error) { contenders_.revise(contender, error); }
 

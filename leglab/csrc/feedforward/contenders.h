@@ -58,6 +58,12 @@ class Contenders {
   int play(int which) const { return others_[std::size_t(which)].play; }
   const std::vector<Proof>& proofs(int which) const { return others_[std::size_t(which)].proofs; }
 
+  // All others are out.
+  void only(int which) {
+    for (std::size_t k = 0; k < others_.size(); ++k) others_[k].out |= int(k) != which;
+    weigh();
+  }
+
   // A contender has other parameters now; `error` as of `add`.
   void revise(int which, double error) {
     const std::size_t k = std::size_t(which) + 1;

@@ -25,9 +25,7 @@ class BenchSimulation(Simulation):
         benches: From which time on the bench is which [s], in order, the first one from 0.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, benches: Sequence[tuple[float, RoughBench]]
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, benches: Sequence[tuple[float, RoughBench]]) -> None:
         self._benches = benches
         super().__init__(model)
 
