@@ -139,7 +139,7 @@ class BankController(AdaptiveController):
             self._played, self._closed = False, None
 
     def _propose_plays(self, before: np.ndarray) -> None:
-        """Lets a map for each width of hysteresis learn beside the others, from before the change."""
+        """Lets a map for each width of hysteresis learn beside the others."""
         adaptation, config = self.adaptation, self._config
         self._played = True
         for play in range(0 if adaptation.play.any() else 1, 1 + len(config.plays)):
