@@ -100,10 +100,10 @@ class Monitor:
     def look(self, curves: int = ...) -> bool:
         """Fits so many curves more; returns whether all are fitted."""
 
-    def finding(self) -> tuple[int, float, float, float, float, float, float]:
-        """The look's best curve, size, spread and cost, and the chance of its key, last.
+    def finding(self) -> tuple[float, float, Array, Array, Array, Array]:
+        """Costs without any fault and of a machine that had not changed; all curves' results.
 
-        Before the chance stand the costs without any fault and of a machine that had not changed.
+        Sizes, spreads and costs of all curves, (curves,), and chances of all keys, (keys,).
 
         Raises:
             ValueError: The look is not done.

@@ -8,6 +8,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[float64]
 
+class Plant:
+    """A bench between samples; steps of the integrator [s]."""
+
+    def __init__(self, parameters: dict[str, float], step: float) -> None: ...
+    def start(self, angle: float) -> None:
+        """Rests where the encoder shows this angle."""
+
+    def change(self, parameters: dict[str, float]) -> None:
+        """Is another bench from now on."""
+
+    def advance(self, command: float, steps: int) -> float:
+        """Holds a command; returns what the encoder shows, without noise."""
+
 def nominal() -> dict[str, float]: ...
 def follow(
     parameters: dict[str, float],

@@ -237,8 +237,8 @@ class AdaptiveFeedforward:
         self._with_play: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
         self._slopes = self._map.learner() if self._plays else None
-        maps = (self.learner, self.loads, self._slopes)
-        self._core.reset(*(None if one is None else one._bank for one in maps))
+        loads, slopes = (None if m is None else m._bank for m in (self.loads, self._slopes))
+        self._core.reset(self.learner._bank, loads, slopes)
         self._core.keep(0)
         self._out[:] = 0.0
 
