@@ -282,8 +282,6 @@ def test_what_was_learned_lately_and_does_not_hold_is_not_used(settle_time):
             adaptation.learner.parameters = spoilt
             adaptation.learner.set_gain(1e-12 * np.eye(spoilt.shape[1]), 0)
             adaptation.learner.hold_alarm(0)
-        if k == 1090:
-            adaptation.trust()
         made.command(measurement, point)
         # The machine of the calibration: what is sent is what moves it.
         adaptation.sent(0.1 * point.velocity)
@@ -293,7 +291,6 @@ def test_what_was_learned_lately_and_does_not_hold_is_not_used(settle_time):
     assert off[1010] > 0.02
     if settle_time:
         assert off[1080] < 0.5 * off[1010]
-        assert off[1095] > 0.9 * off[1010]
     else:
         assert off[1080] > 0.9 * off[1010]
 

@@ -147,12 +147,11 @@ class Monitor:
         return onset
 
     def look(self, curves, keys):
-        """Best curve, size, spread, cost, that without any and that of noise, chance of its key."""
+        """Costs without any and of noise; sizes, spreads and costs of curves, chances of keys."""
         moments = Moments(np.array(self.samples)).about(self.base)
         share = self.set["discrepancy"] ** 2 * moments.power / np.maximum(moments.count, 1.0)
         weight = 1.0 / (self.watch.normal + share)
         size, spread, cost, without = fit(curves, moments, weight)
-        best = int(np.argmin(cost))
         noise = weight @ (moments.count * self.watch.normal)
         chance = chances(keys, cost, self.set["correlation"], self.set["independent"], noise)
-        return best, size[best], spread[best], cost[best], without, noise, chance[keys[best]]
+        return without, noise, size, spread, cost, chance
