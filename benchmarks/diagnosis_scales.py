@@ -190,8 +190,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
 
 def figure(rows: list[dict[str, Any]]) -> Figure:
     """Confidence of the hidden effect's name against scale, a line an effect."""
-    drawn = Figure(figsize=(7.2, 4.6))
-    axes = drawn.add_axes((0.08, 0.12, 0.68, 0.76))
+    drawn = Figure(figsize=(7.2, 5.2))
+    axes = drawn.add_axes((0.08, 0.24, 0.68, 0.67))
     lines: dict[str, list[tuple[float, float]]] = {}
     for row in sorted(rows, key=lambda row: row["scale"]):
         lines.setdefault(row["effect"], []).append((row["scale"], row["confidence"]))
@@ -201,8 +201,8 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     beside = {row["effect"] for row in rows if len(row["named"]) > 1}
     listed = ", ".join(f"{effect}*" if effect in beside else effect for effect in same)
     note = " (* beside a false name)" if beside.intersection(same) else ""
-    listed = textwrap.fill(f"Grey, {_HIGH:g} or more at all scales: {listed}{note}", 62)
-    axes.text(0.05, 0.5, listed, transform=axes.transAxes, va="center", color=DARK_GREY, size=8)
+    listed = textwrap.fill(f"Grey, {_HIGH:g} or more at all scales: {listed}{note}", 105)
+    drawn.text(0.08, 0.02, listed, va="bottom", color=DARK_GREY, size=8)
     place = 1.0
     own = sorted(lines.keys() - same, key=lambda effect: -lines[effect][-1][1])
     for effect, ink in zip(own, [VERMILION, *SERIES] * len(own), strict=False):
@@ -225,7 +225,7 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     axes.xaxis.set_major_formatter("{x:g}")
     axes.minorticks_off()
     axes.set_ylabel("confidence of the hidden effect's name")
-    drawn.text(0.08, 0.94, "One hinge in three sizes, one effect hidden at a time", fontsize=10)
+    drawn.text(0.08, 0.95, "One hinge in three sizes, one effect hidden at a time", fontsize=10)
     return drawn
 
 
