@@ -18,7 +18,7 @@ from leglab.studies.blind.rough_loop import bench_settings, run_bench
 
 CHANGE, DURATION = 10.0, 16.0  # s
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.0, 5.0))  # after the change, s
-FIRST_SEED = 8000  # of no run that a setting was chosen by
+FIRST_SEED = 8100  # of no run that a setting was chosen by
 CONTROLLERS = ("bsnn_arx", "bsnn_arx_bank")
 REFERENCES = ("walking_stride", "random_stride")
 
