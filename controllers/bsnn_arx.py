@@ -28,6 +28,7 @@ class AdaptiveController:
     """
 
     name = "bsnn_arx"
+    plays: tuple[float, ...] = ()  # widths of hysteresis that it looks for [valve command]
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._feedback = Pd(setup, config)
@@ -51,6 +52,7 @@ class AdaptiveController:
             self._feedback.position_gain,
             self._feedback.velocity_gain,
             config,
+            plays=self.plays,
             control_period=setup.control_period,
             latency=latency,
             velocity_delay=latency + setup.machine.velocity_delay,

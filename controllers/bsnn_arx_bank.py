@@ -36,8 +36,9 @@ class BankConfiguration(AdaptiveConfiguration):
         monitor: How changes are noticed and named.
         health: How slow wear is followed.
         left_out: Faults of the bank that are not used, to see what an unknown one does.
-        corrects: Whether a named fault's shift goes to the parameters; without, the monitor names
+        corrects: Whether what faults do is used as far as it predicts; without, the monitor names
             only.
+        plays: Widths of hysteresis that are looked for [valve command].
     """
 
     monitor: MonitorConfiguration = Field(default_factory=MonitorConfiguration)
@@ -56,9 +57,9 @@ class BankConfiguration(AdaptiveConfiguration):
     configuration=BankConfiguration,
 )
 class BankController(AdaptiveController):
-    """As `bsnn_arx`; on a change the most likely fault of the bank corrects the map at once.
+    """As `bsnn_arx`; on a change maps of the likely faults are used as far as they predict.
 
-    See `leglab.control.feedforward.fault_monitor`.
+    See `leglab.control.feedforward.fault_monitor` and `csrc/feedforward/contenders.h`.
     """
 
     name = "bsnn_arx_bank"
@@ -66,6 +67,7 @@ class BankController(AdaptiveController):
     def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
         if setup.fault_bank is None:
             raise LeglabError(f"controller {self.name!r} needs a bank of faults of the machine")
+        self.plays = config.plays
         super().__init__(setup, config)
         bank = setup.fault_bank()
         if config.left_out:

@@ -1,8 +1,8 @@
 """Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -80,7 +80,6 @@ class LearningConfiguration(Configuration):
         settle_time: Time constant of a slow mean of the parameters [s]: what was learned beyond it
             is used as far as its predictions held. 0 uses all that was learned at once.
         supervised: Whether the calibrated map takes over where it predicts better.
-        plays: Widths of hysteresis that the valves may have, beside none [valve command].
     """
 
     stop_time: float | None = Field(default=None, ge=0)
@@ -104,7 +103,6 @@ class LearningConfiguration(Configuration):
     least_speed: float = Field(default=1e-3, ge=0)
     settle_time: float = Field(default=0.4, ge=0)
     supervised: bool = Field(default=True)
-    plays: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(default=())
 
     @field_validator("window")
     @classmethod
@@ -154,6 +152,7 @@ class AdaptiveFeedforward:
         loads: Structure of the map from motion to load; None without pressures.
         sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
             (joints,) or (joints, p) each; None without pressures.
+        plays: Widths of hysteresis that maps can be proposed with [valve command].
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate then [s].
@@ -177,11 +176,12 @@ class AdaptiveFeedforward:
         *,
         loads: InverseMap | None = None,
         sheets: Mapping[str, np.ndarray] | None = None,
+        plays: Sequence[float] = (),
         control_period: float,
         latency: float,
         velocity_delay: float,
     ) -> None:
-        self._map, self._load_map, self._plays = inverse_map, loads, bool(config.plays)
+        self._map, self._load_map, self._plays = inverse_map, loads, len(plays) > 0
         width = table.end - table.start
         self._core = Feedforward(
             {
@@ -204,7 +204,7 @@ class AdaptiveFeedforward:
                 "contest_errors": _CONTEST_ERRORS,
                 "contest_window": _CONTEST_WINDOW,
                 "contest_floor": config.noise**2,
-                "plays": np.array(config.plays, dtype=float),
+                "plays": np.array(plays, dtype=float),
                 "turn": _TURN,
                 "play_time": _PLAY_TIME,
                 "play_step": _PLAY_STEP,
