@@ -333,7 +333,11 @@ class _Twin:
 
     def difference(self) -> float:
         """Of the findings of both, the largest against their own size or the cost without."""
-        here, there = np.array(self.core.finding()), self._machine.numbers("found", 7)
+        without, noise, sizes, spreads, costs, chances = self.core.finding()
+        best = int(np.argmin(costs))
+        named = sizes[best], spreads[best], costs[best]
+        here = np.array([best, *named, without, noise, chances[self._bank.group[best]]])
+        there = self._machine.numbers("found", 7)
         scale = np.abs(here)
         scale[3] = here[4]  # what is left is a difference
         return float(np.max(np.abs(here - there) / np.maximum(scale, 1e-3)))

@@ -129,7 +129,7 @@ def test_a_part_is_measured_kept_and_shown(tmp_path, capsys, monkeypatch):
     text = html.unescape(re.sub("<[^>]*>", " ", page))
     assert "0 of 0 ratios reach what is asked" in text
     assert "straight-line C++ loop" in text
-    assert "right name first" in text  # of what docs/data keeps
+    assert "t90 median, s" in text  # of what docs/data keeps
     assert "<script" not in page
     assert "script-src 'none'" in html.unescape(page)
     # From a history in which it was far better: the check fails, and says so.

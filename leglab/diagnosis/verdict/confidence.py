@@ -72,7 +72,10 @@ class Judgement:
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
         named = most("confidence", NAMED, "confidence")
-        confusion = () if named else most("possible", POSSIBLE, "evidence")
+        # Three that are equal have a third each: what is not told from the most possible one counts.
+        top = max((e.possible for e in effects.values()), default=0.0)
+        confused = not named and top > POSSIBLE
+        confusion = most("possible", min(POSSIBLE, top / TIE), "evidence") if confused else ()
         tied = [k for k, e in effects.items() if e.ties]
         if tied and not named:
             leader = max(tied, key=lambda k: effects[k].evidence)
