@@ -255,8 +255,8 @@ class AdaptiveFeedforward:
             learner: The map, of `learner`'s structure.
             odds: Of this map against `learner` before either has predicted.
             error: Mean squared error that it would have made lately, over that of `learner`.
-            play: Place in (0, *plays) of the width of the valves' hysteresis that it is for; None
-                for the one in use.
+            play: Place of the width of the valves' hysteresis that it is for, 0 for none and then
+                those of `plays`; None for the one in use.
         """
         self._core.propose(learner._bank, math.log(odds), error, -1 if play is None else play)
         self.contenders.append(learner)

@@ -72,7 +72,7 @@ class Judgement:
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
         named = most("confidence", NAMED, "confidence")
-        # Three that are equal have a third each: what is not told from the most possible one counts.
+        # Three equal ones have a third each: what is not told from the most possible one counts.
         top = max((e.possible for e in effects.values()), default=0.0)
         confused = not named and top > POSSIBLE
         confusion = most("possible", min(POSSIBLE, top / TIE), "evidence") if confused else ()
