@@ -56,7 +56,7 @@ JOBS = (
     _job("train_residual_ppo", 4),
     _job("long_run", 2.5),
     _job("live_names", 25),
-    _job("correction_bench", 3),
+    _job("correction_bench", 3, options="--jobs 2"),
     _job(
         "live_names_elsewhere",
         25,
