@@ -52,7 +52,7 @@ class BankConfiguration(AdaptiveConfiguration):
 
 @register_controller(
     "bsnn_arx_bank",
-    summary="is bsnn_arx that names what broke, corrects its map at once by what that fault does, "
+    summary="is bsnn_arx that names what broke, uses what that fault does as far as it predicts, "
     "and learns the rest",
     configuration=BankConfiguration,
 )

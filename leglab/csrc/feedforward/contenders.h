@@ -73,15 +73,6 @@ class Contenders {
     weigh();
   }
 
- private:
-  void trust(int which) {
-    Other& other = others_[std::size_t(which)];
-    for (std::size_t j = 0; j < other.proofs.size(); ++j) {
-      other.proofs[j].trust(other.learners[j]->rls().theta());
-    }
-  }
-
- public:
   // Prediction of a joint by all, `own` that of the map without a contender.
   double used(std::size_t j, const double* inputs, long period, double own) {
     double sum = weight_[0] * own;
@@ -131,6 +122,13 @@ class Contenders {
     int play;
     bool out = false;
   };
+
+  void trust(int which) {
+    Other& other = others_[std::size_t(which)];
+    for (std::size_t j = 0; j < other.proofs.size(); ++j) {
+      other.proofs[j].trust(other.learners[j]->rls().theta());
+    }
+  }
 
   double ratio(std::size_t k) const {
     return (error_[k] + settings_.floor) / (error_[0] + settings_.floor);
