@@ -22,7 +22,7 @@ from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
 from leglab.control.feedforward.fault_bank import ALL, UNKNOWN
 from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_bank import FAULTS
+from leglab.runs.fault_bank import FAULTS, kind
 from leglab.runs.loop import Loop
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.preparation import Preparation
@@ -87,7 +87,7 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
         FROZEN: (FROZEN, {"stop_time": change}),
         BEFORE: (BEFORE, {}),
         BANK: (BANK, {}),
-        WITHOUT: (BANK, {"left_out": [fault]}),
+        WITHOUT: (BANK, {"left_out": list(kind(fault))}),
     }
     base = calibrated = twin = None
     for label, (controller, config) in plans.items():
@@ -155,6 +155,7 @@ def _told(events: list[Event], fault: str, element: str, change: float) -> dict[
             "said": known,
             "unknown": last is not None and not known,
             "fault": bool(known and last and last.fault == fault),
+            "among": bool(last and fault in (last.fault, *(r.fault for r in last.rivals))),
             "element": bool(known and last and last.element == element),
             "confidence": last.confidence if known and last else None,
         }
@@ -290,7 +291,8 @@ def tables_elsewhere(kept: dict[str, Any]) -> str:
         "1.2-2.4",
         "fault right by 0.5 s",
         "by 2 s",
-        "wrong at the end",
+        "among those told",
+        "not among them",
     ]
     rows = []
     for label in ELSEWHERE:
@@ -308,7 +310,8 @@ def tables_elsewhere(kept: dict[str, Any]) -> str:
             for limit in TOLD:
                 row += [str(sum(x[BANK][f"{limit:g}"]["fault"] for x in own))]
             last = [x[BANK][f"{TOLD[-1]:g}"] for x in own]
-            row += [str(sum(x["said"] and not x["fault"] for x in last))]
+            row += [str(sum(x["among"] for x in last))]
+            row += [str(sum(x["said"] and not x["among"] for x in last))]
             rows.append(row)
     return text + "\n" + results.table(head, rows)
 
@@ -412,7 +415,7 @@ def _by_fault(found: list[dict[str, Any]]) -> str:
 
 def _names(found: list[dict[str, Any]]) -> str:
     head = ["named", "of", "by, s", "said", "fault right, % of all", "element right", "of said"]
-    head += ["both of said", "claims of 0.9 right"]
+    head += ["among those told", "both of said", "claims of 0.9 right"]
     rows = []
     whole = {
         "all cylinders": [c for c in found if c["element"] == ALL],
@@ -435,6 +438,7 @@ def _names(found: list[dict[str, Any]]) -> str:
                     _percent([t["fault"] for t in told]),
                     _percent([t["element"] for t in told]),
                     _percent([t["fault"] for t in said]),
+                    _percent([t["among"] for t in said]),
                     _percent(both),
                     _percent([t["fault"] and t["element"] for t in sure]),
                 ]

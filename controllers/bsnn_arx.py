@@ -64,7 +64,15 @@ class AdaptiveController:
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Valve commands, (joints,)."""
+        self.look(measurement.time)
         return self.adaptation.step(measurement, reference)
+
+    def look(self, time: float) -> None:
+        """Does what is due before the period at this time [s]: nothing, where all is the core's."""
+
+    def sent(self, command: np.ndarray) -> None:
+        """Takes the commands (joints,) that were sent in place of the last ones."""
+        self.adaptation.sent(command)
 
     def freeze(self) -> None:
         """Stops adapting until the next `reset`."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.errors import LeglabError
-from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
+from leglab.control import ControllerSetup, Measurement, register_controller
 from leglab.control.feedforward.fault_monitor import (
     Event,
     FaultMonitor,
@@ -106,13 +106,10 @@ class BankController(AdaptiveController):
         super().freeze()
         self._stopped = True
 
-    def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
-        if self.adaptation.kept_count() >= self._config.monitor.block and not self._stopped:
-            self._look(measurement.time)
-        return super().command(measurement, reference)
-
-    def _look(self, time: float) -> None:
+    def look(self, time: float) -> None:
+        """Sees whether the machine has changed, once there are enough samples."""
+        if self.adaptation.kept_count() < self._config.monitor.block or self._stopped:
+            return
         learner = self.adaptation.learner
         parameters = np.atleast_2d(learner.parameters)
         samples = self.adaptation.kept()

@@ -14,6 +14,7 @@ from leglab.control import (
 )
 from leglab.control.feedforward.motion import ReferenceMotion, SmoothingWindow, smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveController
+from leglab.runs.loop import Loop
 from leglab.runs.metrics import sliding_rms
 
 ADAPTIVE = ("bsnn_arx", "frozen", "arx")
@@ -52,6 +53,26 @@ def test_frozen_is_the_adaptive_controller_until_the_change(worn):
 def test_worn_seals_are_learned(worn):
     assert rms(worn["frozen"], 13, 16) > 2 * rms(worn["frozen"], 5, 8)
     assert rms(worn["bsnn_arx"], 13, 16) < rms(worn["frozen"], 13, 16) / 3
+
+
+def test_what_is_added_to_the_command_is_not_learned_as_the_machine(monkeypatch):
+    """As an agent's residual does; a controller that is not told takes it for the machine."""
+
+    def error(told: bool) -> float:
+        with monkeypatch.context() as patch:
+            if not told:
+                patch.delattr(AdaptiveController, "sent")
+            loop = Loop(RunSettings(scenario="nominal", controller="bsnn_arx", model="knee_bench"))
+            found = []
+            for k in range(2000):
+                period = loop.observe()
+                loop.act(period.command + 0.03 * np.sin(0.02 * k))
+                loop.advance()
+                found.append(float(loop.diagnostics()["model_error"][0]))
+            loop.close()
+        return float(np.sqrt(np.mean(np.square(found[1000:]))))
+
+    assert error(told=True) < 0.5 * error(told=False)
 
 
 def test_gains_that_open_learn_a_change_sooner_than_gains_that_do_not(worn):

@@ -44,6 +44,18 @@ CASES = {
         "action": "residual",
         "controller": "bsnn_arx",
     },
+    "a bank that looks": {
+        **KNEE,
+        "action": "residual",
+        "controller": "bsnn_arx_bank",
+        "controller_config": {"monitor": {"warm_up": 5, "slow_window": 10}},
+    },
+    "pressures that are learned with": {
+        **KNEE,
+        "scenario": "supply_drop",
+        "action": "residual",
+        "controller": "bsnn_arx_pressure",
+    },
     "pressures, a ramp, pd": {
         **KNEE,
         "scenario": "cold_oil",

@@ -148,6 +148,7 @@ def small(tmp_path, monkeypatch):
     """A cache of its own, and two faults alone."""
     monkeypatch.setenv("LEGLAB_CACHE", str(tmp_path))
     monkeypatch.setattr(making, "_banks", {})
+    monkeypatch.setattr(making, "PARTS", {})
     faults = {name: making.FAULTS[name] for name in ("seal_wear", "supply_drop")}
     monkeypatch.setattr(making, "FAULTS", faults)
     return tmp_path

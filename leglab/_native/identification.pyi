@@ -87,6 +87,27 @@ class Feedforward:
     def kept(self) -> int: ...
     def take_kept(self, out: Array) -> int: ...
 
+class Team:
+    """Feed-forwards of many machines, stepped together in threads."""
+
+    def __init__(self, threads: int) -> None: ...
+    def step(
+        self,
+        cores: list[Feedforward],
+        outs: list[Array],
+        rows: Array,
+        time: Array,
+        sent: Array,
+        measured: Array,
+        measured_velocity: Array,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        pressures: Array,
+        command: Array,
+        feedforward: Array,
+    ) -> None: ...
+
 class ValveMaps:
     """Commands of calibrated valve maps."""
 

@@ -62,6 +62,9 @@ class Controller(Protocol):
     `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
     twin, just before the machine changes: what adapting on gained is told from there.
 
+    One that learns from its commands may have `sent(command)`: what the machine was sent in place
+    of what `command` gave, where somebody adds to it.
+
     A controller that measures pressures sets `uses_pressures = True`. One that sets `joint_wise =
     True` has no memory, and commands each joint from that joint's measurement and reference alone:
     one object can then command the joints of many machines in one call.

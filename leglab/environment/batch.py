@@ -26,6 +26,8 @@ from leglab.control import (
     make_controller,
 )
 from leglab.control.contract import CONTROLLERS
+from leglab.control.feedforward.adaptive import FeedforwardTeam
+from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.rewards import Reward, Transition
 from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
@@ -114,7 +116,8 @@ class Batch:
         self._due = np.full(self.count, np.inf)
         self.diverged = np.zeros(self.count, dtype=bool)
         self.terminated, self.truncated = self.diverged.copy(), self.diverged.copy()
-        self._begin_controller(preparation)
+        threads = threads or len(os.sched_getaffinity(0))
+        self._begin_controller(preparation, threads)
         parts = 5 + len(self._preview) + 1 + (self._scale is not None) + self._feedforward
         width = parts * len(self.joints) + self._pressure.shape[1]
         self.observation = np.zeros((self.count, width), dtype=np.float32)
@@ -123,7 +126,7 @@ class Batch:
         gain = velocity_filter_coefficient(self.period, sensors.velocity_cutoff) / self.period
         self._core = Core(
             machines=self.count,
-            threads=threads or len(os.sched_getaffinity(0)),
+            threads=threads,
             timing={
                 "to_sample": timing.to_sample,
                 "to_command": timing.to_command,
@@ -312,9 +315,10 @@ class Batch:
         sampled.encoders.hold(now)
         self._due[number] = sampled.schedule.next
 
-    def _begin_controller(self, preparation: Preparation) -> None:
+    def _begin_controller(self, preparation: Preparation, threads: int) -> None:
         """Makes one controller for all machines, where the controller can be shared."""
         self._shared: Controller | None = None
+        self._team: FeedforwardTeam | None = None
         self._feedforward = False
         if self._scale is None:
             return
@@ -337,6 +341,11 @@ class Batch:
             probe = Loop(settings, preparation=preparation)
             probe.observe()
             self._feedforward = "feedforward" in probe.diagnostics()
+            # Its control period is the compiled core's, unless somebody gave it another.
+            if getattr(type(probe.controller), "command", None) is AdaptiveController.command:
+                self._team = FeedforwardTeam(threads)
+                self._adaptive: dict[int, AdaptiveController] = {}
+                self._looks = type(probe.controller).look is not AdaptiveController.look
             probe.close()
 
     def _command_of_controllers(self, chosen: np.ndarray, *, first: bool) -> None:
@@ -352,6 +361,9 @@ class Batch:
                 told = self._shared.diagnostics()["feedforward"]
                 self._forward = told.reshape(self.command.shape)
             return
+        if self._team is not None:
+            self._command_of_team(self._team, np.flatnonzero(chosen), first)
+            return
         times, supplies = self.time.tolist(), self._pressure[:, -1:].tolist()
         for i in np.flatnonzero(chosen).tolist():
             loop = self.loop(i)
@@ -361,9 +373,32 @@ class Batch:
             measurement = Measurement(times[i], *motion, *pressures, *supplies[i])
             if first:
                 controller.reset(measurement)
+            elif hasattr(controller, "sent"):
+                controller.sent(self.command[i])
             self._wish[i] = loop.checked(controller.command(measurement, point))
             if self._feedforward:
                 self._forward[i] = controller.diagnostics()["feedforward"]
+
+    def _command_of_team(self, team: FeedforwardTeam, chosen: np.ndarray, first: bool) -> None:
+        """The same of controllers that are compiled, in threads."""
+        time = self.time
+        if first:
+            for i in chosen.tolist():
+                controller = self.loop(i).controller
+                assert isinstance(controller, AdaptiveController)
+                motion, pressures, _ = self._views[i]
+                supply = self._pressure[i, -1:].tolist()
+                controller.reset(Measurement(float(time[i]), *motion, *pressures, *supply))
+                self._adaptive[i] = controller
+        members = [self._adaptive[i] for i in chosen.tolist()]
+        if self._looks:
+            for controller, now in zip(members, time[chosen].tolist(), strict=True):
+                controller.look(now)
+        motion, out = (self.position, self.velocity), (self._wish, self._forward)
+        learning = [controller.adaptation for controller in members]
+        team.step(
+            learning, chosen, self.command, (time, *motion, self._pressure), self.reference, out
+        )
 
     @cached_property
     def _views(self) -> list[_View]:

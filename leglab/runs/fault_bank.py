@@ -15,7 +15,14 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint, scenario_severity
+from leglab.base.scenario import (
+    ParameterChange,
+    Scenario,
+    get_scenario,
+    joint_pattern,
+    scenario_per_joint,
+    scenario_severity,
+)
 from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import (
     ALL,
@@ -65,6 +72,66 @@ FAULTS: Mapping[str, tuple[Faults, ...]] = {
     "supply_drop": (Faults(healthy=160.0, sizes=(130.0, 105.0, 80.0)),),
     "supply_droop": (Faults(healthy=1.0, sizes=(0.7, 0.5, 0.35)),),
     "payload": (Faults(healthy=0.0, sizes=(2.5, 5.0, 10.0)),),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """What breaks alone where a scenario breaks more at once.
+
+    Attributes:
+        of: The scenario.
+        sides: As in `FAULTS`.
+        meaning: What a size says, with its unit.
+        changes: Of a machine that has had a size of it from the start; of elements by a pattern.
+    """
+
+    of: str
+    sides: tuple[Faults, ...]
+    meaning: str
+    changes: Callable[[float, str], tuple[ParameterChange, ...]]
+
+
+def _of(kind: str, *parameters: str) -> Callable[[float, str], tuple[ParameterChange, ...]]:
+    return lambda size, element: tuple(
+        ParameterChange(parameter=name, element=element, kind=kind, value=size, start=0.0)
+        for name in parameters
+    )
+
+
+def _leak_of_one_chamber(size: float, element: str) -> tuple[ParameterChange, ...]:
+    side = "external_leakage_a" if size > 0 else "external_leakage_b"
+    return _of("set", side)(abs(size), element)
+
+
+PARTS: Mapping[str, Part] = {
+    "valve_dead_band": Part(
+        of="valve_wear",
+        sides=(Faults(healthy=1.0, sizes=(1.5, 3.0, 5.0)),),
+        meaning="lap ratio",
+        changes=_of("scale", "lap"),
+    ),
+    "valve_hysteresis": Part(
+        of="valve_wear",
+        sides=(Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
+        meaning="hysteresis, of full spool travel",
+        changes=_of("set", "hysteresis"),
+    ),
+    "dry_friction": Part(
+        of="friction_rise",
+        sides=(Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
+        meaning="ratio of Coulomb and breakaway friction",
+        changes=_of("scale", "coulomb", "static"),
+    ),
+    "chamber_leak": Part(
+        of="external_leak",
+        sides=(
+            Faults(healthy=0.0, sizes=(5e-13, 1.5e-12, 4.5e-12)),
+            Faults(healthy=0.0, sizes=(-5e-13, -1.5e-12, -4.5e-12)),
+        ),
+        meaning="external leakage of the cap side, negative of the rod side [m^3/s/Pa]",
+        changes=_leak_of_one_chamber,
+    ),
 }
 
 # Strides before samples count, and strides of samples; of a motion that does not repeat, as many
@@ -184,10 +251,8 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
         shifts, sizes = [np.zeros_like(base)], [faults.healthy]
         sums = np.zeros(3)
         for size in faults.sizes:
-            joint = None if element == ALL else element
-            scenario = get_scenario(fault, severity=size, element=joint).changed_from_start()
             try:
-                found = moments(scenario.changes)
+                found = moments(_changes(fault, size, element))
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
             changed = found.about(base)
@@ -195,12 +260,11 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
             sizes.append(size)
             sums += _shown(changed, shifts[-1], normal)
         if len(sizes) > 1:
-            severity = scenario_severity(fault)
             curves.append(
                 FaultCurve(
                     fault=fault,
                     element=element,
-                    meaning="" if severity is None else severity.meaning,
+                    meaning=_meaning(fault),
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     # A fault that shows nothing beyond noise has no share to go by.
@@ -212,12 +276,33 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
 
 def cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
     """Faults of the bank with the element that has each: a joint by name, or "all"."""
-    for fault, sides in FAULTS.items():
+    for fault, sides in (*FAULTS.items(), *((name, part.sides) for name, part in PARTS.items())):
         for faults in sides:
             yield fault, ALL, faults
-            if scenario_per_joint(fault) and len(joints) > 1:
+            if (fault in PARTS or scenario_per_joint(fault)) and len(joints) > 1:
                 for joint in joints:
                     yield fault, joint, faults
+
+
+def kind(fault: str) -> tuple[str, ...]:
+    """A fault of the bank, what it is a part of, and all parts of that."""
+    whole = PARTS[fault].of if fault in PARTS else fault
+    return whole, *(name for name, part in PARTS.items() if part.of == whole)
+
+
+def _changes(fault: str, size: float, element: str) -> tuple[ParameterChange, ...]:
+    """What a fault changes on a machine that has had it from the start."""
+    if fault in PARTS:
+        return PARTS[fault].changes(size, "*" if element == ALL else joint_pattern(element))
+    joint = None if element == ALL else element
+    return get_scenario(fault, severity=size, element=joint).changed_from_start().changes
+
+
+def _meaning(fault: str) -> str:
+    if fault in PARTS:
+        return PARTS[fault].meaning
+    severity = scenario_severity(fault)
+    return "" if severity is None else severity.meaning
 
 
 def _moments(

@@ -224,7 +224,10 @@ class Loop:
         """
         wish = self.present.command if action is None else action
         if not self._send(wish):  # wrong, or of another type of number
-            self._send(self.checked(wish).astype(float))
+            wish = self.checked(wish).astype(float)
+            self._send(wish)
+        if action is not None and hasattr(self.controller, "sent"):
+            self.controller.sent(wish)
 
     def step(self, action: np.ndarray | None = None) -> Period:
         """Runs one control period.
@@ -236,7 +239,7 @@ class Loop:
             LeglabError: As `act`.
         """
         period = self.observe()
-        if not self._send(period.command if action is None else action):
+        if action is not None or not self._send(period.command):
             self.act(action)
         if self.watch is not None:
             self.watch(period.number)

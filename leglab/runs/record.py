@@ -84,6 +84,15 @@ class AdaptationMetrics(BaseModel):
     reason: str | None = None
 
 
+class FaultRival(BaseModel):
+    """See `leglab.control.feedforward.fault_monitor.Rival`."""
+
+    fault: Name
+    element: Name
+    size: FiniteFloat
+    confidence: FiniteFloat
+
+
 class FaultName(BaseModel):
     """What a controller said of a change; see `leglab.control.feedforward.fault_monitor.Name`."""
 
@@ -98,6 +107,7 @@ class FaultName(BaseModel):
     confidence: FiniteFloat
     explained: FiniteFloat
     undoes: FiniteFloat | None = None
+    rivals: list[FaultRival] = Field(default_factory=list)
 
 
 def _place(element: str) -> str:
@@ -122,7 +132,8 @@ class FaultEvent(BaseModel):
         size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
         if name.undoes is not None:
             size = f" back to{size}" if size else " undone"
-        return f"{where}{name.fault}{size}".replace("_", " ")
+        rivals = "".join(f" or {rival.fault}" for rival in name.rivals)
+        return f"{where}{name.fault}{size}{rivals}".replace("_", " ")
 
     def told(self) -> str:
         """The name in force in one line: where, what, size and confidence, since when."""
@@ -133,6 +144,9 @@ class FaultEvent(BaseModel):
             meaning = f"; {name.meaning}" if name.meaning else ""
             line += f" {name.size:.3g}{ends}{meaning})" if ends else f" {name.size:.3g}"
             line += f", {100 * name.confidence:.0f} %"
+        for rival in name.rivals:
+            where = "" if rival.element == name.element else f"{_place(rival.element)}: "
+            line += f", or {where}{rival.fault} {rival.size:.3g}, {100 * rival.confidence:.0f} %"
         if name.undoes is not None:
             line += f", goes back on what began at {name.undoes:.2f} s"
         line += f", since {name.onset:.2f} s, said at {name.time:.2f} s"

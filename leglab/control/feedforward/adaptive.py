@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from leglab._native.identification import Feedforward
+from leglab._native.identification import Feedforward, Team
 from leglab.base.settings import Configuration
 from leglab.control import Measurement, ReferencePoint
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
@@ -336,3 +336,46 @@ class AdaptiveFeedforward:
     def sent(self, command: np.ndarray) -> None:
         """Takes the commands (joints,) that were sent, where they are not what `step` gave."""
         self._core.sent(command)
+
+
+class FeedforwardTeam:
+    """Feed-forwards of many machines, stepped together in threads.
+
+    Args:
+        threads: That step them.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._core = Team(threads)
+
+    def step(
+        self,
+        members: Sequence[AdaptiveFeedforward],
+        machines: np.ndarray,
+        sent: np.ndarray,
+        measurement: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+        reference: ReferencePoint,
+        out: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        """As `AdaptiveFeedforward.step` of each member.
+
+        Args:
+            members: Of the machines that are stepped.
+            machines: Their places in the arrays, (members,) of int64.
+            sent: The commands that were sent last, (machines, joints).
+            measurement: Time (machines,), positions and velocities (machines, joints), pressures of
+                cap and rod sides and of the supply (machines, 2 joints + 1), which may be empty.
+            reference: With arrays (machines, joints).
+            out: Commands and feed-forwards are written there, (machines, joints) each.
+        """
+        self._core.step(
+            [member._core for member in members],
+            [member._out for member in members],
+            machines,
+            measurement[0],
+            sent,
+            *measurement[1:3],
+            *reference,
+            measurement[3],
+            *out,
+        )

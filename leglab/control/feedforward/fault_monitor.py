@@ -55,6 +55,10 @@ _HIT = 2.0
 # nothing explains is told [1], how long after its onset, and over what time [s].
 _UNEXPLAINED, _PATIENCE, _RECENT = 10.0, 1.3, 0.65
 
+# Faults within this factor of the most probable one are told with it, at most so many in all: what
+# the samples do not tell apart is not told by one name.
+_ALIKE, _TOLD = 4.0, 3
+
 # So many faults are proposed at a look: each is a map that learns.
 _CONTENDERS = 3
 
@@ -92,7 +96,8 @@ class MonitorConfiguration(Configuration):
         proof: The same with which it is named: a tenth of a second after the onset, and from six
             tenths on. What a machine has never done before may look like a fault at first; a
             map that explains it does no harm, a name would be false.
-        confidence: Least probability among all faults of the bank of one that is named.
+        confidence: Least probability among all faults of the bank of what is named: of one fault,
+            or of some that the samples do not tell apart.
         open_share: Gain of the learner after a fault was named, as a share of its gain on a change
             times the share of the squared error that the fault leaves.
     """
@@ -113,6 +118,22 @@ class MonitorConfiguration(Configuration):
     open_share: float = Field(default=0.1, ge=0, le=1)
 
 
+class Rival(NamedTuple):
+    """A fault that may be the one in place of what is named.
+
+    Attributes:
+        fault: Its name.
+        element: Joint, or "all".
+        size: In the fault's own unit.
+        confidence: Its probability among all of the bank [1].
+    """
+
+    fault: str
+    element: str
+    size: float
+    confidence: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Name:
     """What the monitor says of a change at one time.
@@ -131,6 +152,7 @@ class Name:
         explained: Share of the weighted squared error since the onset, beyond noise, that it takes
             away [1]; of an unknown change, what the best fault would.
         undoes: Onset of the change that this one takes back, all or in part [s]; None of a new one.
+        rivals: Faults that are hardly less probable, the most probable first.
     """
 
     time: float
@@ -144,6 +166,7 @@ class Name:
     confidence: float
     explained: float
     undoes: float | None = None
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(kw_only=True, eq=False)
@@ -337,14 +360,22 @@ class FaultMonitor:
         explained = explained_share(costs[best], without, noise)
         evidence = (without - costs[best]) / (2 * config.correlation)
         share = config.kept if key == case.key else np.interp(age, _GROWN, config.explained)
+        alike = [k for k in np.argsort(-chances) if _ALIKE * chances[k] > chances.max()]
         if (
             explained >= share * curve.explains
-            and chances[bank.group[best]] >= config.confidence
+            and len(alike) <= _TOLD
+            and chances[alike].sum() >= config.confidence
             and evidence >= np.interp(age, _PROVEN, config.proof)
         ):
             case.key, case.size = key, float(sizes[best])
             chance = float(chances[bank.group[best]])
-            self._name(case, time, curve, case.size, float(spreads[best]), chance, explained)
+            rivals = []
+            for other in alike[1:]:
+                curves = np.flatnonzero(bank.group == other)
+                size = float(sizes[curves[np.argmin(costs[curves])]])
+                rivals.append(Rival(*bank.keys[other], size, float(chances[other])))
+            spread = float(spreads[best])
+            self._name(case, time, curve, case.size, spread, chance, explained, tuple(rivals))
         elif case.key is not None and explained < config.kept * curve.explains:
             self._withdraw(case, time)
         elif case.key is None and time >= case.onset + _PATIENCE:
@@ -409,6 +440,7 @@ class FaultMonitor:
         spread: float,
         chance: float,
         explained: float,
+        rivals: tuple[Rival, ...],
     ) -> None:
         config = self._config
         # Samples scatter, and a machine is not the nominal one: its size is off by as much.
@@ -432,6 +464,7 @@ class FaultMonitor:
                 confidence=chance,
                 explained=explained,
                 undoes=curve.undoes,
+                rivals=rivals,
                 **(sized if curve.fault != UNKNOWN else {}),
             ),
         )
@@ -487,6 +520,12 @@ class FaultMonitor:
 def plain(events: Sequence[Event]) -> list[dict[str, Any]]:
     """Events as plain Python types."""
     return [
-        {"names": [vars(name) for name in event.names], "withdrawn": event.withdrawn}
+        {
+            "names": [
+                {**vars(name), "rivals": [rival._asdict() for rival in name.rivals]}
+                for name in event.names
+            ],
+            "withdrawn": event.withdrawn,
+        }
         for event in events
     ]

@@ -2,6 +2,7 @@
 // lets learn: a source of its own, which compiles without theirs.
 #include "bindings/identification_bank.h"
 #include "feedforward/adaptive.h"
+#include "loop/threads.h"
 
 namespace leglab::bindings {
 namespace {
@@ -141,11 +142,11 @@ class Feedforward {
   void step(double time, Input measured, Input measured_velocity, Input position, Input velocity,
             Input acceleration, Output out, nb::object pressure_a, nb::object pressure_b,
             double supply_pressure) {
-    const std::size_t n = tables_.tables().size();
+    const std::size_t n = joints();
     for (const Input* array : {&measured, &measured_velocity, &position, &velocity, &acceleration}) {
       if (array->size() != n) throw nb::value_error("wrong number of values");
     }
-    double* row = out.data();
+    if (out.size() != reported * n) throw nb::value_error("wrong number of values");
     ff::Pressures pressures;
     Input a, b;
     if (pressures_) {
@@ -154,10 +155,21 @@ class Feedforward {
       if (a.size() != n || b.size() != n) throw nb::value_error("wrong number of pressures");
       pressures = {a.data(), b.data(), supply_pressure};
     }
-    core_.step(time, measured.data(), measured_velocity.data(),
-               {position.data(), velocity.data(), acceleration.data()},
-               {row, row + n, row + 2 * n, row + 3 * n, row + 4 * n}, pressures);
+    step(time, measured.data(), measured_velocity.data(),
+         {position.data(), velocity.data(), acceleration.data()}, out.data(), pressures);
   }
+
+  // The same without a look at sizes; `out` is (reported, joints).
+  void step(double time, const double* measured, const double* measured_velocity,
+            const ff::Reference& reference, double* out, const ff::Pressures& pressures) {
+    const std::size_t n = joints();
+    core_.step(time, measured, measured_velocity, reference,
+               {out, out + n, out + 2 * n, out + 3 * n, out + 4 * n}, pressures);
+  }
+
+  static constexpr std::size_t reported = 5;
+  std::size_t joints() const { return tables_.tables().size(); }
+  bool with_pressures() const { return pressures_; }
 
   void freeze() { core_.freeze(); }
   void propose(SplineNarxBank64& bank, double odds, double error, int play) {
@@ -189,9 +201,10 @@ class Feedforward {
   }
 
   void sent(Input command) {
-    if (command.size() != tables_.tables().size()) throw nb::value_error("wrong number of values");
-    core_.sent(command.data());
+    if (command.size() != joints()) throw nb::value_error("wrong number of values");
+    sent(command.data());
   }
+  void sent(const double* command) { core_.sent(command); }
 
  private:
   using Learners = std::vector<id::SplineNarx<double>*>;
@@ -207,6 +220,55 @@ class Feedforward {
   bool pressures_;
 };
 
+// Feed-forwards of many machines, stepped together in threads.
+class Team {
+ public:
+  explicit Team(int threads) : threads_(std::max(threads, 1)) {}
+
+  // A control period of some machines, whose places in the arrays are `rows`: time (machines,),
+  // pressures (machines, 2 joints + 1) or empty, the others (machines, joints). `sent` are the last
+  // commands. Writes what `Feedforward::step` does to each of `outs`, and of that command and
+  // feed-forward to the arrays.
+  void step(const std::vector<Feedforward*>& cores, const std::vector<Output>& outs,
+            nb::ndarray<const std::int64_t, nb::c_contig, nb::device::cpu> rows, Input time,
+            Input sent, Input measured, Input measured_velocity, Input position, Input velocity,
+            Input acceleration, Input pressures, Output command, Output feedforward) {
+    const std::size_t machines = time.size(), n = machines ? measured.size() / machines : 0;
+    for (const Input* array : {&sent, &measured, &measured_velocity, &position, &velocity,
+                               &acceleration}) {
+      if (array->size() != machines * n) throw nb::value_error("arrays of different shapes");
+    }
+    if (command.size() != machines * n || feedforward.size() != machines * n ||
+        outs.size() != cores.size() || rows.size() != cores.size()) {
+      throw nb::value_error("arrays of different shapes");
+    }
+    const std::size_t width = pressures.size() ? 2 * n + 1 : 0;
+    for (std::size_t k = 0; k < cores.size(); ++k) {
+      const bool fits = cores[k]->joints() == n && outs[k].size() == Feedforward::reported * n &&
+                        rows.data()[k] >= 0 && std::size_t(rows.data()[k]) < machines;
+      if (!fits || (cores[k]->with_pressures() && pressures.size() != machines * width)) {
+        throw nb::value_error("arrays of different shapes");
+      }
+    }
+    const nb::gil_scoped_release release;
+    threads_.each(cores.size(), [&](std::size_t k, std::size_t) {
+      const std::size_t i = std::size_t(rows.data()[k]), at = i * n;
+      const double* p = pressures.data() + i * width;
+      double* out = outs[k].data();
+      cores[k]->sent(sent.data() + at);
+      cores[k]->step(time.data()[i], measured.data() + at, measured_velocity.data() + at,
+                     {position.data() + at, velocity.data() + at, acceleration.data() + at}, out,
+                     cores[k]->with_pressures() ? ff::Pressures{p, p + n, p[2 * n]}
+                                                : ff::Pressures{});
+      std::copy_n(out, n, command.data() + at);
+      std::copy_n(out + n, n, feedforward.data() + at);
+    });
+  }
+
+ private:
+  loop::Threads threads_;
+};
+
 }  // namespace
 
 void bind_feedforward(nb::module_& module) {
@@ -215,11 +277,14 @@ void bind_feedforward(nb::module_& module) {
       .def("reset", &Feedforward::reset, nb::arg("bank"), nb::arg("loads").none() = nb::none(),
            nb::arg("slopes").none() = nb::none(), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(),
            nb::keep_alive<1, 4>())
-      .def("step", &Feedforward::step, nb::arg("time"), nb::arg("measured"),
+      .def("step",
+           nb::overload_cast<double, Input, Input, Input, Input, Input, Output, nb::object,
+                             nb::object, double>(&Feedforward::step),
+           nb::arg("time"), nb::arg("measured"),
            nb::arg("measured_velocity"), nb::arg("position"), nb::arg("velocity"),
            nb::arg("acceleration"), nb::arg("out"), nb::arg("pressure_a").none() = nb::none(),
            nb::arg("pressure_b").none() = nb::none(), nb::arg("supply_pressure") = 0.0)
-      .def("sent", &Feedforward::sent)
+      .def("sent", nb::overload_cast<Input>(&Feedforward::sent))
       .def("keep", &Feedforward::keep)
       .def("kept", &Feedforward::kept)
       .def("take_kept", &Feedforward::take_kept)
@@ -231,6 +296,12 @@ void bind_feedforward(nb::module_& module) {
       .def("only", &Feedforward::only, nb::arg("contender"))
       .def("settle", &Feedforward::settle, nb::arg("winner"))
       .def("shares", &Feedforward::shares);
+  nb::class_<Team>(module, "Team")
+      .def(nb::init<int>(), nb::arg("threads"))
+      .def("step", &Team::step, nb::arg("cores"), nb::arg("outs"), nb::arg("rows"),
+           nb::arg("time"), nb::arg("sent"), nb::arg("measured"), nb::arg("measured_velocity"),
+           nb::arg("position"), nb::arg("velocity"), nb::arg("acceleration"),
+           nb::arg("pressures"), nb::arg("command"), nb::arg("feedforward"));
   nb::class_<ValveMaps>(module, "ValveMaps")
       .def(nb::init<nb::dict>(), nb::arg("parts"))
       .def("command", &ValveMaps::command);
