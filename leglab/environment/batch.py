@@ -341,11 +341,12 @@ class Batch:
             probe = Loop(settings, preparation=preparation)
             probe.observe()
             self._feedforward = "feedforward" in probe.diagnostics()
+            kind = type(probe.controller)
             # Its control period is the compiled core's, unless somebody gave it another.
-            if getattr(type(probe.controller), "command", None) is AdaptiveController.command:
+            if issubclass(kind, AdaptiveController) and kind.command is AdaptiveController.command:
                 self._team = FeedforwardTeam(threads)
                 self._adaptive: dict[int, AdaptiveController] = {}
-                self._looks = type(probe.controller).look is not AdaptiveController.look
+                self._looks = kind.look is not AdaptiveController.look
             probe.close()
 
     def _command_of_controllers(self, chosen: np.ndarray, *, first: bool) -> None:

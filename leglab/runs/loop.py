@@ -226,8 +226,9 @@ class Loop:
         if not self._send(wish):  # wrong, or of another type of number
             wish = self.checked(wish).astype(float)
             self._send(wish)
-        if action is not None and hasattr(self.controller, "sent"):
-            self.controller.sent(wish)
+        sent = getattr(self.controller, "sent", None)
+        if action is not None and sent is not None:
+            sent(wish)
 
     def step(self, action: np.ndarray | None = None) -> Period:
         """Runs one control period.

@@ -373,7 +373,8 @@ class FaultMonitor:
             for other in alike[1:]:
                 curves = np.flatnonzero(bank.group == other)
                 size = float(sizes[curves[np.argmin(costs[curves])]])
-                rivals.append(Rival(*bank.keys[other], size, float(chances[other])))
+                fault, element = bank.keys[other]
+                rivals.append(Rival(fault, element, size, float(chances[other])))
             spread = float(spreads[best])
             self._name(case, time, curve, case.size, spread, chance, explained, tuple(rivals))
         elif case.key is not None and explained < config.kept * curve.explains:
