@@ -33,6 +33,7 @@ DATA = ROOT / "docs" / "data"
 RECORD = ("command", "date", "commit", "versions", "machine")
 # Folders whose changes can change a result.
 _CODE = ("leglab", "benchmarks", "controllers", "models", "scenarios")
+_WIDTH = 800  # longest line of a file; most cases of a benchmark are one
 _DIGITS = 6  # significant; tables show at most four
 
 
@@ -69,9 +70,22 @@ def main(
         record = json.loads(json.dumps(kept(origin, results), allow_nan=False))
     print(f"{tables(record['results']).rstrip()}\n\n{origin_line(record)}")
     if options.write:
-        text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
+        text = _lines(record) + "\n"
         options.write.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(options.write, lambda file: file.write(text.encode()))
+
+
+def _lines(value: Any, indent: str = "") -> str:
+    """JSON with what fits on one line."""
+    text = json.dumps(value, ensure_ascii=False)
+    if len(text) <= _WIDTH or not isinstance(value, (dict, list)):
+        return text
+    inner, ends = f"{indent} ", "{}" if isinstance(value, dict) else "[]"
+    if isinstance(value, dict):
+        parts = [f"{inner}{json.dumps(k)}: {_lines(item, inner)}" for k, item in value.items()]
+    else:
+        parts = [f"{inner}{_lines(item, inner)}" for item in value]
+    return f"{ends[0]}\n" + ",\n".join(parts) + f"\n{indent}{ends[1]}"
 
 
 def resumed(
