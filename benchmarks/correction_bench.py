@@ -1,6 +1,6 @@
 """A correction by name where the machine shares no code: `python benchmarks/correction_bench.py`.
 
-The bench of `csrc/studies/rough_bench.h`, exact and rough specimens, becomes another one while it
+The bench of `rigs/csrc/rough_bench.h`, exact and rough specimens, becomes another one while it
 walks: by what the bank of faults has, and by what it has not. RMS error of `bsnn_arx_bank`, with
 its whole bank and with one that has not the kind, over that of `bsnn_arx`, by time after the
 change, and over any two seconds after it.
@@ -17,8 +17,8 @@ from leglab.control.feedforward.fault_bank import UNKNOWN as UNNAMED
 from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.fault_bank import kind
 from leglab.runs.metrics import sliding_rms
-from leglab.studies.blind.rough_bench import RoughBench, exact_specimen, specimen
-from leglab.studies.blind.rough_loop import bench_loop, bench_settings
+from rigs.closed_loop import bench_loop, bench_settings
+from rigs.rough_bench import RoughBench, exact_specimen, specimen
 
 CHANGE, DURATION = 10.0, 16.0  # s
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.0, 5.0))  # after the change, s

@@ -29,7 +29,7 @@ from leglab.diagnosis.verdict.whole import follow
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
+from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
 HEAD = ("model", "what is fitted", "free run, RMS mm", "in closed loop, RMS mm")
 WINDOW_HEAD = ("0.3 s of the pulses", "fitted on", "RMS mm at the end", "closed")

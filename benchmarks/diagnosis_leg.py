@@ -16,6 +16,7 @@ import results
 from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
+from benchmarks.self_test.outcomes import run_missing
 from leglab import RunSettings, run_scenario
 from leglab.base.recording import Recording
 from leglab.base.scenario import Options, ParameterChange, register_scenario
@@ -23,7 +24,6 @@ from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.studies.blind.outcomes import run_missing
 
 HEAD = ("question", "reached", "95 % interval", "cases", "asked")
 CASE_HEAD = ("hidden", "verdict", "named, confidence", "gap before > after", "s")

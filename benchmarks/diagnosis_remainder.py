@@ -16,9 +16,9 @@ from leglab.base.recording import Recording
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.studies.blind.faulty_bench import FaultyBench, references
-from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
-from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
+from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
+from rigs.bench import FaultyBench, references
+from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
 
 # Effects that would name it, so that its vocabulary is open.
 EXCLUDED = ("position_torque", "harmonic_torque", "cogging", "torque_ripple")

@@ -1,6 +1,6 @@
 """Blind cases on the two rigs without hydraulics: `python -m benchmarks.diagnosis_rigs`.
 
-Sizes are random; recordings come from tests/rigs, which knows nothing of leglab's effects. Prints
+Sizes are random; recordings come from rigs, which knows nothing of leglab's effects. Prints
 one line a case and how many were named.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
 
 KINDS = ("multisine", "slow", "fast", "stairs")
 

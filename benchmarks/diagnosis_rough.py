@@ -21,7 +21,7 @@ from leglab.studies.shared_data import shared_data
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
+from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
 BENCHES = tuple(f"e{i}" for i in range(7))
 HEAD = (

@@ -1,6 +1,6 @@
 """Motors and machines unlike their models: `python benchmarks/diagnosis_rough_motors.py`.
 
-A rotor, a servo with a link and an arm of two joints (tests/rigs/rough.py) draw their masses,
+A rotor, a servo with a link and an arm of two joints (rigs/rough.py) draw their masses,
 friction laws, lags, gears' teeth and encoders. Hidden in each is a fault, one in either end joint,
 two in either end joint, more inertia with more drag, which a weak drive imitates, or nothing.
 """
@@ -19,7 +19,7 @@ from leglab.diagnosis.verdict.verdict import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.rigs.rough import RIGS, RoughRig, faults_of, hide, machine, record_rough
+from rigs.rough import RIGS, RoughRig, faults_of, hide, machine, record_rough
 
 HEAD = ("machine", "hidden", "verdict", "named, confidence", "explained", "noise levels", "s")
 # Of seven cases in turn: so many faults of either end joint, or these.

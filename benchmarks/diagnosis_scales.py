@@ -1,13 +1,13 @@
 """One hinge at a tenth and a hundred times its inertia: `python benchmarks/diagnosis_scales.py`.
 
-The machine is the pendulum of tests/rigs, an arm on a geared motor with an encoder, and its copies
+The machine is the pendulum of rigs, an arm on a geared motor with an encoder, and its copies
 are of other density: lengths, times and angles stay; masses, inertias, damping, motor torque, the
 gains of its loop and all forces of a fault are multiplied by the scale. So the copies move alike,
 with the same noise of the encoder [rad], and their commands [N m] alone differ, by the scale. What
 a diagnosis says of them differs only where a number in its code has a unit, or by rounding.
 
 Hidden is one effect at a time, ten times as large as on the rough bench of the same arm
-(tests/rigs/rough.py, the geometric middle of what it draws; for what that bench lacks, of the knee
+(rigs/rough.py, the geometric middle of what it draws; for what that bench lacks, of the knee
 bench's or the rigs'), or the largest one with which the machine still works, which `EFFECTS` says.
 `base_tilt` is left out: on one hinge without a spring it is `encoder_offset`, up to the 0.6 rad
 that it may be at most and that the offset hidden here is beyond. A late command and a late encoder
@@ -36,9 +36,9 @@ from leglab.report.style import DARK_GREY, LIGHT_GREY, SERIES, VERMILION, style
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.rigs import PENDULUM
-from tests.rigs.hinge import record_hinge
-from tests.rigs.rough import FAULTS, SERVO_LINK
+from rigs import PENDULUM
+from rigs.hinge import record_hinge
+from rigs.rough import FAULTS, SERVO_LINK
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 SURE = 0.8

@@ -1,7 +1,8 @@
-"""The self-test of `leglab diagnose`, scored and kept: `python benchmarks/diagnosis_self_test.py`.
+"""Blind cases of the diagnosis, scored: `python -m benchmarks diagnosis_self_test`.
 
 Goes on where a call with the same `--out` was interrupted. With `--rough` on specimens that differ
-from their model everywhere a little; figures are written beside the outcomes.
+from their model everywhere a little, with recordings from before the fault; figures are written
+beside the outcomes.
 """
 
 import argparse
@@ -10,35 +11,57 @@ from typing import Any
 
 import results
 
-from leglab.studies.blind import rough_selftest
-from leglab.studies.blind.rough_bench import SIZES
-from leglab.studies.blind.selftest import SCORE_HEAD, scores, self_test
+from benchmarks.self_test import exact, rough
+from benchmarks.self_test.figures import save_figures
+from leglab.base.errors import LeglabError
+from leglab.base.output import claimed_folder
+from leglab.cli.options import check_jobs
+from leglab.cli.terminal import complain, progress
+from rigs.rough_bench import SIZES
 
 
 def measure(options: argparse.Namespace) -> Any:
-    if not options.rough and options.sizes == "gross":
-        return scores(self_test(options.out, options.cases))
-    from leglab.studies.blind.rough_figures import save_figures
+    """Scores, and of rough or visible faults the confidences."""
+    for name, least in (("cases", 1), ("seed", 0)):
+        if getattr(options, name) < least:
+            raise LeglabError(f"{name} is {getattr(options, name)}; allowed: {least} or more")
+    check_jobs(options.jobs)
+    where = {"processes": options.jobs, "scheduler": options.scheduler}
+    with claimed_folder(options.out), progress("self-test", options.cases) as show:
 
-    settings = rough_selftest.RoughTestSettings(
-        rough=options.rough,
-        sizes=options.sizes,
-        healthy=options.rough and not options.no_healthy,
-        seed=options.seed,
-    )
-    outcomes = rough_selftest.rough_self_test(options.out, options.cases, settings)
+        def tell(label: str, done: int, total: int) -> None:
+            show(description=label or "self-test", completed=done, total=total)
+
+        if not options.rough and options.sizes == "gross":
+            found = exact.self_test(
+                options.out, options.cases, seed=options.seed, progress=tell, **where
+            )
+            return {"scores": exact.scores(found), "missed": exact.missed(found)}
+        settings = rough.RoughTestSettings(
+            rough=options.rough,
+            sizes=options.sizes,
+            healthy=options.rough and not options.no_healthy,
+            seed=options.seed,
+        )
+        outcomes = rough.rough_self_test(
+            options.out, options.cases, settings, progress=tell, **where
+        )
     save_figures(outcomes, options.out, settings.name)
     return {
-        "scores": rough_selftest.scores(outcomes, settings),
-        "reliability": rough_selftest.reliability_rows(rough_selftest.reliability(outcomes)),
+        "scores": rough.scores(outcomes, settings),
+        "missed": rough.missed(outcomes),
+        "reliability": rough.reliability_rows(rough.reliability(outcomes)),
     }
 
 
 def tables(kept: Any) -> str:
-    if isinstance(kept, list):
-        return results.table(SCORE_HEAD, kept)
-    confidence = results.table(rough_selftest.RELIABILITY_HEAD, kept["reliability"])
-    return results.table(rough_selftest.HEAD, kept["scores"]) + "\n" + confidence
+    """Scores, what was missed, and how often names of a confidence are right."""
+    of = rough if "reliability" in kept else exact
+    head = rough.HEAD if of is rough else exact.SCORE_HEAD
+    parts = [results.table(head, kept["scores"]), results.table(of.MISSED_HEAD, kept["missed"])]
+    if of is rough:
+        parts.append(results.table(rough.RELIABILITY_HEAD, kept["reliability"]))
+    return "\n".join(parts)
 
 
 def main() -> None:
@@ -51,8 +74,14 @@ def main() -> None:
         "--no-healthy", action="store_true", help="no recordings from before the fault"
     )
     parser.add_argument("--sizes", choices=SIZES, default="gross")
-    parser.add_argument("--seed", type=int, default=0, help="of the rough or drawn specimens")
-    results.main(parser, measure, tables)
+    parser.add_argument("--seed", type=int, default=0, help="of the cases")
+    parser.add_argument("--jobs", type=int, default=-1, help="cases at a time; -1: one a core")
+    parser.add_argument("--scheduler", help="Dask scheduler whose workers do the work")
+    try:
+        results.main(parser, measure, tables)
+    except LeglabError as error:
+        complain(str(error))
+        raise SystemExit(2) from error
 
 
 if __name__ == "__main__":

@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from diagnosis_remainder import EXCLUDED, bench, pendulum
 
-from tests.rigs import PENDULUM, Truth, record
-from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
+from rigs import PENDULUM, Truth, record
+from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
 HEAD = (
     "machine",

@@ -20,7 +20,7 @@ from joblib import Parallel, delayed
 
 from leglab.data import read
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
 
 RECORDINGS = Path(__file__).parent.parent / "tests" / "data" / "diagnosis"
 RIG_KINDS = ("multisine", "fast", "slow", "stairs")

@@ -43,6 +43,7 @@ JOBS = (
     _job("environment_speed", 2.5, options="--rounds 100"),
     _job("identification_peers", 1.5),
     _job("integration_accuracy", 0.7),
+    _job("diagnosis_rollouts", 0.4),
     _job("readaptation_limit", 0.4),
     _job("never_worse", 4, options="--specimens 2"),
     _job("two_routes", 0.5),

@@ -129,7 +129,7 @@ FAULTS = {
         "test_the_improved_model_carries_no_effect_without_a_name",
     ),
     "any name in doubt is doubt": (
-        "studies.blind.selftest", "return not self.named or max(self.confidence) <= _DOUBT",
+        "benchmarks.self_test.exact", "return not self.named or max(self.confidence) <= _DOUBT",
         'return not self.named or self.verdict != "named"',
         "test_a_wrong_name_given_with_confidence_is_no_doubt",
     ),
@@ -283,7 +283,7 @@ def put_in_faults(some: Sequence[str]) -> bool:
     noticed = True
     for name in some or FAULTS:
         short, old, new, test = FAULTS[name]
-        module = f"leglab.{short}"
+        module = short if short.startswith("benchmarks.") else f"leglab.{short}"
         path = ROOT / (module.replace(".", "/") + ".py")
         source, red = path.read_text(), None
         if source.count(old) == 1:

@@ -47,7 +47,7 @@ class Sanitized:
             return spec_from_file_location(
                 name, {sources!r} + "/__init__.py", submodule_search_locations=where
             )
-        if name.startswith("leglab._native."):
+        if name.startswith(("leglab._native.", "rigs._native.")):
             return PathFinder.find_spec(name, [{folder!r}])
 
 sys.meta_path.insert(0, Sanitized)
@@ -63,6 +63,7 @@ def build(folder: Path) -> None:
         f"build-dir={folder}",
         "cmake.build-type=Debug",
         "cmake.define.LEGLAB_SANITIZE=ON",
+        "cmake.define.LEGLAB_RIGS=ON",
     ):
         command += ["-C", setting]
     subprocess.run([*command, "--wheel-dir", folder / "wheel", ROOT], check=True)

@@ -1,4 +1,4 @@
-"""`leglab bench`: ratios from real results, the history, the check, and the page."""
+"""`python -m benchmarks bench`: ratios from real results, the history, the check, and the page."""
 
 import html
 import json
@@ -7,17 +7,27 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.bench import main
+from benchmarks.suite import history, suite
+from benchmarks.suite.history import Entry, add, change, kept_value, read_history, worse
+from benchmarks.suite.page import markdown_tables
+from benchmarks.suite.suite import PARTS, RATIOS, Measured, Value, values
 from leglab.base.errors import LeglabError
-from leglab.studies.bench import history, suite
-from leglab.studies.bench.history import Entry, add, change, kept_value, read_history, worse
-from leglab.studies.bench.page import markdown_tables
-from leglab.studies.bench.suite import PARTS, RATIOS, Measured, Value, values
-from tests.test_cli import leglab as command_line
 
-ROOT = suite.checkout()
+ROOT = suite.ROOT
 LOW = next(r for r in RATIOS if r.name == "cylinder_over_bare_loop")
 HIGH = next(r for r in RATIOS if r.name == "batch_of_bare_residual")
 SLOW = next(r for r in RATIOS if r.name == "thousand_runs_s")
+
+
+def command_line(capsys, *words) -> tuple[int, str, str]:
+    """Exit status and what is printed."""
+    status = 0
+    try:
+        main([str(word) for word in words])
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    return status, *capsys.readouterr()
 
 
 def entry(machine="here", **ratios) -> Entry:
@@ -117,8 +127,8 @@ def test_tables_of_markdown_are_read():
 def test_a_part_is_measured_kept_and_shown(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(history, "FILE", (tmp_path / "h.jsonl"))
     out = tmp_path / "out"
-    options = ("bench", "--part", "speed", "--repeat", "1", "--out", out)
-    status, _, errors = command_line(*options, "--keep", capsys=capsys)
+    options = ("--part", "speed", "--repeat", "1", "--out", out)
+    status, _, errors = command_line(capsys, *options, "--keep")
     assert (status, errors) == (0, "")
     content = json.loads((out / "bench.json").read_text())
     measured = content["ratios"]["cylinder_over_bare_loop"]
@@ -136,8 +146,8 @@ def test_a_part_is_measured_kept_and_shown(tmp_path, capsys, monkeypatch):
     (kept,) = read_history(tmp_path / "h.jsonl")
     assert kept.ratios["cylinder_over_bare_loop"] == pytest.approx(measured["median"], rel=1e-3)
     add(replace(kept, ratios={"cylinder_over_bare_loop": 0.5}), tmp_path / "h.jsonl")
-    check = ("bench", "--part", "speed", "--stored", "--check", "--out", out)
-    status, _, errors = command_line(*check, capsys=capsys)
+    check = ("--part", "speed", "--stored", "--check", "--out", out)
+    status, _, errors = command_line(capsys, *check)
     assert status == 1
     assert "cylinder_over_bare_loop: " in errors
 
@@ -151,7 +161,7 @@ def test_a_part_is_measured_kept_and_shown(tmp_path, capsys, monkeypatch):
     ],
 )
 def test_what_cannot_be_measured_is_refused(tmp_path, capsys, options, message):
-    status, _, errors = command_line("bench", *options, "--out", tmp_path / "o", capsys=capsys)
+    status, _, errors = command_line(capsys, *options, "--out", tmp_path / "o")
     assert status == 2
     assert re.search(message, " ".join(errors.split()))
     assert not (tmp_path / "o").exists()
@@ -162,9 +172,3 @@ def test_a_part_that_fails_is_named_and_stops_nothing(tmp_path, monkeypatch):
     (found,) = suite.measure([broken], tmp_path, repeat=1, quick=True)
     assert found.record == {}
     assert "no-such-option" in found.problem
-
-
-def test_an_installed_package_says_that_it_has_no_benchmarks(tmp_path, monkeypatch):
-    monkeypatch.setattr(suite.leglab, "__file__", str(tmp_path / "leglab" / "__init__.py"))
-    with pytest.raises(LeglabError, match="runs the scripts of a source checkout"):
-        suite.checkout()

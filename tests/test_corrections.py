@@ -6,8 +6,8 @@ No other test runs the bank where its simulation is not the machine.
 import numpy as np
 import pytest
 
-from leglab.studies.blind.rough_bench import exact_specimen
-from leglab.studies.blind.rough_loop import bench_loop, bench_settings, run_bench
+from rigs.closed_loop import bench_loop, bench_settings, run_bench
+from rigs.rough_bench import exact_specimen
 
 CHANGE = 10.0  # s
 HEALTHY = exact_specimen(1)

@@ -6,8 +6,7 @@ from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.likelihood.twins import coupled_joints
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.patched_models import reloaded_error
-from tests.rigs import (
+from rigs import (
     GANTRY,
     MOTOR_ARM,
     PENDULUM,
@@ -16,7 +15,8 @@ from tests.rigs import (
     Hidden,
     record_linkage,
 )
-from tests.rigs.agreement import open_loop_error
+from rigs.agreement import open_loop_error
+from tests.patched_models import reloaded_error
 
 RIGS = {r.model.stem: r for r in (MOTOR_ARM, SERVO_ARM, GANTRY, SERVO_JOINT)}
 KINDS = ("multisine", "fast", "slow", "stairs")

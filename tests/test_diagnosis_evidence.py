@@ -16,7 +16,7 @@ from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.search.settle import Fitter
 from leglab.diagnosis.thresholds import BESIDE, FINE, SPREADS, WIDER
-from tests.rigs import PENDULUM, Truth, record
+from rigs import PENDULUM, Truth, record
 
 EFFECTS = ("force_offset", "viscous_friction", "payload", "armature", "encoder_offset")
 

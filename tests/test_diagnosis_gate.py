@@ -19,7 +19,7 @@ from leglab.diagnosis.replay.windows import resolution
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from tests.unpleasant import (
     CASES,
     changed,

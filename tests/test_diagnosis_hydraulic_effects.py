@@ -12,7 +12,7 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.parameters import State
 from leglab.machine.simulation import actuator_moments
-from leglab.studies.blind.faulty_bench import NOMINAL, FaultyBench, references
+from rigs.bench import NOMINAL, FaultyBench, references
 
 VALVE = "knee_valve"
 

@@ -16,8 +16,8 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.sensors import EncoderFaults, PressureFaults
+from rigs import PENDULUM, Truth, record
 from tests.patched_models import reloaded_error
-from tests.rigs import PENDULUM, Truth, record
 
 FOLDER = Path(__file__).parent / "data" / "diagnosis"
 NAMES = ("multisine", "slow", "walk")

@@ -8,8 +8,8 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.windows import Channel
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from tests.rigs import PENDULUM, Truth, record
-from tests.rigs.rough import ROTOR, as_made, record_rough
+from rigs import PENDULUM, Truth, record
+from rigs.rough import ROTOR, as_made, record_rough
 
 PUSH = 0.6  # N m, a tenth of what gravity does at most
 OFFSET = ("force_offset", "hinge")

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.self_test.exact import Case, Outcome, cases, make, missed, scores
 from leglab import DiagnosisSettings, Recording, data, diagnose
 from leglab.base.errors import LeglabError
 from leglab.diagnosis.effects.base import Effect, EffectParameter, register_effect
@@ -22,9 +23,8 @@ from leglab.diagnosis.replay.windows import Channel, Cut, noise_level, smoothed
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.search.pipeline import set_up
 from leglab.diagnosis.verdict.notes import at_limits
-from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, detuned, references
-from leglab.studies.blind.selftest import Case, Outcome, cases, make, score_table, scores
-from tests.rigs import PENDULUM
+from rigs import PENDULUM
+from rigs.bench import FAULTS, FaultyBench, detuned, references
 from tests.unpleasant import BENCH
 
 
@@ -150,7 +150,7 @@ def test_a_case_is_fixed_by_its_number_and_the_seed():
 
 
 def test_made_case_has_four_recordings_and_its_severity(monkeypatch):
-    import leglab.studies.blind.selftest as selftest
+    import benchmarks.self_test.exact as selftest
 
     monkeypatch.setattr(selftest, "references", lambda rng: {"walk": references(rng, 0.3)["walk"]})
     found, (severity,) = make(Case(kind="single", number=0, effects=("stiction",)), 1)
@@ -214,8 +214,9 @@ def test_scores_count_sets_and_false_alarms():
     assert not wrong.found
     assert unknown.honest
     assert not alarm.first
-    table = score_table([right, tied, wrong, alarm, unknown])
-    assert list(table.columns[1].cells)[:3] == ["1 (33%)", "2 (67%)", "1 (100%)"]
+    every = [right, tied, wrong, alarm, unknown]
+    assert [row[1] for row in scores(every)][:3] == ["1 (33%)", "2 (67%)", "1 (100%)"]
+    assert missed(every) == [("a", "b", "named", "2")]
 
 
 def test_the_order_of_the_step_error_is_measured():

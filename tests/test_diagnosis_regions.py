@@ -7,7 +7,7 @@ from leglab.diagnosis.balance.regions import EVERYWHERE, worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import traces
-from tests.rigs import MOTOR_ARM, Hidden, record_linkage
+from rigs import MOTOR_ARM, Hidden, record_linkage
 
 RNG = np.random.default_rng(3)
 POSITION = RNG.uniform(-1.0, 1.0, 4000)

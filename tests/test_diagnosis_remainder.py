@@ -28,9 +28,9 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
-from leglab.studies.blind.faulty_bench import FaultyBench, references
-from tests.rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
-from tests.rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
+from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
+from rigs.bench import FaultyBench, references
+from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 # Effects that would name a ripple: the vocabulary is open here.

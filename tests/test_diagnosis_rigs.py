@@ -6,8 +6,8 @@ import pytest
 from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
-from tests.rigs.agreement import open_loop_error
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs.agreement import open_loop_error
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 

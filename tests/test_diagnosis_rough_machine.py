@@ -10,9 +10,9 @@ from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.studies.blind.rough_bench import exact_specimen, references
-from leglab.studies.blind.rough_bench import record as record_bench
-from tests.rigs import PENDULUM, Truth, record
+from rigs import PENDULUM, Truth, record
+from rigs.rough_bench import exact_specimen, references
+from rigs.rough_bench import record as record_bench
 
 # Of this regime `test_diagnosis_verdicts.py` has smaller ones.
 pytestmark = pytest.mark.slow("whole diagnoses of a rough rig")

@@ -5,8 +5,8 @@ import pytest
 
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs.agreement import open_loop_error
-from tests.rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
+from rigs.agreement import open_loop_error
+from rigs.rough import RIGS, SERVO_LINK, as_made, faults_of, hide, machine, record_rough
 
 
 @pytest.mark.parametrize("name", RIGS)

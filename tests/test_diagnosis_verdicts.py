@@ -1,6 +1,6 @@
 """Whole diagnoses: recordings of small machines in, verdict, names, sizes and confidence out.
 
-The machines are simulated by `tests/rigs`, which knows nothing of the diagnosis: what is hidden in
+The machines are simulated by `rigs`, which knows nothing of the diagnosis: what is hidden in
 them is the truth. Nothing here depends on how the verdict is found.
 """
 
@@ -13,8 +13,8 @@ import pytest
 from leglab.diagnosis.improve import write_improved
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
-from tests.rigs.agreement import open_loop_error
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs.agreement import open_loop_error
 
 HELD_OUT = "multisine"
 KINDS = (HELD_OUT, "fast", "slow")

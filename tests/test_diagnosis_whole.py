@@ -9,7 +9,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.diagnosis.verdict.whole import _gains, follow, whole_recording
-from tests.rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth, record, record_linkage
+from rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth, record, record_linkage
 
 OFFSET = ("force_offset", "axis")
 ENCODER = ("encoder_offset", "axis")

@@ -28,8 +28,8 @@ from leglab.report.film.track import load_track
 from leglab.report.folder_index import write_index
 from leglab.runs.folder import read_runs
 from leglab.runs.loop import Loop
+from rigs import MOTOR_ARM, SERVO_ARM
 from tests.native_models import GRAVITY, INERTIA, MASS, REACH
-from tests.rigs import MOTOR_ARM, SERVO_ARM
 
 EXACT = {"position_noise": 0.0, "encoder_counts": 0}
 HINGE = MASS * REACH**2 + INERTIA + 0.02  # inertia about the hinge, armature included

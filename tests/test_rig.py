@@ -7,7 +7,7 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.data import ColumnMap
 from leglab.data.column_map import ColumnRule
-from leglab.studies.blind.rig import RigSettings, main, record, write_rig
+from rigs.logger import RigSettings, main, record, write_rig
 
 SHORT = RigSettings(effects=("valve_deadband",), motions=("walk",), seconds=1.0, seed=3)
 MAP = ColumnMap(

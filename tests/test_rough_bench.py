@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from leglab._native import rough_bench as native
 from leglab.base.errors import LeglabError
-from leglab.studies.blind import faulty_bench
-from leglab.studies.blind.faulty_bench import FaultyBench, references
-from leglab.studies.blind.rough_bench import (
+from rigs import bench as faulty_bench
+from rigs._native import rough_bench as native
+from rigs.bench import FaultyBench, references
+from rigs.rough_bench import (
     FAULTS,
     NOMINAL,
     RoughBench,

@@ -3,34 +3,33 @@
 import json
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from leglab.base.errors import LeglabError
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.studies.blind import rough_selftest
-from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_bench import FAULTS, RoughCase, effect_of, specimen
-from leglab.studies.blind.rough_figures import confusion_figure, reliability_figure, save_figures
-from leglab.studies.blind.rough_selftest import (
+from benchmarks.self_test import rough as rough_selftest
+from benchmarks.self_test.figures import confusion_figure, reliability_figure, save_figures
+from benchmarks.self_test.outcomes import run_missing
+from benchmarks.self_test.rough import (
     NOTHING,
     RoughOutcome,
     RoughTestCase,
     RoughTestSettings,
-    confusion_table,
     confusions,
     interval,
+    missed,
     reliability,
-    reliability_table,
+    reliability_rows,
     rough_cases,
     rough_self_test,
     run_case,
-    score_table,
     scores,
     told_period,
 )
+from leglab.base.errors import LeglabError
+from leglab.diagnosis.search.pipeline import DiagnosisSettings
+from rigs.rough_bench import FAULTS, RoughCase, effect_of, specimen
 
 KNOWN = ("internal_leakage", "payload", "stiction", "asymmetric_friction")
 
@@ -185,8 +184,15 @@ def test_claims_of_all_cases_are_binned_by_confidence():
     assert (bins[0.0, 0.1].count, bins[0.0, 0.1].right) == (1, 0)
     assert (bins[0.5, 0.7].count, bins[0.5, 0.7].right) == (1, 1)
     assert sum(one.count for one in bins.values()) == 5
-    cells = list(reliability_table(seen).columns[2].cells)
-    assert cells == ["0%", "", "", "100%", "", "", "67%"]
+    assert [row[2] for row in reliability_rows(reliability(seen))] == [
+        "0%",
+        "",
+        "",
+        "100%",
+        "",
+        "",
+        "67%",
+    ]
 
 
 def test_confusions_and_the_table_of_what_was_missed():
@@ -204,12 +210,10 @@ def test_confusions_and_the_table_of_what_was_missed():
         ("internal_leakage", NOTHING): 1,
         (NOTHING, NOTHING): 1,
     }
-    table = confusion_table(seen)
-    columns = [list(column.cells) for column in table.columns]
-    assert columns[0] == ["internal_leakage", "stiction"]
-    assert columns[1] == [NOTHING, "payload"]
-    assert columns[2] == ["", "0.61"]
-    assert columns[4] == ["> 2", "2"]
+    assert missed(seen) == [
+        ("internal_leakage", NOTHING, "", "unexplained", "> 2"),
+        ("stiction", "payload", "0.61", "partial", "2"),
+    ]
 
 
 def test_figures_show_every_case(tmp_path):
@@ -421,8 +425,9 @@ def test_a_case_goes_through_the_diagnosis(monkeypatch):
         ),
     ],
 )
-def test_the_command_line_runs_it(monkeypatch, tmp_path, options, settings):
-    from leglab.cli.app import app
+def test_the_command_line_runs_it(monkeypatch, tmp_path, capsys, options, settings):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    from benchmarks.diagnosis_self_test import main
 
     asked = []
 
@@ -431,16 +436,23 @@ def test_the_command_line_runs_it(monkeypatch, tmp_path, options, settings):
         return [outcome("single", ("payload",), [("payload", 0.9)])]
 
     monkeypatch.setattr(rough_selftest, "rough_self_test", fake)
-    words = ["diagnose", "--self-test", "--cases", "3", "--seed", "4", "--out", str(tmp_path)]
-    done = CliRunner().invoke(app, [*words, "--jobs", "1", *options])
-    assert done.exit_code == 0, done.output
+    words = ["diagnosis_self_test.py", "--cases", "3", "--seed", "4", "--out", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", [*words, "--jobs", "1", *options])
+    main()
     assert asked == [(tmp_path, 3, settings, 1, None)]
-    assert "names by confidence" in done.output
+    assert "| confidence | names | right |" in capsys.readouterr().out
     assert (tmp_path / f"{settings.name}-confusion.png").is_file()
-    done = CliRunner().invoke(app, [*words, *options, "--json"])
-    assert json.loads(done.stdout)[0]["diagnosis"]["verdict"] == "named"
 
 
-def test_scores_are_shown_under_what_was_tested():
-    table = score_table([outcome("null", (), [])], RoughTestSettings(sizes="visible"))
-    assert table.title == "rough self-test, from just visible on, with healthy recordings"
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [(["--cases", "-5"], "cases is -5; allowed: 1 or more"), (["--jobs", "0"], "jobs is 0")],
+)
+def test_the_command_line_refuses_what_cannot_be(monkeypatch, tmp_path, capsys, options, reason):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    from benchmarks.diagnosis_self_test import main
+
+    monkeypatch.setattr("sys.argv", ["self_test", "--out", str(tmp_path / "out"), *options])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert reason in capsys.readouterr().err

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 import pytest
 from pydantic import TypeAdapter
 
+from benchmarks.self_test.outcomes import run_missing
+from benchmarks.self_test.rough import RoughTestCase
 from leglab.base.errors import LeglabError
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
-from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_selftest import RoughTestCase
 from tests.test_cli import leglab as command_line
 from tests.test_sweeps import BENCH, SweepPlan, rows, wrong  # noqa: F401
 

@@ -16,8 +16,8 @@ from leglab import data
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.recordings import read_recordings
 from leglab.diagnosis.verdict.verdict import diagnose
-from tests.rigs import PENDULUM, SLIDE_AXIS, Truth, record
-from tests.rigs.simulator import Rig
+from rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs.simulator import Rig
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 FRICTION = Truth(forward=8.0, viscous_factor=1.05)

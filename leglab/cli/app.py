@@ -14,7 +14,7 @@ from leglab.cli.diagnose import diagnose
 from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
-from leglab.cli.studies import bench, benchmark, replicate, tune, verify
+from leglab.cli.studies import benchmark, replicate, tune, verify
 from leglab.cli.sweep import query, sweep
 
 app = typer.Typer(
@@ -26,7 +26,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, sweep, query, benchmark, bench, diagnose, improve, convert, inspect, video, report,
+    compare, sweep, query, benchmark, diagnose, improve, convert, inspect, video, report,
     index, view, run, list_names, tune, replicate, verify, parameters,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -47,11 +47,6 @@ EXAMPLES = {
         "leglab benchmark adaptation --controllers bsnn_arx,arx",
         "leglab benchmark adaptation --controllers overlap --load overlap.py --specimens 3",
     ),
-    "bench": (
-        "leglab bench",
-        "leglab bench --part leg_speed --repeat 5 --check",
-        "leglab bench --quick --out out/look",
-    ),
     "query": (
         'leglab query out/sweep "SELECT controller, median(t90_s) FROM runs GROUP BY controller"',
         "leglab query out/sweep \"SELECT run, error FROM runs WHERE status = 'failed'\" --json",
@@ -60,8 +55,6 @@ EXAMPLES = {
         "leglab diagnose knee_bench rec/*.parquet --out out/knee",
         "leglab diagnose knee_bench after/*.parquet --healthy before/*.parquet",
         "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
-        "leglab diagnose --self-test --cases 20",
-        "leglab diagnose --self-test --rough --sizes visible --out out/rough",
     ),
     "improve": (
         "leglab improve knee_bench rec/*.parquet --out out/better",

@@ -1,6 +1,5 @@
 """The commands `leglab tune`, `leglab replicate` and `leglab verify`: gains and fixed questions."""
 
-import json
 import tomllib
 from enum import StrEnum
 from functools import partial
@@ -9,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError
-from leglab.base.output import claimed_folder, write_atomically
+from leglab.base.output import claimed_folder
 from leglab.cli.options import Json, Load, Model, Scheduler, check_jobs, load_plugins
 from leglab.cli.terminal import (
     FAILED,
@@ -134,79 +132,6 @@ def benchmark(
         table.title, table.title_justify = "all faults" if fault == "all" else fault, "left"
         print_wide(table)
     tell(f"{len(plan)} runs in {out}")
-
-
-def bench(
-    part: Annotated[
-        list[str] | None, typer.Option(help="Script of benchmarks/; repeatable; default: all.")
-    ] = None,
-    repeat: Annotated[int, typer.Option(help="Times that each is run.")] = 3,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Few samples: for a look, not to be kept.")
-    ] = False,
-    stored: Annotated[
-        bool, typer.Option("--stored", help="Measure nothing: take what docs/data keeps.")
-    ] = False,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Add the ratios to docs/data/bench_history.jsonl.")
-    ] = False,
-    check: Annotated[
-        bool,
-        typer.Option("--check", help="Status 1 where a ratio is 10 % worse than the kept ones."),
-    ] = False,
-    out: Annotated[Path, typer.Option(help="Folder of bench.json and bench.html.")] = Path(
-        "out/bench"
-    ),
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Repeat what the folder holds.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Measures speed and accuracy beside their peers, in one go, from a source checkout.
-
-    Peers are padasip, river, SysIdentPy, NumPy, SciPy, mujoco.sysid, dm_control, Gymnasium and bare
-    MuJoCo. Interrupted, it goes on; what is not installed is left out and named.
-    """
-    from leglab.studies.bench import history, suite
-    from leglab.studies.bench.page import HEAD, page, summary
-
-    if not 1 <= repeat <= 100:
-        raise LeglabError(f"repeat is {repeat}; allowed: 1 to 100")
-    if quick and keep:
-        raise LeglabError("--keep is for figures of whole measurements; here it is with --quick")
-    parts = suite.chosen_parts(part)
-    suite.checkout()
-    with claimed_folder(out):
-        if stored:
-            measured = suite.stored(parts)
-        else:
-            make = partial(
-                suite.measure, parts, out, repeat=repeat, quick=quick, overwrite=overwrite
-            )
-            measured = make_many("measuring", repeat * len(parts), make)
-        found, entries = suite.values(measured), history.read_history()
-        here = history.this_machine()
-        content = suite.as_json(measured, found)
-        with progress("writing"):
-            text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-            write_atomically(out / "bench.json", lambda stream: stream.write(text.encode()))
-            shown = page(measured, found, entries, here)
-            write_atomically(out / "bench.html", lambda stream: stream.write(shown.encode()))
-    for one in {m.part: m for m in measured if m.problem}.values():
-        complain(f"{one.part} is not measured: {one.problem}", "warning")
-    if keep:
-        place = history.add(history.entry_of(measured, found))
-    if as_json:
-        print_json(content)
-    else:
-        print_wide(plain_table(HEAD, summary(found, entries, here)))
-        tell(f"written to {out / 'bench.html'}" + (f", kept in {place}" if keep else ""))
-    if check:
-        lines = history.worse(found, entries, here)
-        for line in lines:
-            complain(line)
-        if lines or not found:
-            raise typer.Exit(FAILED)
 
 
 def _names(text: str) -> list[str]:

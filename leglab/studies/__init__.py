@@ -1,1 +1,1 @@
-"""Fixed questions: the paper's results, the plugin's physics, the diagnosis on blind cases."""
+"""Fixed questions: the paper's results, and the plugin's physics."""

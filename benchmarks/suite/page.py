@@ -3,21 +3,21 @@
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from benchmarks.suite.history import Entry, change, kept_value
+from benchmarks.suite.suite import (
+    RATIOS,
+    ROOT,
+    Measured,
+    Ratio,
+    Value,
+    kept_tables,
+    machine,
+)
 from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.report.page.shell import Table
 from leglab.report.page.tables import Group, tables_page
 from leglab.report.page.wording import number
-from leglab.studies.bench.history import Entry, change, kept_value
-from leglab.studies.bench.suite import (
-    RATIOS,
-    Measured,
-    Ratio,
-    Value,
-    checkout,
-    kept_tables,
-    machine,
-)
 
 _ENTRIES = 10  # of the history that are shown
 HEAD = ("ratio", "median", "range", "asked", "", "kept before", "better by")
@@ -74,7 +74,7 @@ def page(
         Group(name="history", title="History", tables=(_history(found, entries),)),
         Group(name="machine", title="Machine", tables=(_machine(),)),
     )
-    return tables_page("bench", "leglab bench", headline, sections)
+    return tables_page("bench", "python -m benchmarks bench", headline, sections)
 
 
 def _machine() -> Table:
@@ -137,7 +137,7 @@ def _origin(record: dict[str, Any]) -> str:
 def _kept(left_out: set[str]) -> list[tuple[str, str, list[Table]]]:
     """Tables of docs/data that say what is asked: what takes hours is not measured here."""
     shown, found = kept_tables(), []
-    for file in sorted((checkout() / "docs" / "data").glob("*.json")):
+    for file in sorted((ROOT / "docs" / "data").glob("*.json")):
         if file.stem in left_out or file.stem not in shown:
             continue
         try:

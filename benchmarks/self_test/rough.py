@@ -14,17 +14,16 @@ from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
-from rich.table import Table
 from scipy.stats import binomtest
 
+from benchmarks.self_test.outcomes import run_missing
 from leglab.base.errors import unknown_name
 from leglab.diagnosis.effects.hypothesis import Library
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.studies.blind.outcomes import run_missing
-from leglab.studies.blind.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
+from rigs.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 
 MODEL = "knee_bench"
 HEAD = ("question", "reached", "95 % interval", "cases", "asked")
@@ -432,17 +431,6 @@ def confusions(outcomes: Iterable[RoughOutcome]) -> Counter[tuple[str, str]]:
     )
 
 
-def score_table(outcomes: Sequence[RoughOutcome], settings: RoughTestSettings) -> Table:
-    """The scores, for the terminal."""
-    title = "rough self-test" if settings.rough else "self-test, exact specimens"
-    title += f", {'from just visible on' if settings.sizes == 'visible' else 'gross faults'}"
-    title += f", {'with' if settings.healthy else 'without'} healthy recordings"
-    table = Table(*HEAD, title=title, title_justify="left")
-    for row in scores(outcomes, settings):
-        table.add_row(*row)
-    return table
-
-
 RELIABILITY_HEAD = ("confidence", "names", "right", "95 % interval")
 
 
@@ -459,26 +447,19 @@ def reliability_rows(bins: Iterable[Bin]) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def reliability_table(outcomes: Sequence[RoughOutcome]) -> Table:
-    """How often names are right, by the confidence they are given with."""
-    title = "names by confidence"
-    table = Table(*RELIABILITY_HEAD, title=title, title_justify="left")
-    for row in reliability_rows(reliability(outcomes)):
-        table.add_row(*row)
-    return table
+MISSED_HEAD = ("hidden", "first name", "confidence", "verdict", "place in the screening")
 
 
-def confusion_table(outcomes: Sequence[RoughOutcome]) -> Table:
-    """Wrong or missing first names of single faults: hidden against named."""
-    head = ("hidden", "first name", "confidence", "verdict", "place in the screening")
-    table = Table(*head, title="single faults not named first", title_justify="left")
-    missed = [o for o in outcomes if o.kind == "single" and not o.error and not o.right_first()]
-    for o in sorted(missed, key=lambda o: o.faults):
+def missed(outcomes: Iterable[RoughOutcome]) -> list[tuple[str, ...]]:
+    """Rows of `MISSED_HEAD`: single faults that were not named first."""
+    rows: list[tuple[str, ...]] = []
+    wrong = [o for o in outcomes if o.kind == "single" and not o.error and not o.right_first()]
+    for o in sorted(wrong, key=lambda o: o.faults):
         names = [name for name, _, _ in o.ranking]
         place = str(names.index(o.hidden[0]) + 1) if o.hidden[0] in names else f"> {len(names)}"
         confidence = f"{o.claims[0][1]:.2f}" if o.claims else ""
-        table.add_row(o.faults[0], o.first, confidence, o.verdict, place)
-    return table
+        rows.append((o.faults[0], o.first, confidence, o.verdict, place))
+    return rows
 
 
 def as_rows(outcomes: Iterable[RoughOutcome]) -> list[dict[str, Any]]:

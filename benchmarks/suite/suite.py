@@ -19,7 +19,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-import leglab
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.input import read_json
 from leglab.jobs.engine import Progress
@@ -371,18 +370,7 @@ RATIOS = (
 )
 
 
-def checkout() -> Path:
-    """The source checkout that leglab runs from.
-
-    Raises:
-        LeglabError: It runs from an installed package, which has no benchmarks.
-    """
-    root = Path(leglab.__file__).resolve().parents[1]
-    if not (root / "benchmarks" / "results.py").is_file():
-        raise LeglabError(
-            f"leglab bench runs the scripts of a source checkout; {root} has no benchmarks/"
-        )
-    return root
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def machine() -> dict[str, Any]:
@@ -462,10 +450,9 @@ def measure(
         progress: Called with calls that are done, of all, and the part.
 
     Raises:
-        LeglabError: leglab does not run from a checkout.
         KeyboardInterrupt: The user interrupts; finished calls are kept.
     """
-    root, found = checkout(), []
+    root, found = ROOT, []
     commit = _commit(root)
     calls = [(part, number) for number in range(repeat) for part in parts]
     for done, (part, number) in enumerate(calls):
@@ -518,7 +505,7 @@ def _commit(root: Path) -> str:
 
 def stored(parts: Sequence[Part]) -> list[Measured]:
     """What docs/data keeps of the parts, with their tables."""
-    root, shown, found = checkout(), kept_tables(), []
+    root, shown, found = ROOT, kept_tables(), []
     for part in parts:
         file = root / "docs" / "data" / f"{part.name}.json"
         kept = _kept(part.name, file) if file.is_file() else None
@@ -541,7 +528,7 @@ _BLOCK = re.compile(
 
 def kept_tables() -> dict[str, str]:
     """Tables that the pages of docs show of docs/data, by the stem of the file; Markdown."""
-    pages = sorted((checkout() / "docs").rglob("*.md"))
+    pages = sorted((ROOT / "docs").rglob("*.md"))
     blocks = [block for page in pages for block in _BLOCK.findall(page.read_text())]
     return {file or script: text for script, file, text in blocks}
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.suite.suite import ROOT, Measured, Ratio, Value, machine
 from leglab.base.errors import LeglabError
 from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
-from leglab.studies.bench.suite import Measured, Ratio, Value, checkout, machine
 
 FILE = Path("docs") / "data" / "bench_history.jsonl"
 # Kept values whose median a new one is compared with, and by how much it may be worse.
@@ -49,7 +49,7 @@ def read_history(path: Path | None = None) -> list[Entry]:
     Raises:
         LeglabError: A line is no entry; names file and line.
     """
-    path = path or checkout() / FILE
+    path = path or ROOT / FILE
     if not path.exists():
         return []
     found = []
@@ -86,7 +86,7 @@ def add(entry: Entry, path: Path | None = None) -> Path:
     Returns:
         The file.
     """
-    path = path or checkout() / FILE
+    path = path or ROOT / FILE
     entries = read_history(path)
     for i, other in enumerate(entries):
         if (other.commit, other.machine) == (entry.commit, entry.machine):

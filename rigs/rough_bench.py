@@ -1,6 +1,6 @@
 """Knee benches that differ from their model everywhere a little, with hidden faults.
 
-The simulator is `csrc/studies/rough_bench.h`: equations of its own, integrated by RK4. A specimen
+The simulator is `rigs/csrc/rough_bench.h`: equations of its own, integrated by RK4. A specimen
 draws its parameters, the laws of friction, orifice, edges, oil, valve and spring, and its sensors.
 """
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from leglab._native import rough_bench as native
 from leglab.base.errors import unknown_name
 from leglab.base.recording import Recording
-from leglab.studies.blind.faulty_bench import NULL_SHIFT, TOLERANCES, HiddenValue, references
+from rigs._native import rough_bench as native
+from rigs.bench import NULL_SHIFT, TOLERANCES, HiddenValue, references
 
 SAMPLING_PERIOD = 1e-3  # s
 STEPS = 40  # of the integrator in a sampling period

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
-from tests.rigs.kept import kept
-from tests.rigs.linkages import reference_share
+from rigs.kept import kept
+from rigs.linkages import reference_share
 
 _SUBSTEPS = 5  # of a sample
 _PERIOD = 1e-3  # s

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
-from tests.rigs.kept import kept
+from rigs.kept import kept
 
 _SUBSTEPS = 5  # of a sample
 _PERIOD = 1e-3  # s
 _GRAVITY = 9.81
 _FOLDER = Path(__file__).parent
 
-Pair = tuple[float, float]
+Pair = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Simulates a rig and writes its logger's files: `python -m leglab.studies.blind.rig`.
+"""Simulates a rig and writes its logger's files: `python -m rigs.logger`.
 
 The rig is the bench of the blind tests with hidden faults; its files are those of somebody else's
 data logger: CSV, columns and units of its own, an encoder that counts the other way, a clock with
@@ -16,7 +16,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.studies.blind.faulty_bench import FAULTS, FaultyBench, HiddenValue, detuned, references
+from rigs.bench import FAULTS, FaultyBench, HiddenValue, detuned, references
 
 JITTER = 1e-5  # s, standard deviation of the logger's clock
 LOST = 5e-4  # share of rows that never reach the file
@@ -133,7 +133,7 @@ def _write(path: Path, content: bytes) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     defaults = RigSettings()
-    parser = argparse.ArgumentParser(prog="leglab.studies.blind.rig", description=__doc__)
+    parser = argparse.ArgumentParser(prog="rigs.logger", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the recordings go")
     parser.add_argument("--effect", action="append", default=[], help="hidden fault; repeatable")
     parser.add_argument("--motion", action="append", help="recording to make; repeatable")

@@ -13,12 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from leglab.base.output import write_atomically
-from leglab.report.figures import add_head
-from leglab.report.page.wording import readable
-from leglab.report.style import BLUE, DARK_GREY, GRID, LIGHT_GREY, VERMILION, style
-from leglab.studies.blind.rough_bench import FAULTS, effect_of
-from leglab.studies.blind.rough_selftest import (
+from benchmarks.self_test.rough import (
     EDGES,
     NOTHING,
     Bin,
@@ -27,6 +22,11 @@ from leglab.studies.blind.rough_selftest import (
     interval,
     reliability,
 )
+from leglab.base.output import write_atomically
+from leglab.report.figures import add_head
+from leglab.report.page.wording import readable
+from leglab.report.style import BLUE, DARK_GREY, GRID, LIGHT_GREY, VERMILION, style
+from rigs.rough_bench import FAULTS, effect_of
 
 _LEGEND: dict[str, Any] = {"columnspacing": 1.4, "handletextpad": 0.5}
 _WIDTH, _HEIGHT = 6.6, 5.5  # inch; as wide as the figures of a diagnosis

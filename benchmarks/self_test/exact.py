@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
-from rich.table import Table
 
+from benchmarks.self_test.outcomes import run_missing
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
@@ -18,7 +18,7 @@ from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.studies.blind.faulty_bench import (
+from rigs.bench import (
     FAULTS,
     SUDDEN,
     FaultyBench,
@@ -26,7 +26,6 @@ from leglab.studies.blind.faulty_bench import (
     detuned,
     references,
 )
-from leglab.studies.blind.outcomes import run_missing
 
 MODEL = "knee_bench"
 # Of every hundred single-effect cases.
@@ -281,23 +280,14 @@ def scores(outcomes: list[Outcome]) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def score_table(outcomes: list[Outcome]) -> Table:
-    """The scores, for the terminal."""
-    table = Table(*SCORE_HEAD, title="self-test", title_justify="left")
-    for row in scores(outcomes):
-        table.add_row(*row)
-    return table
+MISSED_HEAD = ("hidden", "named instead", "verdict", "times")
 
 
-def confusion_table(outcomes: list[Outcome]) -> Table:
-    """Wrong or missing first names of single-effect cases: hidden against named."""
-    head = ("hidden", "named instead", "verdict", "times")
-    table = Table(*head, title="single effects not named first", title_justify="left")
+def missed(outcomes: Iterable[Outcome]) -> list[tuple[str, str, str, str]]:
+    """Rows of `MISSED_HEAD`: single effects that were not named first."""
     wrong = Counter(
         (o.hidden[0], ", ".join(o.named) or "nothing", o.verdict)
         for o in outcomes
         if o.kind == "single" and not o.first
     )
-    for (hidden, named, verdict), times in sorted(wrong.items()):
-        table.add_row(hidden, named, verdict, str(times))
-    return table
+    return [(*what, str(times)) for what, times in sorted(wrong.items())]

@@ -1,7 +1,7 @@
 """A rough bench under a controller of leglab: the closed loop on a machine that shares no code.
 
 The controller is commissioned on the model, as for any run; its commands move the bench of
-`csrc/studies/rough_bench.h`, which becomes another one on the way.
+`rigs/csrc/rough_bench.h`, which becomes another one on the way.
 """
 
 import copy
@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import mujoco
 
-from leglab._native import rough_bench as native
 from leglab.machine.simulation import Simulation
 from leglab.runs.history import History
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings, prepared
-from leglab.studies.blind.rough_bench import SAMPLING_PERIOD, STEPS, RoughBench
+from rigs._native import rough_bench as native
+from rigs.rough_bench import SAMPLING_PERIOD, STEPS, RoughBench
 
 
 class BenchSimulation(Simulation):

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from leglab.base.recording import Recording
-from tests.rigs.kept import kept
-from tests.rigs.linkages import reference_share
-from tests.rigs.simulator import PENDULUM
+from rigs.kept import kept
+from rigs.linkages import reference_share
+from rigs.simulator import PENDULUM
 
 _PERIOD, _SUBSTEPS = 1e-3, 25  # s, of a sample
 _GRAVITY, _FINE = 9.81, 0.05  # m/s^2; noise of the motor's encoder, of that of the joint's

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.recording import Recording
-from tests.rigs.kept import kept
+from rigs.kept import kept
 
 _H = 2e-5  # s
 _PERIOD = 1e-3  # s

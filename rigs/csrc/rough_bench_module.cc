@@ -1,4 +1,4 @@
-// Python module leglab._native.rough_bench: the simulator of the rough self-test.
+// Python module rigs._native.rough_bench: the simulator of the rough self-test.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -6,7 +6,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "studies/rough_bench.h"
+#include "rough_bench.h"
 
 namespace nb = nanobind;
 

@@ -1,0 +1,1 @@
+"""How fast and how right leglab is: scripts that measure, and what they share."""

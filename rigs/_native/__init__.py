@@ -1,0 +1,1 @@
+"""Compiled rigs, of a checkout alone."""
