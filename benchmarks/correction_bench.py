@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from leglab.control.feedforward.fault_bank import UNKNOWN as UNNAMED
 from leglab.control.feedforward.fault_monitor import Event
-from leglab.runs.fault_bank import kind
+from leglab.runs.fault_simulation import kind
 from leglab.runs.metrics import sliding_rms
 from rigs.closed_loop import bench_loop, bench_settings
 from rigs.rough_bench import RoughBench, exact_specimen, specimen

@@ -19,7 +19,7 @@ from leglab import RunSettings
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
 from leglab.machine.simulation import Simulation
-from leglab.runs.fault_bank import FAULTS
+from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop
 
 BANK, START, RAMP = "bsnn_arx_bank", 40.0, 600.0  # s

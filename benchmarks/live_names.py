@@ -22,7 +22,7 @@ from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
 from leglab.control.feedforward.fault_bank import ALL, UNKNOWN
 from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_bank import FAULTS, kind
+from leglab.runs.fault_simulation import FAULTS, kind
 from leglab.runs.loop import Loop
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.preparation import Preparation

@@ -28,7 +28,7 @@ from leglab.control.feedforward.fault_monitor import MonitorConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration
-from leglab.runs.fault_bank import cases
+from leglab.runs.fault_simulation import cases
 
 # What the emulator calls beside `setup`, and parts of the monitor.
 _MONITOR = {

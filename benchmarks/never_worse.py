@@ -14,7 +14,7 @@ import results
 from specimens import first_change, run_specimen
 
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_bank import FAULTS
+from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.metrics import sliding_rms
 from leglab.studies.adaptation import SAFE_FROM
 

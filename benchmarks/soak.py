@@ -24,7 +24,7 @@ from specimens import specimen
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.machine.plugin import headless
-from leglab.runs.fault_bank import FAULTS
+from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop
 
 STATE, STRIDE = 30.0, 1.2  # how long the machine stays as it is, and a stride [s]

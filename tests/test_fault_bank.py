@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import leglab.runs.fault_bank as making
+import leglab.runs.fault_simulation as making
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import get_scenario

@@ -22,7 +22,7 @@ from leglab.machine.changes import Schedule
 from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation, SimulationError
 from leglab.references import Samples
-from leglab.runs.fault_bank import fault_bank
+from leglab.runs.fault_simulation import fault_bank
 from leglab.runs.history import Ending, History, Rows, Whole
 from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, prepared, scenario_of

@@ -14,7 +14,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.scenario import scenario_names
-from leglab.runs.fault_bank import FAULTS
+from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.preparation import RunSettings, check_controllers
 from leglab.runs.sweeps.plan import SweepPlan, check_run
 

@@ -19,6 +19,10 @@ ALL = "all"
 UNKNOWN = "unknown change"
 
 
+# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
+DISCREPANCY = 0.15
+
+
 def explained_share(cost: float, without: float, noise: float) -> float:
     """Share of the squared error beyond noise that a fault takes away, within [0, 1].
 

@@ -23,6 +23,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
 from leglab.control.feedforward.fault_bank import (
     ALL,
+    DISCREPANCY,
     UNKNOWN,
     FaultBank,
     FaultCurve,
@@ -65,9 +66,6 @@ _CONTENDERS = 3
 # What comes later corrects nothing: the learner has found its own way by then [s].
 _LATE = 1.0
 
-
-# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
-DISCREPANCY = 0.15
 
 _Share = Annotated[float, Field(gt=0, lt=1)]
 _Evidence = Annotated[float, Field(ge=0)]

@@ -18,7 +18,14 @@ from pydantic import Field
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import Configuration
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.fault_bank import (
+    ALL,
+    DISCREPANCY,
+    UNKNOWN,
+    FaultBank,
+    FaultCurve,
+    Moments,
+)
 
 # What a sound machine passes through: a name, and the faults of the bank whose sizes, in one unit,
 # are its values. A drift of it is no wear, wherever it begins.
@@ -66,7 +73,7 @@ class HealthConfiguration(Configuration):
     wait: int = Field(default=1900, ge=0)
     healthy: int = Field(default=2, ge=1)
     correlation: float = Field(default=20.0, ge=1)
-    discrepancy: float = Field(default=0.15, gt=0, lt=1)
+    discrepancy: float = Field(default=DISCREPANCY, gt=0, lt=1)
     explained: float = Field(default=0.6, gt=0, lt=1)
     evidence: float = Field(default=20.0, ge=0)
     confidence: float = Field(default=0.9, gt=0, lt=1)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from leglab.base.robust import deviation
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow
@@ -94,7 +95,7 @@ def wave(left: ForceLeft) -> Values | None:
 
     rest = without(left.force)
     for _ in range(2):
-        limit = _CLIP * 1.4826 * float(np.median(np.abs(rest)))
+        limit = _CLIP * deviation(rest)
         rest = without(np.clip(rest, -limit, limit))
 
     def fitted(cycles: float, harmonics: int = 1) -> tuple[float, np.ndarray]:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from leglab.base.recording import Recording
+from leglab.base.robust import deviation
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 # Stamps this near to the grid, in periods, are on it.
@@ -317,9 +318,8 @@ class _Log:
         value -= fit.slope * early + fit.bend * spread
         value = np.where(number > 0, value, fit.value)
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
-        shown = np.abs(rest[readings_change(samples, fit.neighbours.shape[1])])
-        deviation = 1.4826 * float(np.median(shown)) if shown.size else 0.0
-        scatter = deviation / np.sqrt(1.0 - fit.leverage)
+        shown = rest[readings_change(samples, fit.neighbours.shape[1])]
+        scatter = deviation(shown) / np.sqrt(1.0 - fit.leverage)
         least = max(scatter, self.step / np.sqrt(12.0), DEFAULT.negligible * float(np.std(samples)))
         smooth = fit.misfit <= self.limits.certain * least
         known = self._known(np.where(number > 0, 0.0, self._around()[1]), smooth)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
+from leglab.base.robust import deviation
 from leglab.diagnosis.balance.balances import Balance
 from leglab.diagnosis.remainder.part import Part, Period
 from leglab.diagnosis.remainder.splines import Spline, basis, nearest, roughness
@@ -203,7 +204,7 @@ class _Fits:
         terms = [replace(term, smoothing=1e-3) for term in candidates]
         for _ in range(4):  # Outliers weigh less (Huber 1964).
             scaled = np.abs(self.target - self.design(terms) @ self.solved(terms)) * np.sqrt(base)
-            level = 2.5 * 1.4826 * float(np.median(scaled)) + 1e-300
+            level = 2.5 * deviation(scaled) + 1e-300
             self.weight = base * np.minimum(1.0, level / np.maximum(scaled, 1e-300))
 
     def design(self, terms: Sequence[Term]) -> np.ndarray:

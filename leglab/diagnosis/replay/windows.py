@@ -10,6 +10,7 @@ from scipy.signal import savgol_coeffs
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.base.robust import deviation
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
 from leglab.diagnosis.plant.lately import Lately
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
@@ -83,10 +84,9 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """
     if samples.size < window[0]:
         return 0.0
-    rest = np.abs(samples - smoothed(samples, window))
-    rest = rest[readings_change(samples, window[0])]
+    rest = (samples - smoothed(samples, window))[readings_change(samples, window[0])]
     centre = savgol_coeffs(*window)[window[0] // 2]
-    return float(1.4826 * np.median(rest) / np.sqrt(1.0 - centre)) if rest.size else 0.0
+    return deviation(rest) / float(np.sqrt(1.0 - centre))
 
 
 def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -> np.ndarray:

@@ -26,12 +26,12 @@ from leglab.base.scenario import (
 from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import (
     ALL,
+    DISCREPANCY,
     FaultBank,
     FaultCurve,
     Moments,
     explained_share,
 )
-from leglab.control.feedforward.fault_monitor import DISCREPANCY
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
@@ -76,7 +76,7 @@ FAULTS: Mapping[str, tuple[Faults, ...]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class PartFault:
     """What breaks alone where a scenario breaks more at once.
 
     Attributes:
@@ -104,26 +104,26 @@ def _leak_of_one_chamber(size: float, element: str) -> tuple[ParameterChange, ..
     return _of("set", side)(abs(size), element)
 
 
-PARTS: Mapping[str, Part] = {
-    "valve_dead_band": Part(
+PARTS: Mapping[str, PartFault] = {
+    "valve_dead_band": PartFault(
         of="valve_wear",
         sides=(Faults(healthy=1.0, sizes=(1.5, 3.0, 5.0)),),
         meaning="lap ratio",
         changes=_of("scale", "lap"),
     ),
-    "valve_hysteresis": Part(
+    "valve_hysteresis": PartFault(
         of="valve_wear",
         sides=(Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
         meaning="hysteresis, of full spool travel",
         changes=_of("set", "hysteresis"),
     ),
-    "dry_friction": Part(
+    "dry_friction": PartFault(
         of="friction_rise",
         sides=(Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
         meaning="ratio of Coulomb and breakaway friction",
         changes=_of("scale", "coulomb", "static"),
     ),
-    "chamber_leak": Part(
+    "chamber_leak": PartFault(
         of="external_leak",
         sides=(
             Faults(healthy=0.0, sizes=(5e-13, 1.5e-12, 4.5e-12)),
