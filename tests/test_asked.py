@@ -8,8 +8,8 @@ import pytest
 from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.cli import main
-from leglab.runs.asked import read_settings, with_entries
 from leglab.runs.folder import default_folder
+from leglab.runs.run_settings import read_settings, with_entries
 
 TOML = """
 scenario = "seal_wear"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leglab.diagnosis.plant.lately import Lately
+from leglab.diagnosis.plant.hidden_states import Lately
 
 
 def test_the_same_inputs_are_followed_once_and_other_ones_anew():

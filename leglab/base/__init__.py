@@ -1,1 +1,1 @@
-"""What everything speaks: errors, settings, registries, recordings, scenarios."""
+"""Shared vocabulary of all layers: errors, settings, registries, recordings, scenarios."""

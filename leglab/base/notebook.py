@@ -1,4 +1,4 @@
-"""What results show in a notebook: tables in HTML, plots, data frames."""
+"""Display of results in a notebook: tables in HTML, plots, data frames."""
 
 from collections.abc import Iterable, Sequence
 from html import escape

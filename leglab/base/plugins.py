@@ -38,7 +38,7 @@ _SUFFIXES = (".py", ".xml", ".toml")
 
 
 class Carried(TypedDict):
-    """What a process needs to know the same names: plain types, which JSON can hold."""
+    """Plug-ins that a process has to load for the same names: plain types, which JSON can hold."""
 
     path: list[str]
     packages: list[str]

@@ -117,7 +117,7 @@ class Severity:
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What a scenario is built from.
+    """Options from which a scenario is built.
 
     Attributes:
         duration: Duration of the run [s].

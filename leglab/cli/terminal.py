@@ -259,7 +259,7 @@ def failure_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def _drawn(summary: dict[str, Any]) -> str:
-    """What seeds differ in."""
+    """Differences between seeds."""
     tolerance = summary["tolerance"]
     drawn = [f"machine (tolerance {tolerance:g})"] if tolerance else []
     drawn += ["time of the change and phase"] if summary["vary"] else []

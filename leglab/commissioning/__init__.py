@@ -1,1 +1,1 @@
-"""What an engineer measures and tunes on a machine before a controller runs on it."""
+"""Measurements and tuning on a machine before a controller runs on it."""

@@ -1,4 +1,4 @@
-"""What a bench calibration of the nominal machine tells a controller: signs, speeds, valve maps."""
+"""Bench calibration of the nominal machine: signs, full speeds and valve maps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

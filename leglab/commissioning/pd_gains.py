@@ -422,7 +422,7 @@ def stored_gains(
 def stored_rows(
     file: Path, model: str, simulation: Simulation, sensors: SensorConfiguration
 ) -> list[dict[str, float]] | None:
-    """What a file of gains says of each joint; None where it has none for this loop.
+    """Gains of each joint from a file; None where it has none for this loop.
 
     Args:
         file: TOML with a table a model: the timing that it was tuned for, and `joints`.

@@ -1,4 +1,4 @@
-"""What a controller sees and gives, and how one is made by name.
+"""Contract of controllers: measurements and references in, commands out; made by name.
 
 A controller sees measurements, references and time, never the simulation, so the same object could
 run on a robot. A closed loop has some tens of microseconds of wall time for each control period,
@@ -20,7 +20,7 @@ from leglab.base.settings import Configuration
 
 
 class Measurement(NamedTuple):
-    """What the sensors say at one instant, with their noise, resolution and latency.
+    """Sensor readings at one instant, with their noise, resolution and latency.
 
     The arrays belong to the runner and change with the next period: copy what is kept.
 
@@ -133,7 +133,7 @@ class NominalMachine:
 
     @cached_property
     def setpoint(self) -> np.ndarray | None:
-        """What a drive with a position or velocity loop of its own is sent to follow a reference.
+        """Command with which a drive that has a loop of its own follows a reference.
 
         Rows are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
         (3, joints), with zeros for drives without such a loop; None where no drive has one.
@@ -197,7 +197,7 @@ class NominalMachine:
 
 @dataclass(frozen=True, kw_only=True)
 class Foreknowledge:
-    """What no controller can know: for controllers that serve as a yardstick only.
+    """Knowledge that no real controller has: for controllers that serve as a yardstick only.
 
     Attributes:
         first_change: When the machine begins to change [s]; infinite if it never does.
@@ -216,7 +216,7 @@ class Foreknowledge:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSetup:
-    """What a controller is made from.
+    """Inputs from which a controller is made.
 
     Attributes:
         joints: Names of the joints; all arrays follow this order.

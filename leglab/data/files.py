@@ -1,4 +1,4 @@
-"""What is said of a file that cannot be read."""
+"""Errors of files that cannot be read."""
 
 from leglab.base.errors import LeglabError
 

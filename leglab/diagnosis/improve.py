@@ -75,7 +75,7 @@ class Improvement:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImprovedModel:
-    """What the improved model is made of.
+    """Parts of the improved model.
 
     Attributes:
         problem: Without what was learned.
@@ -92,7 +92,7 @@ class ImprovedModel:
 
     @property
     def learned(self) -> str:
-        """What was learned beside the effects, in words; empty for nothing."""
+        """Description of what was learned beside the effects; empty for nothing."""
         return self.remainder.words if self.remainder else ""
 
     @property

@@ -62,7 +62,7 @@ class NamedEffect:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """What is told of it: by how much directions differ, then its parameters."""
+        """Reported values: difference between directions, then the parameters."""
         return (*self.differences, *self.parameters)
 
     def begins(self) -> tuple[str, ...]:

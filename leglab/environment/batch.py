@@ -249,7 +249,7 @@ class Batch:
         return np.where(moves & ~self.diverged, reward, 0.0)
 
     def transition(self) -> Transition:
-        """What the last step did; arrays have a row a machine."""
+        """Transition of the last step; arrays have a row a machine."""
         return Transition(
             time=self.time,
             position=self.true_position,
@@ -403,7 +403,7 @@ class Batch:
 
     @cached_property
     def _views(self) -> list[_View]:
-        """What the controller of each machine sees but time and supply: rows of the arrays."""
+        """Inputs of each machine's controller but time and supply: rows of the arrays."""
         hydraulic = self._pressure.shape[1] // 2
         found = []
         for i in range(self.count):

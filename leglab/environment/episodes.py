@@ -1,4 +1,4 @@
-"""What differs from one episode to the next: seed, scenario, its severity and time, specimen."""
+"""Draws the episodes of an environment: seed, scenario, its severity and time, specimen."""
 
 import math
 from collections.abc import Callable, Mapping

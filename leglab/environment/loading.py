@@ -112,7 +112,7 @@ def load(
 
 
 class _Plan(NamedTuple):
-    """What the settings of an environment say, checked.
+    """Checked settings of an environment.
 
     Attributes:
         preparation: Of the runs.

@@ -13,7 +13,7 @@ GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2
 
 
 class Transition(NamedTuple):
-    """What one step of the environment did; rewards are functions of it.
+    """One step of the environment; rewards are functions of it.
 
     In a batch the arrays have a row a machine: `time` is of shape (machines,), all others of shape
     (machines, joints), and a reward returns an array of shape (machines,).

@@ -67,7 +67,7 @@ class TrackingTask(Task):
 
     @property
     def scenario(self) -> Scenario:
-        """What happens to the machine in the present episode."""
+        """Scenario of the present episode."""
         return self._loop.scenario
 
     def reseed(self, seed: int) -> None:
@@ -121,7 +121,7 @@ class TrackingTask(Task):
         return 0.0 if np.abs(error).max() > self._error_limit else None
 
     def transition(self) -> Transition:
-        """What the last step did."""
+        """Transition of the last step."""
         return Transition(
             time=self.time,
             position=self._simulation.position(),

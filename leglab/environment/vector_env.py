@@ -145,7 +145,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         }
 
     def _told(self, chosen: np.ndarray) -> dict[str, Any]:
-        """What `info` has of the episodes that begin."""
+        """Entries of `info` for the episodes that begin."""
         count = self.num_envs
         found: dict[str, Any] = {
             "scenario": np.full(count, None, dtype=object),

@@ -288,7 +288,7 @@ class PressureFaults:
         return bool(self.offset.any() or (self.scale != 1.0).any())
 
     def seen(self, pressures: np.ndarray) -> np.ndarray:
-        """What the sensors show of true pressures [Pa], last axis of 2 joints."""
+        """Measured pressures for true ones [Pa], last axis of 2 joints."""
         return self.scale * pressures + self.offset
 
 

@@ -1,4 +1,4 @@
-"""The clock of adaptation: what a change cost, what share of it was undone, and how soon.
+"""Adaptation metrics: error added by a fault, share of it removed, time until 90 % is.
 
 Every place that tells of adaptation takes it from here: metrics.json, comparisons, pages, tables.
 Errors are RMS over the driven joints and over time, of the true positions, in rad. How soon is

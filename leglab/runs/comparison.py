@@ -30,7 +30,7 @@ _VARIED = ("scenarios", "controllers", "seeds")
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What is to be compared: every scenario with every controller and every seed.
+    """Plan of a comparison: every scenario with every controller and every seed.
 
     Attributes:
         scenarios: Names of scenarios.

@@ -77,7 +77,7 @@ FAULTS: Mapping[str, tuple[Faults, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PartFault:
-    """What breaks alone where a scenario breaks more at once.
+    """A fault that is one part of a scenario's.
 
     Attributes:
         of: The scenario.
@@ -291,7 +291,7 @@ def kind(fault: str) -> tuple[str, ...]:
 
 
 def _changes(fault: str, size: float, element: str) -> tuple[ParameterChange, ...]:
-    """What a fault changes on a machine that has had it from the start."""
+    """Parameter changes of a fault on a machine that has had it from the start."""
     if fault in PARTS:
         return PARTS[fault].changes(size, "*" if element == ALL else joint_pattern(element))
     joint = None if element == ALL else element
@@ -334,7 +334,7 @@ def _moments(
 
 
 def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """What a fault's errors cost, weighted as the monitor does: with its shift, without, healthy.
+    """Weighted squared errors of a fault, as the monitor weighs: with its shift, without, healthy.
 
     Args:
         changed: About the healthy map.

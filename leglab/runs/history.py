@@ -1,4 +1,4 @@
-"""What a closed loop leaves behind, one row a control period: in blocks, and as a whole."""
+"""History of a closed loop, one row a control period: in blocks, and as a whole."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Hold:
-    """What becomes of Ctrl-C while it may be held back.
+    """State of a held-back Ctrl-C.
 
     Attributes:
         begun: Whether the first one is noted from now on; until then it interrupts at once.

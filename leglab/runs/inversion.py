@@ -1,4 +1,4 @@
-"""Valve commands under which the true machine follows its reference, found by iterating on it.
+"""Iterative inversion of the simulated machine: commands that give zero tracking error.
 
 Iterative learning control with an inverse of the plant that is measured on it (Bristow, Tharayil
 and Alleyne 2006, IEEE Control Systems Magazine 26(3), 96): from one trial to the next the commands

@@ -426,7 +426,7 @@ _bench_cache: dict[str, BenchRun] = {}
 
 
 def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparation) -> BenchRun:
-    """What the controller of a run measured and sent, from when the motion is near the reference.
+    """Measurements and commands of a run, from when the motion is near the reference.
 
     The very measurements, latency included: whoever identifies takes them as old as they are.
     """

@@ -109,7 +109,7 @@ def scenario_of(settings: RunSettings) -> Scenario:
 
 
 def _draws(seed: int) -> tuple[float, float]:
-    """What a seed draws of time and phase, in [0, 1) each, apart from noise and specimen."""
+    """Draws of a seed for time and phase, in [0, 1) each, apart from noise and specimen."""
     time, phase = np.random.default_rng([seed, 3]).random(2).tolist()
     return time, phase
 
@@ -127,7 +127,7 @@ def check_controllers(names: Sequence[str]) -> None:
 
 
 class Preparation:
-    """What runs with the same model and sensors share.
+    """Preparation that runs with the same model and sensors share.
 
     Args:
         settings: Of a run.

@@ -94,7 +94,7 @@ class FaultRival(BaseModel):
 
 
 class FaultName(BaseModel):
-    """What a controller said of a change; see `leglab.control.feedforward.fault_monitor.Name`."""
+    """Name of a change by a controller; see `leglab.control.feedforward.fault_monitor.Name`."""
 
     time: FiniteFloat
     onset: FiniteFloat

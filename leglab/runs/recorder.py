@@ -1,4 +1,4 @@
-"""What a logger beside the closed loop keeps: true values with the noise of its own sensors."""
+"""Logger beside the closed loop: true values with the noise of its own sensors."""
 
 import copy
 from collections.abc import Iterable

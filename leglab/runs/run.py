@@ -31,7 +31,7 @@ BLOCK = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a run led to, or as much of it as there is.
+    """Results of a run, or as much of them as there is.
 
     Attributes:
         settings: What was asked for.
@@ -164,7 +164,7 @@ def _result(
     progress: Progress | None,
     interrupted: Callable[[], bool],
 ) -> Result:
-    """What came of a loop that was run."""
+    """Results of a loop that was run."""
     settings = loop.settings
     events = told(loop)  # of this run: its twin forgets them
     twin_error = None
@@ -188,7 +188,7 @@ def _result(
 
 
 def told(loop: Loop) -> dict[str, Any]:
-    """What the controller said of changes and wear, if it does, as `metrics.json` has it."""
+    """Changes and wear that the controller named, if it does, as in `metrics.json`."""
     found: dict[str, Any] = {}
     if (events := getattr(loop.controller, "events", None)) is not None:
         found["events"] = plain(events)
@@ -232,7 +232,7 @@ def _share(loop: Loop, progress: Progress | None) -> Progress | None:
 def _metrics(
     loop: Loop, recording: Recording, ending: Ending, twin: np.ndarray | None
 ) -> dict[str, Any]:
-    """What `metrics.json` holds beside the names: a summary of a run, as far as it came.
+    """Content of `metrics.json` beside the names: a summary of a run, as far as it came.
 
     Args:
         loop: The loop that was run.
@@ -280,7 +280,7 @@ def _metrics(
 
 
 def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[dict[str, Any]]:
-    """What tracking cost by phase, of some rows."""
+    """Energy and valve travel by phase, of some rows."""
     simulation = loop.simulation
     command = simulation.commands(recording.stack(simulation.actuators, "command")[kept])
     energy = np.full_like(command, np.nan)

@@ -160,7 +160,7 @@ def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:
 def _figures(
     row: Mapping[str, Any], static: Mapping[str, Any] | None, pd: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """What a run adds to its group; None where it has no such figure."""
+    """Figures that a run adds to its group; None where it has none."""
     if row["status"] != "ok":
         return {"failed": True}
     found: dict[str, Any] = {"failed": False, "before": row["before_rad"], "told": False}

@@ -1,4 +1,4 @@
-"""What the viewer's window shows: a model of its own with sliders, a ghost, figures."""
+"""Display model of the viewer: a copy of the machine with sliders, a ghost and figures."""
 
 from functools import partial
 

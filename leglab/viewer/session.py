@@ -143,7 +143,7 @@ class Session:
         self._follow()
 
     def named(self) -> dict[str, str]:
-        """What the controller names now, by "named" and "wear"; empty where it says nothing."""
+        """Present names of the controller, by "named" and "wear"; empty without any."""
         said = told(self._loop)
         events = [event for event in said.get("events", []) if event["withdrawn"] is None]
         rows = {}

@@ -1,4 +1,4 @@
-"""What a user changes by hand while he watches."""
+"""Sliders: parameters that a user changes by hand in the viewer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

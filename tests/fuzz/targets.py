@@ -16,8 +16,8 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.identification import load
 from leglab.machine.simulation import Simulation, load_model
-from leglab.runs.asked import read_settings
 from leglab.runs.record import RunConfiguration, RunMetrics, read
+from leglab.runs.run_settings import read_settings
 from leglab.runs.sweeps.plan import read_plan
 
 CORPUS = Path(__file__).parent / "corpus"

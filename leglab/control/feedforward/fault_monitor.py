@@ -134,7 +134,7 @@ class Rival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Name:
-    """What the monitor says of a change at one time.
+    """Name of a change, as the monitor gives it at one time.
 
     Attributes:
         time: When it says so [s].

@@ -10,7 +10,7 @@ from leglab.control.feedforward.adaptive import AdaptiveFeedforward
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRun:
-    """What was measured while a machine moved, one row a control period.
+    """Recording of a moving machine, one row a control period.
 
     Attributes:
         time: [s], (n,).

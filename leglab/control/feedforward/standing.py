@@ -1,4 +1,4 @@
-"""Faults that stand: a machine that has one may be repaired, or get more of it.
+"""Persistent faults: keeps their estimated size and follows repair or growth.
 
 From a machine with faults the bank's own curves begin where the machine is, not at a healthy one.
 The way back is known better than any simulation knows it: the learner has followed the change on

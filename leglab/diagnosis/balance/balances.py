@@ -23,7 +23,7 @@ from leglab.machine.cylinder import Cylinder
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Balance:
-    """What the model lacks in one joint's balance of forces, or one cylinder's of oil.
+    """Imbalance of one joint's forces, or of one cylinder's oil, that the model leaves.
 
     Samples lie in rows of windows, (windows, samples); whose sums are the balance.
 

@@ -101,7 +101,7 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return Hypothesis(self._values, onsets)
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
-        """The same with nothing but some effects."""
+        """Returns the hypothesis restricted to the given effects."""
         wanted = set(keys)
         return Hypothesis({k: v for k, v in self.items() if k in wanted}, self.onsets)
 

@@ -319,7 +319,7 @@ def _longest_run(mask: np.ndarray) -> int:
 
 
 def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
-    """What is done to the clocks of recordings that are not all on one uniform grid."""
+    """Resampling of recordings that are not all on one uniform grid."""
     period = common_period(recordings, limits)
     clocks = {name: Clock.of(r.time) for name, r in recordings.items()}
     lines, remarks, rates, drifting = [], [], [], []

@@ -68,7 +68,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shown:
-    """What recordings show.
+    """Largest quantities that recordings show.
 
     Attributes:
         joints: By joint.
@@ -101,7 +101,7 @@ class Shown:
 
 
 def shown(problem: Problem) -> Shown:
-    """What the fitted recordings of a problem show."""
+    """Largest quantities in the fitted recordings of a problem."""
     replay, machine = problem.replay, problem.machine
     change = problem.library.change(Hypothesis(), replay.machine)
     model = change.variant.model

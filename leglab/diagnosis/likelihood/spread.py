@@ -83,7 +83,7 @@ class Spread:
 
     @classmethod
     def of(cls, at: Errors, errors: np.ndarray) -> "Spread":
-        """What errors show, (windows, rows)."""
+        """The spread of errors, (windows, rows), at a point."""
         problem = at.problem
         count, channels = len(problem.series), len(problem.channels)
         bins = problem.replay.bins

@@ -11,7 +11,7 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.diagnosis.plant.lately import Lately
+from leglab.diagnosis.plant.hidden_states import Lately
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.machine.library import model_path

@@ -1,4 +1,4 @@
-"""What no effect explains is learned: a static remainder, in the model and in words."""
+"""Learned remainder: a static map of the error that no effect explains, in model and words."""
 
 from leglab.diagnosis.remainder.learning import Remainder, learn_remainder
 

@@ -53,7 +53,7 @@ class Remainder:
         return f"{text}. {MEMORY_WORDS}" if self.memory else text
 
     def to_json(self) -> dict[str, Any]:
-        """What improvement.json tells of it."""
+        """Entry of improvement.json."""
         return {
             "words": self.words,
             "closed_fraction": self.closed_fraction,
@@ -128,7 +128,7 @@ def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
 def _proved(
     problem: Problem, without: Hypothesis, beside: Hypothesis, learned: list[tuple[Part, Form]]
 ) -> Remainder | None:
-    """What pays on held-out recordings, beside a hypothesis and against one without it."""
+    """Gain on held-out recordings beside a hypothesis, against the same without it."""
     problem, held, limits = copy(problem), problem.held, problem.thresholds
 
     def joined(some: list[tuple[Part, Form]]) -> Problem:

@@ -1,4 +1,4 @@
-"""What commands of MuJoCo's own actuators do to a motion, faster than filters of positions follow.
+"""Accelerations by commands of MuJoCo's own actuators, faster than position filters follow.
 
 A motor's force follows its command at once, and a light joint that a noisy loop drives changes its
 velocity from sample to sample. Smoothed positions do not show that, but the commands are known: the

@@ -411,7 +411,7 @@ def _driven(
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
-    """What reaches an actuator of commands at a sampling period [s], (n,)."""
+    """Commands as they arrive at an actuator, at a sampling period [s], (n,)."""
     for path in change.commands.get(actuator, ()):
         samples = path(samples, period)
     return samples

@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.robust import deviation
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
-from leglab.diagnosis.plant.lately import Lately
+from leglab.diagnosis.plant.hidden_states import Lately
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.replay.pushes import Pushes, poses
 from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds

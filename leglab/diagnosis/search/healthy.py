@@ -1,4 +1,4 @@
-"""The specimen at hand, from recordings of it while it was healthy."""
+"""Calibrates the model to healthy recordings of the same machine."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

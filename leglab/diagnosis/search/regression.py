@@ -121,7 +121,7 @@ def _subsets(
     every = [i for i in allowed if 1e-8 * total < gram[i, i] < 1e20]
 
     def fitted(columns: tuple[int, ...]) -> tuple[float, tuple[int, ...], np.ndarray] | None:
-        """What columns leave, and their factors; None where these are no set."""
+        """Residual of the columns and their factors; None where these are no set."""
         if len({jumps[i][0] for i in columns}) < len(columns):
             return None
         index = np.array(columns)

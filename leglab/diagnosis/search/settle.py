@@ -316,10 +316,10 @@ class Fitter:
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
-        """What a step promises to lower the cost by [nats], and what it does where it lowers it.
+        """Tries a step: its predicted decrease of the cost [nats], and what it reached if it fell.
 
-        That is the damping with which it does, its gain [nats], what it changed beyond the
-        tangents, and where it leads.
+        The latter is the damping, the gain [nats], what the step changed beyond the tangents, and
+        where it leads.
 
         Args:
             evidence: There.

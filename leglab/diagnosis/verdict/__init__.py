@@ -1,1 +1,1 @@
-"""What the diagnosis says: verdict, confidence, next experiment, files."""
+"""Results of the diagnosis: verdict, confidence, next experiment, files."""

@@ -52,7 +52,7 @@ class Judged:
 
 
 class Judgement:
-    """What is said of a search, by all its sets.
+    """Claims of a search from all its sets.
 
     Attributes:
         effects: All effects of all sets.

@@ -1,4 +1,4 @@
-"""What a reader of a verdict should know of the recordings and the fit, a line each."""
+"""Notes on recordings and fit that a reader of the verdict needs, a line each."""
 
 from collections.abc import Mapping, Sequence
 

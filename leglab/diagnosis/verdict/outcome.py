@@ -79,7 +79,7 @@ class Outcome:
 
     @property
     def unnamed(self) -> Hypothesis:
-        """What is left of the told set without the told effects; nothing where none is told."""
+        """Rest of the told set without the named effects; empty where none is named."""
         return self.final.without(*self.named) if self.named else Hypothesis()
 
     @cached_property

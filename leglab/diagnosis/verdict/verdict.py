@@ -280,7 +280,7 @@ def _estimate(
 
 
 def _ranking(found: Found) -> tuple[Rank, ...]:
-    """What each effect would explain alone at the first linearisation, in nats."""
+    """Evidence of each effect alone at the first linearisation [nats]."""
     fitter, best = found.fitter, found.ranks[0].evidence
     evidence = fitter.evidence(found.first, best.spread, best.weight, best.kappa)
     gains = dict.fromkeys(sorted(fitter.at.problem.library.searched), 0.0)

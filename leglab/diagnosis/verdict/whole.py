@@ -42,7 +42,7 @@ class Followed:
 
 
 def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:
-    """The judged recording that the model as it was misses most, before and after.
+    """Open-loop simulation of one held-out recording by the nominal and the improved model.
 
     Of several joints the one that strays most is told, in noise levels of its sensor. None where no
     window lies after the onsets of the final effects, or nothing is driven.

@@ -92,7 +92,7 @@ def headline(result: Diagnosis) -> str:
 
 
 def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
-    """What is not told apart from an effect; some does with friction beside it only."""
+    """Effects that cannot be told apart from one; some only with friction beside them."""
     tied = effect.indistinguishable_from
     friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
     beside = {"asymmetric_friction": "force_offset", "actuator_gain": "armature"}.get(effect.name)
@@ -105,7 +105,7 @@ def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
-    """What is missing, how sure, how much it explains and how much is left: question, answer.
+    """Missing effect, confidence, explained share and remaining gap, as questions and answers.
 
     Of several effects each stands on a line of its own.
     """
@@ -191,7 +191,7 @@ def uncertain(p: Estimate) -> bool:
 
 
 def improved_words(result: Diagnosis) -> str:
-    """What stands in the improved model and how far it is to be trusted; after its name."""
+    """Contents of the improved model and how far to trust it; follows its name."""
     parts = [readable(e.name) for e in result.effects]
     if result.verdict == "unexplained":
         parts = []
@@ -240,7 +240,7 @@ def joint_of(channel: str) -> str:
 
 
 def after_words(result: Diagnosis) -> str:
-    """What the simulation "after" has more than the model as it was."""
+    """Additions of the simulation "after" to the nominal model."""
     if result.effects:
         return "with what was found"
     return "with the smaller differences" if result.smaller else "recalibrated"
@@ -345,7 +345,7 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
 
 
 def _before(result: Diagnosis) -> tuple[str, ...]:
-    """What the healthy recordings said of the specimen."""
+    """Result of the healthy recordings for this machine."""
     calibration = result.calibration
     if calibration is None:
         return ()
@@ -430,7 +430,7 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _tried(result: Diagnosis) -> tuple[str, ...]:
-    """What was done about an error that no effect explains."""
+    """Treatment of an error that no effect explains."""
     lines = [f"{len(result.ranking)} possible effects, alone and together"]
     sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
     names = tuple(dict.fromkeys(map(set_words, sets)))[:_CLOSEST]

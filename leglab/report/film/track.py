@@ -204,7 +204,7 @@ def _slowly(trends: Sequence[record.FaultTrend], recording: Recording) -> Iterat
 
 
 def _looks(trend: record.FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
-    """What was said of a trend from look to look; `said` has a row for each of `_FOLLOWED`."""
+    """Text of a trend from look to look; `said` has a row for each of `_FOLLOWED`."""
     before, after = said[:, :-1], said[:, 1:]
     new = np.any((before != after) & ~(np.isnan(before) & np.isnan(after)), axis=0)
     starts = np.union1d(np.flatnonzero(new) + 1, np.searchsorted(time, trend.time))

@@ -1,4 +1,4 @@
-"""What a change did to a run, in a few words: for terminals, lists of runs and pages."""
+"""Effect of a change on a run in one sentence: for terminals, lists of runs and pages."""
 
 from leglab.report.page.wording import number
 from leglab.runs.clock import TWIN

@@ -94,7 +94,7 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
 
 
 def _noticed(runs: Sequence[ReportedRun]) -> Section:
-    """What controllers said of changes while they ran; without lines where none said anything."""
+    """Changes that controllers named while they ran; empty where none named any."""
     told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
     told += [(run.label, trend.told()) for run in runs for trend in run.metrics.health]
     names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()
@@ -147,7 +147,7 @@ def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _controllers(runs: Sequence[ReportedRun]) -> Section:
-    """What each controller does; nothing of one that is not installed here."""
+    """Summary of each controller; empty for one that is not installed here."""
     import leglab.controllers  # noqa: F401  registers the controllers
     from leglab.control import controller_names, controller_summary
 

@@ -35,7 +35,7 @@ _CLASSES = 6
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What a heat map or a distribution shows.
+    """Quantity shown by a heat map or a distribution.
 
     Attributes:
         name: Column of the dataset.
@@ -166,7 +166,7 @@ def _render(facts: "_Facts", films: Mapping[int, Path]) -> str:
 
 
 def _tuned(facts: "_Facts") -> Section:
-    """What tuned blocks have found; the titles of their settings are columns."""
+    """Results of tuned blocks; the titles of their settings are columns."""
     plan = SweepPlan(facts.record.plan, SWEEP)
     names = ["run", "status", *dict.fromkeys(points.tune.metric for points in plan.tuned)]
     names += dict.fromkeys(column(name) for points in plan.tuned for name in points.ranges)

@@ -1,4 +1,4 @@
-"""What a sweep keeps of one run: the columns of its dataset that are measured."""
+"""Measured columns that a sweep keeps of one run."""
 
 import json
 import math

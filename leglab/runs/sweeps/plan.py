@@ -62,7 +62,7 @@ class Count(Configuration):
 
 
 class Tune(Configuration):
-    """What the proposed points of a block are to bring about.
+    """Objective for the proposed points of a block.
 
     Attributes:
         metric: Column of the dataset, a number.
@@ -374,7 +374,7 @@ class SweepPlan:
         return models
 
     def _told(self, given: Mapping[str, Any]) -> str:
-        """What tells a run from the others, in one line."""
+        """Settings in which a run differs from the others, in one line."""
         parts = [f"{name} {_told(given[name])}" for name in self.axes if name in given]
         return ", ".join(parts) or "the only one"
 

@@ -215,7 +215,7 @@ def read_rows(folder: Path, schema: pa.Schema) -> Rows:
 
 
 def _problem(folder: Path, part: Part) -> str:
-    """What is wrong with a file; empty if nothing is."""
+    """Fault of a file; empty without one."""
     path = folder / part.file
     try:
         size, found = path.stat().st_size, _checksum(path)

@@ -102,7 +102,7 @@ def propose(points: Points, figures: Figures) -> dict[str, float]:
 
 
 def value_of(points: Points, point: int, figures: Figures) -> float | None:
-    """What is to be made lowest or highest; None where a run of the point has no figure."""
+    """Value to be minimised or maximised; None where a run of the point has no figure."""
     found = [figures.get(number) for number in points.runs(point)]
     values = [value for value in found if value is not None]
     if len(values) < len(found):
@@ -114,7 +114,7 @@ def value_of(points: Points, point: int, figures: Figures) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Tuned:
-    """What tuning a block has found.
+    """Result of tuning a block.
 
     Attributes:
         block: Number of the block, from 1 on.

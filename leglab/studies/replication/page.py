@@ -141,7 +141,7 @@ def sensitivities(
 
 
 def printed_constant(page: Page, rows: Sequence[Order], readings: list[Errors], count: int) -> None:
-    """What the learning constant of Sec. 3.1 does to the order of ARX and BSNN-ARX."""
+    """Influence of the learning constant of Sec. 3.1 on the order of ARX and BSNN-ARX."""
     mode, printed = (
         next(row for row in readings if row[0].startswith(name))
         for name in ("paper mode", "learning constant")

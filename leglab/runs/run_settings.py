@@ -1,4 +1,4 @@
-"""Settings of a run from files and single entries: TOML, the `run.json` of a run, `--set`."""
+"""Reads the settings of a run: TOML, the `run.json` of a run, `--set`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields

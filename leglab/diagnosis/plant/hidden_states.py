@@ -1,4 +1,4 @@
-"""Series that were followed along a recording lately: most trials of a search leave them alike."""
+"""Cache of hidden states along a recording (bristles, spool), reused while a trial leaves them."""
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ class Lately:
     def get(
         self, name: str, inputs: Sequence[np.ndarray], follow: Callable[[], T], *, by: object = None
     ) -> T:
-        """What `follow` gives; it is called only where the inputs, or the model, are new.
+        """Result of `follow`, which is called only for new inputs or a new model.
 
         The result may depend on nothing but the inputs and the model `by` which it was found, the
         same object for the same model. Neither inputs nor result may be written to later.
