@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from leglab.diagnosis.plant.hidden_states import Lately
+from leglab.diagnosis.plant.hidden_states import HiddenStates
 
 
 def test_the_same_inputs_are_followed_once_and_other_ones_anew():
-    lately, calls = Lately(), []
+    lately, calls = HiddenStates(), []
 
     def follow(*inputs):
         def result():
@@ -29,14 +29,14 @@ def test_the_same_inputs_are_followed_once_and_other_ones_anew():
 
 
 def test_only_the_last_few_results_stay():
-    lately = Lately()
+    lately = HiddenStates()
     for k in range(20):
         lately.get("pump", (np.full(2, k),), lambda: np.zeros(2))
     assert len(lately.found["pump"]) < 6
 
 
 def test_another_model_follows_anew():
-    lately, model, other, calls = Lately(), object(), object(), []
+    lately, model, other, calls = HiddenStates(), object(), object(), []
 
     def follow(by):
         def result():

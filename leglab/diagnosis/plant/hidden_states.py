@@ -14,7 +14,7 @@ def alike(one: np.ndarray, other: np.ndarray) -> bool:
     return one is other or np.array_equal(one, other)
 
 
-class Lately:
+class HiddenStates:
     """The last few results of each name, by all that they follow from: `found`, in order of use.
 
     Arrays that are returned again are the same objects, so that what follows from them is soon

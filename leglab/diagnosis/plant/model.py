@@ -11,7 +11,7 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.diagnosis.plant.hidden_states import Lately
+from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.machine.library import model_path
@@ -236,7 +236,7 @@ class Measured:
         pushed: Part of the velocity by commands of native actuators that act at once, by joint,
             each (n,): its slope jumps with them.
         touched: Whether something touches what a joint carries, (n,) by joint, where it can.
-        lately: What was followed along the recording lately.
+        hidden_states: Cache along the recording.
     """
 
     period: float
@@ -250,7 +250,7 @@ class Measured:
     start: float = 0.0
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
     touched: dict[str, np.ndarray] = field(default_factory=dict)
-    lately: Lately = field(default_factory=Lately)
+    hidden_states: HiddenStates = field(default_factory=HiddenStates)
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ def comparable_forces(
         return inertia[:, dofs][:, :, dofs]
 
     model, given = change.variant.model, (k, *measured.position.values())
-    unmodified = block(measured.lately.get("inertia", given, nominal, by=base), base.model)
+    unmodified = block(measured.hidden_states.get("inertia", given, nominal, by=base), base.model)
     left = found.lacking[:, [int(model.joint(joint).dofadr[0]) for joint in joints]]
     gained = np.linalg.solve(block(found.inertia, model), left[:, :, None])
     undone = (change.corrections.get(f"{joint}_position", ()) for joint in joints)

@@ -130,7 +130,7 @@ class Instances:
             return behind, moved[:, 0], moved[:, 1]
 
         by = command, np.array(given)
-        behind, position, speed = measured.lately.get(f"spool of {element}", by, followed)
+        behind, position, speed = measured.hidden_states.get(f"spool of {element}", by, followed)
         self.followed[element, "spool_position"] = position
         self.put(element, "play_output", behind[np.maximum(samples - 1, 0)])
         self.put(element, "spool_position", np.clip(position[samples], -1.0, 1.0))
@@ -186,7 +186,7 @@ class Instances:
             native.supply_pressure(*given, period, max(1, int(steps)), out)
             return out
 
-        pressure = self.measured.lately.get(element, given, followed)
+        pressure = self.measured.hidden_states.get(element, given, followed)
         self.put(element, "pressure", pressure[samples])
         self.put(element, "started", np.ones(samples.size))
 
@@ -234,7 +234,7 @@ class Instances:
             found = forces_at(model, states, commands)
             return np.stack([found.load, found.bias], axis=2)
 
-        found = measured.lately.get("loads", (states, commands), both, by=self.variant)
+        found = measured.hidden_states.get("loads", (states, commands), both, by=self.variant)
         return chosen, found
 
     def _sliding_friction(
@@ -256,7 +256,7 @@ class Instances:
             return level, bristle(velocity, level, sigma, self.measured.period)
 
         given = self._parameters(element), velocity, carried
-        level, deflection = self.measured.lately.get(f"slide of {element}", given, slid)
+        level, deflection = self.measured.hidden_states.get(f"slide of {element}", given, slid)
         self.followed[element, "bristle"] = deflection
         self.put(element, "bristle", deflection[self.measured.samples])
         return level
@@ -365,7 +365,7 @@ def measure(
     def of_piston(cylinder: str) -> np.ndarray:
         moved = velocity[machine.driven[cylinder][0]]
         name = f"piston of {cylinder}"
-        return cut.lately.get(name, (moved,), lambda: cut.levers[cylinder] * moved)
+        return cut.hidden_states.get(name, (moved,), lambda: cut.levers[cylinder] * moved)
 
     measured = Measured(
         period=period,
@@ -379,7 +379,7 @@ def measure(
         start=float(series.time[0]),
         touched=cut.touched,
         pushed=pushed,
-        lately=cut.lately,
+        hidden_states=cut.hidden_states,
     )
     return measured, corrected
 
@@ -403,11 +403,11 @@ def _driven(
         return [(q - smoothed(q, f), v - smoothed(q, f, period), v) for f, q, v in rows]
 
     def added() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        beyond = cut.lately.get("pushes", given, followed)
+        beyond = cut.hidden_states.get("pushes", given, followed)
         smooth = zip(beyond, position.values(), velocity.values(), strict=True)
         return [(q + level, v + slope, whole) for (level, slope, whole), q, v in smooth]
 
-    return cut.lately.get("pushed", (*given, *position.values(), *velocity.values()), added)
+    return cut.hidden_states.get("pushed", (*given, *position.values(), *velocity.values()), added)
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:

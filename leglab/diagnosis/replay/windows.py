@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.robust import deviation
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
-from leglab.diagnosis.plant.hidden_states import Lately
+from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.replay.pushes import Pushes, poses
 from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
@@ -163,7 +163,7 @@ class Cut:
         levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
         touched: Whether something touches what a joint carries, (n,) by joint.
         pushes: What commands of native actuators do at once.
-        lately: What was followed along the series lately.
+        hidden_states: Cache along the series.
     """
 
     series: UniformSeries
@@ -171,7 +171,7 @@ class Cut:
     levers: dict[str, np.ndarray]
     touched: dict[str, np.ndarray]
     pushes: Pushes
-    lately: Lately = field(default_factory=Lately)
+    hidden_states: HiddenStates = field(default_factory=HiddenStates)
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (n,)."""
@@ -180,7 +180,7 @@ class Cut:
             level = smoothed(samples, channel.filter)
             return level, smoothed(samples, channel.filter, self.series.period)
 
-        return self.lately.get(f"filter of {channel.column}", (samples,), both)
+        return self.hidden_states.get(f"filter of {channel.column}", (samples,), both)
 
 
 def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
