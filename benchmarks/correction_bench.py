@@ -55,9 +55,9 @@ KNOWN = {
             inertia=b["inertia"] + 2.5 * 0.4**2,
         ),
     ),
-    "lap +.03": ("valve_dead_band", _more(**_edges(0.03))),
+    "lap +.03": ("valve_deadband", _more(**_edges(0.03))),
     "hysteresis .06": ("valve_hysteresis", _more(hysteresis=0.06)),
-    "Coulomb +250 N": ("dry_friction", _more(coulomb=250.0, static_friction=375.0)),
+    "Coulomb +250 N": ("coulomb_friction", _more(coulomb=250.0, static_friction=375.0)),
     "one-sided leak": ("chamber_leak", _more(external_leakage_a=4e-12)),
 }
 # What it has not, or only each for itself.

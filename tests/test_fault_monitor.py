@@ -266,7 +266,7 @@ def without_leaks(bank):
 
 def nothing_like_it(bank):
     """Nothing of the bank explains much of what happens."""
-    return without_leaks(bank).without(["friction_rise", "dry_friction"])
+    return without_leaks(bank).without(["friction_rise", "coulomb_friction"])
 
 
 @pytest.mark.parametrize("wrong", [reversed_shifts, without_leaks, nothing_like_it])
@@ -280,7 +280,7 @@ def test_a_wrong_bank_does_no_harm(wrong, monkeypatch):
     for window in ((0.0, 1.2), (1.2, 2.4), (4.0, 8.0)):
         assert rms(history, *window) < 1.1 * rms(learned, *window)
     told = loop.controller.events[-1].names[-1]
-    assert told.fault in (UNKNOWN, "friction_rise", "dry_friction")
+    assert told.fault in (UNKNOWN, "friction_rise", "coulomb_friction")
     if wrong is without_leaks:
         assert told.explained < 0.7
     else:

@@ -208,7 +208,7 @@ def test_width_set_in_the_state_equals_one_in_the_model():
     np.testing.assert_array_equal(data.qpos, other.qpos)
 
 
-def test_dry_friction_and_stops_act_on_the_joint_alone():
+def test_coulomb_friction_and_stops_act_on_the_joint_alone():
     """A tiny play changes next to nothing, although MuJoCo solves for friction and stops later."""
     joint = 'armature="0.05" frictionloss="0.3" limited="true" range="-60 30"'
     plain = run(pendulum(joint=joint), 2.0)

@@ -1,5 +1,6 @@
 """The commands `leglab list` and `leglab parameters`: what there is, with summaries."""
 
+import re
 from typing import Annotated
 
 import typer
@@ -7,17 +8,19 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base import plugins
+from leglab.base.causes import CAUSES
 from leglab.cli.options import Json, Load, load_plugins
 from leglab.cli.terminal import errors, output, print_json
 
 Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
 
+_CAUSE_HEAD = ("scenario, live name", "effect of a diagnosis", "attributes", "size")
 _SCENARIO_HEAD = " `--severity`: default | one joint alone: `--element` |"
 
 
 def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = None) -> None:
-    """Shows scenarios, controllers, references and models."""
+    """Shows scenarios, controllers, references and models, and the names of each cause."""
     load_plugins(load)
     if markdown:
         typer.echo(catalogue_page(), nl=False)
@@ -26,7 +29,7 @@ def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = N
     for failure in plugins.failures():
         errors.print(f"[yellow]warning:[/yellow] {escape(failure)}")
     if as_json:
-        print_json(groups)
+        print_json({**groups, "causes": [vars(cause) for cause in CAUSES]})
         return
     for title, entries in groups.items():
         table = Table(title=title, title_justify="left", box=None, show_header=False)
@@ -34,6 +37,11 @@ def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = N
             alone = " [dim](--element)[/dim]" if title == "scenarios" and per_joint(name) else ""
             table.add_row(f"  [bold]{name}[/bold]", summary + alone)
         output.print(table)
+    table = Table(*_CAUSE_HEAD, title="causes", title_justify="left", box=None)
+    for cause in CAUSES:
+        live, *others = vars(cause).values()
+        table.add_row(f"  [bold]{live}[/bold]", *map(escape, others))
+    output.print(table)
 
 
 def parameters(
@@ -115,4 +123,14 @@ def catalogue_page() -> str:
             row = f"| `{name}` | {summary} |"
             alone = "yes" if scenarios and per_joint(name) else ""
             lines.append(row + (f" {severity_text(name)} | {alone} |" if scenarios else ""))
+    lines += ["", "## Causes", "", "| " + " | ".join(_CAUSE_HEAD) + " |", "|---|---|---|---|"]
+    lines += [
+        f"| `{c.live}` | {_code(c.effect)} | {_code(c.attributes)} | {c.size} |" for c in CAUSES
+    ]
     return "\n".join(lines) + "\n"
+
+
+def _code(names: str) -> str:
+    """Names in a sentence as code."""
+    words = re.split(r"( and | or |, )", names)
+    return "".join(w if i % 2 or " " in w else f"`{w}`" for i, w in enumerate(words))

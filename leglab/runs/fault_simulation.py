@@ -105,7 +105,7 @@ def _leak_of_one_chamber(size: float, element: str) -> tuple[ParameterChange, ..
 
 
 PARTS: Mapping[str, PartFault] = {
-    "valve_dead_band": PartFault(
+    "valve_deadband": PartFault(
         of="valve_wear",
         sides=(Faults(healthy=1.0, sizes=(1.5, 3.0, 5.0)),),
         meaning="lap ratio",
@@ -117,7 +117,7 @@ PARTS: Mapping[str, PartFault] = {
         meaning="hysteresis, of full spool travel",
         changes=_of("set", "hysteresis"),
     ),
-    "dry_friction": PartFault(
+    "coulomb_friction": PartFault(
         of="friction_rise",
         sides=(Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
         meaning="ratio of Coulomb and breakaway friction",

@@ -6,6 +6,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
 
+from leglab.base.causes import effect_of
 from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
@@ -138,7 +139,8 @@ class FaultEvent(BaseModel):
     def told(self) -> str:
         """The name in force in one line: where, what, size and confidence, since when."""
         name = self.names[-1]
-        line = f"{_place(name.element)}: {name.fault}"
+        effect = effect_of(name.fault)
+        line = f"{_place(name.element)}: {name.fault}" + (f" [{effect}]" if effect else "")
         if name.size is not None:
             ends = "" if name.low is None else f" ({name.low:.3g} to {name.high:.3g}"
             meaning = f"; {name.meaning}" if name.meaning else ""
@@ -192,9 +194,9 @@ class FaultTrend(BaseModel):
         if self.size is None:
             return f"{where}: slow {self.fault}, {since}"
         ends = "" if self.low is None else f"{self.low:.3g} to {self.high:.3g}; "
-        line = (
-            f"{where}: {self.fault} {self.size:.3g} ({ends}{self.meaning}) at {self.seen:.0f} s, "
-        )
+        effect = effect_of(self.fault)
+        fault = f"{self.fault} [{effect}]" if effect else self.fault
+        line = f"{where}: {fault} {self.size:.3g} ({ends}{self.meaning}) at {self.seen:.0f} s, "
         line += f"slowly {since}"
         if self.condition:
             return f"{line}; a condition, no fault"

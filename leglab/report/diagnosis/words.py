@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leglab.base.causes import live_of
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
@@ -266,6 +267,13 @@ def _at(effect: NamedEffect) -> str:
     return f"{readable(effect.name)} at {effect.element}"
 
 
+def _named(effect: NamedEffect) -> str:
+    """The effect with the scenarios' name of the same cause."""
+    live = live_of(effect.name)
+    also = f" [{listed(tuple(readable(name) for name in live), 'or')}]" if live else ""
+    return f"{readable(effect.name)}{also} at {effect.element}"
+
+
 def _values(effect: NamedEffect, nominal: str) -> list[str]:
     """Its fitted parameters; `nominal` says where their other values were."""
     told = []
@@ -279,7 +287,7 @@ def _values(effect: NamedEffect, nominal: str) -> list[str]:
 def _fitted(effect: NamedEffect, nominal: str) -> str:
     """An effect with its values."""
     told = _values(effect, nominal)
-    return f"{_at(effect)}: {', '.join(told)}" if told else _at(effect)
+    return f"{_named(effect)}: {', '.join(told)}" if told else _named(effect)
 
 
 def _confidence(effect: NamedEffect, *, alone: bool) -> str:
