@@ -2,7 +2,8 @@
 
     python benchmarks/identification_endurance.py [--updates 100000000]
 
-The same samples and checks as tests/test_identification_robustness.py, which runs 10^6.
+The same samples and checks as tests/identification/test_identification_robustness.py, which
+runs 10^6.
 """
 
 import argparse

@@ -1,8 +1,9 @@
 """Cycles of `bsnn_arx_bank` on a Cortex-M7: `python benchmarks/microcontroller.py`.
 
 Builds the controller of the whole leg with the monitor that names faults
-(`tests/microcontroller/leg.cc`: the same C++ core that the simulation runs, in double precision)
-with the ARM compiler, runs it in an emulator (Unicorn, which is QEMU's) and counts the instructions
+(`tests/identification/microcontroller/leg.cc`: the same C++ core that the simulation runs, in
+double precision) with the ARM compiler, runs it in an emulator
+(Unicorn, which is QEMU's) and counts the instructions
 that a control period executes, by kind. An emulator knows no cycles: they are an upper bound by
 `CYCLES`, each instruction alone and none beside another, as from memory without wait states
 (tightly coupled memory or warm caches). What the monitor finds there is held against what it finds
@@ -182,7 +183,7 @@ def build(folder: Path) -> Path:
     if shutil.which(COMPILER) is None:
         raise SystemExit(f"needs {COMPILER} (gcc-arm-none-eabi, libstdc++-arm-none-eabi-newlib)")
     elf = folder / "leg.elf"
-    source = results.ROOT / "tests" / "microcontroller" / "leg.cc"
+    source = results.ROOT / "tests" / "identification" / "microcontroller" / "leg.cc"
     include = f"-I{results.ROOT / 'leglab' / 'csrc'}"
     done = subprocess.run(
         [COMPILER, *FLAGS, include, str(source), "-o", str(elf)],

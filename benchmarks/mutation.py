@@ -25,11 +25,11 @@ import pytest
 import results
 
 ROOT = Path(__file__).parents[1]
-_VERDICT = ("tests/test_diagnosis_parts.py", "tests/test_diagnosis_verdicts.py")
+_VERDICT = ("tests/diagnosis/test_parts.py", "tests/diagnosis/test_verdicts.py")
 _MAKE_TEST = ("-m", "not slow and not soak")
 MODULES = {
-    "leglab.runs.metrics": ("tests/test_metrics.py",),
-    "leglab.runs.clock": ("tests/test_clock.py",),
+    "leglab.runs.metrics": ("tests/runs/test_metrics.py",),
+    "leglab.runs.clock": ("tests/runs/test_clock.py",),
     "leglab.diagnosis.likelihood.evidence": _VERDICT,
     "leglab.diagnosis.likelihood.priors": _VERDICT,
     "leglab.diagnosis.verdict.confidence": _VERDICT,

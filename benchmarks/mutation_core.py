@@ -50,16 +50,16 @@ PARTS = {
         module="hydraulics",
         headers="hydraulics",
         sources=("hydraulics",),
-        tests=("tests/test_hydraulics_core.py", "tests/test_hydraulics_scheme.py"),
+        tests=("tests/machine/test_hydraulics_core.py", "tests/machine/test_hydraulics_scheme.py"),
     ),
     "identification": Part(
         module="identification",
         headers="identification",
         sources=("identification", "feedforward"),
         tests=(
-            "tests/test_identification_oracle.py",
-            "tests/test_identification_basis.py",
-            "tests/test_identification_input.py",
+            "tests/identification/test_identification_oracle.py",
+            "tests/identification/test_identification_basis.py",
+            "tests/identification/test_identification_input.py",
         ),
     ),
     "feedforward": Part(
@@ -67,13 +67,13 @@ PARTS = {
         headers="feedforward",
         sources=("feedforward",),
         others=("identification",),
-        tests=("tests/test_feedforward_core.py",),
+        tests=("tests/control/test_feedforward_core.py",),
     ),
     "monitor": Part(
         module="monitor",
         headers="monitor",
         sources=("monitor",),
-        tests=("tests/test_monitor_core.py",),
+        tests=("tests/control/test_monitor_core.py",),
     ),
 }
 _CHANGES = (

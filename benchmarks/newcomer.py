@@ -19,7 +19,7 @@ from pathlib import Path
 import results
 
 sys.path.insert(0, str(results.ROOT))  # for the reader of pages, which the tests use as well
-from tests.pages import Block, blocks
+from tests.helpers.pages import Block, blocks
 
 PAGE = results.ROOT / "docs" / "newcomer.md"
 _HEAD = re.compile(r"^## (\d+\. .+)$", re.MULTILINE)

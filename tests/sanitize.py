@@ -21,17 +21,17 @@ BUILD = ROOT / "build" / "sanitize"
 # After runs of `tests/sanitized_run.py`: hydraulics, plugins and wrong input to them, identifiers
 # and damaged states of them, the feed-forward, the monitor of faults, the rough bench.
 TESTS = (
-    "tests/test_hydraulics_core.py",
-    "tests/test_plugin_errors.py",
-    "tests/test_plugin_play.py",
-    "tests/test_plugin_delay.py",
-    "tests/test_plugin_joint_friction.py",
-    "tests/test_plugin_residual.py",
-    "tests/test_identification_input.py",
-    "tests/test_identification_storage.py",
-    "tests/test_rough_bench.py",
-    "tests/test_feedforward_core.py",
-    "tests/test_monitor_core.py",
+    "tests/machine/test_hydraulics_core.py",
+    "tests/machine/test_plugin_errors.py",
+    "tests/machine/test_plugin_play.py",
+    "tests/machine/test_plugin_delay.py",
+    "tests/machine/test_plugin_joint_friction.py",
+    "tests/machine/test_plugin_residual.py",
+    "tests/identification/test_identification_input.py",
+    "tests/identification/test_identification_storage.py",
+    "tests/rigs/test_rough_bench.py",
+    "tests/control/test_feedforward_core.py",
+    "tests/control/test_monitor_core.py",
 )
 _OURS = re.compile(r"(at|by) 0x.*(leglab::|libleglab_plugin|/_native/)")
 # Python finds the compiled modules of `folder` before those that are installed.

@@ -127,19 +127,19 @@ def settings_of(context: typer.Context) -> "RunSettings":
     """
     from dataclasses import fields
 
-    from leglab.runs import asked
+    from leglab.runs import run_settings
     from leglab.runs.preparation import RunSettings
 
     given = {**context.params, "ramp_duration": context.params["ramp"]}
     values = {f.name: given[f.name] for f in fields(RunSettings) if f.name in given}
     file = Path(values["scenario"])
-    if file.suffix in asked.SUFFIXES:
+    if file.suffix in run_settings.SUFFIXES:
         sources = {name: context.get_parameter_source(name) for name in context.params}
         sources["ramp_duration"] = sources["ramp"]
         told = {n: v for n, v in values.items() if getattr(sources[n], "name", "") == "COMMANDLINE"}
-        values = {**asked.read_settings(file), **told, "scenario": None}
-        values["scenario"] = asked.read_settings(file)["scenario"]
-    values = asked.with_entries(values, context.params.get("set_") or ())
+        values = {**run_settings.read_settings(file), **told, "scenario": None}
+        values["scenario"] = run_settings.read_settings(file)["scenario"]
+    values = run_settings.with_entries(values, context.params.get("set_") or ())
     return RunSettings(**values)
 
 

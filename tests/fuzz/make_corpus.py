@@ -17,9 +17,9 @@ from leglab.identification import BsnnArx, Rls, SplineNarx, SplineNarxSettings, 
 from leglab.identification.basis import Basis
 from leglab.identification.features import Constant, Lags, Signal, Spline
 from tests.fuzz.targets import CORPUS
-from tests.plugin_models import CYLINDER, slides, valve
-from tests.report_folders import write_folder
-from tests.test_identification import PAPER
+from tests.helpers.plugin_models import CYLINDER, slides, valve
+from tests.helpers.report_folders import write_folder
+from tests.identification.test_identification import PAPER
 
 TEXTS = {
     "csv/plain": "time,a,b\n0,1,2\n0.1,1.5,nan\n0.2,,3e5\n",

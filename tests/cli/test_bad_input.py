@@ -1,0 +1,196 @@
+"""What nobody means: every command says in one line what is wrong, and leaves nothing behind."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leglab import data
+from leglab.base.recording import Recording
+from leglab.controllers.pd import Pd
+from leglab.data import matlab_check
+from tests.cli.test_cli import leglab
+from tests.helpers.report_folders import write_folder
+
+BENCH = Path(__file__).parents[1] / "data" / "knee_bench_walk.parquet"
+RUN = ("run", "nominal", "--model", "knee_bench", "--no-figures", "--out", "new")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("kept")
+    time = np.arange(5) * 0.1
+    odd = {"a,b": time, 'q"x': time}
+    data.write(Recording(time=time, columns=odd), "odd.parquet")
+    data.write(Recording(time=time, columns={"a\nb": time}), "line.parquet")
+    (tmp_path / "deep.toml").write_text("columns = " + "[" * 3000 + "]" * 3000)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ((*RUN, "--duration", "1e308"), "duration 1e+308 s has more than 5e+07 control periods"),
+        ((*RUN, "--duration", "1e9"), "allowed: at most 100000 s"),
+        ((*RUN, "--timestep", "0"), "timestep = 0 s; allowed: more than 0"),
+        ((*RUN, "--timestep", "nan"), "timestep = nan s; allowed: more than 0"),
+        ((*RUN, "--timestep", "-0.001"), "timestep = -0.001 s; allowed: more than 0"),
+        (("diagnose", "knee_bench", BENCH, "--effect", "foo"), "unknown effect 'foo': choose one"),
+        (("replicate", "--out", "file"), "file: cannot be written: File exists"),
+        (("compare", "nominal", "--jobs", "100000"), "jobs is 100000; allowed: 1 to "),
+        (("compare", "nominal", "--seeds", "1000000000"), "allowed: 1 to 100000"),
+        (("inspect", BENCH, "--columns", "deep.toml"), "deep.toml: not a column map in TOML"),
+        (("convert", "line.parquet", "x.csv"), r"column 'a\nb' has a line break"),
+    ],
+)
+def test_it_is_one_line(folder, capsys, arguments, told):
+    before = {path.name for path in folder.iterdir()}
+    status, printed, errors = leglab(*arguments, capsys=capsys)
+    assert (status, printed) == (2, "")
+    assert told in errors
+    assert errors.count("\n") == 1
+    assert {path.name for path in folder.iterdir()} == before
+
+
+def test_names_with_commas_and_quotes_survive_csv(capsys):
+    assert leglab("convert", "odd.parquet", "odd.csv", capsys=capsys)[0] == 0
+    assert list(data.read("odd.csv").columns) == ["a,b", 'q"x']
+
+
+def test_a_comparison_too_short_for_its_figure_is_made_all_the_same(folder, capsys):
+    status, _, errors = leglab(
+        *("compare", "nominal", "--model", "knee_bench", "--controllers", "pd"),
+        *("--duration", "0.1", "--seeds", "1", "--jobs", "1", "--out", "new"),
+        capsys=capsys,
+    )
+    assert status == 0
+    assert errors.startswith("warning: no figure of nominal: no windowed error to draw")
+    assert (folder / "new" / "compare.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (lambda: 1 / 0, "failed at 0.5 s: ZeroDivisionError: division by zero"),
+        (lambda: "open", "gave str at 0.5 s, allowed is an array"),
+        (lambda: np.array(["open"]), "gave an array of <U4 at 0.5 s, allowed are numbers"),
+    ],
+)
+def test_a_controller_that_breaks_loses_nothing_recorded(capsys, monkeypatch, command, told):
+    old = Pd.command
+
+    def new(self, measurement, reference):
+        return command() if measurement.time >= 0.5 else old(self, measurement, reference)
+
+    monkeypatch.setattr(Pd, "command", new)
+    status, _, errors = leglab(*RUN, "--duration", "1", capsys=capsys)
+    assert status == 2
+    assert f"controller 'pd' {told}" in errors
+    assert errors.count("\n") == 1
+    assert data.read("new/recording.parquet").duration == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_broken_file_does_not_end_the_index(folder, capsys):
+    write_folder(folder / "good")
+    for name, text in {
+        "a/compare.json": json.dumps(
+            {"scenarios": [], "controllers": [], "model": "", "seeds": "1e999"}
+        ).replace('"1e999"', "1e999"),
+        "b/compare.json": '{"scenarios": [], "controllers": [], "model": "", "seeds": Infinity}',
+        "c/diagnosis.json": '{"verdict": "x", "effects": [3]}',
+        "d/metrics.json": "[" * 100_000,
+    }.items():
+        (folder / name).parent.mkdir()
+        (folder / name).write_text(text)
+    (folder / "p").mkdir()
+    for name in ("metrics.json", "run.json", "recording.parquet", "report.html"):
+        os.mkfifo(folder / "p" / name)
+    status, printed, errors = leglab("index", folder, capsys=capsys)
+    assert (status, errors) == (0, "warning: 5 of 6 cannot be read\n")
+    assert printed.startswith("6 listed in ")
+
+
+def process(*arguments, **options) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "leglab", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("asked", ["", "default"])
+def test_what_a_library_warns_of_is_shown_to_those_who_ask(tmp_path, asked):
+    (tmp_path / "a.py").write_text("import warnings\nwarnings.warn('ill-conditioned')\n")
+    env = {**os.environ, "PYTHONWARNINGS": asked}
+    done = process("list", "--load", "a.py", env=env, cwd=tmp_path, stdout=subprocess.PIPE)
+    assert done.returncode == 0
+    assert ("ill-conditioned" in done.stderr) == bool(asked)
+    assert asked or not done.stderr
+
+
+def test_output_that_is_full_or_closed_or_ascii_is_no_traceback():
+    with open("/dev/full", "w") as full:
+        done = process("list", stdout=full)
+    assert done.returncode == 2
+    assert done.stderr.endswith("No space left on device\n")
+    assert done.stderr.count("\n") == 1
+    plain = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    done = process(*RUN, "--duration", "1", env=plain, stdout=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (0, "")
+    done = process("list", env={**os.environ, "MUJOCO_GL": "foo"}, stdout=subprocess.PIPE)
+    assert (done.returncode, done.stderr[:40]) == (2, "error: MUJOCO_GL is 'foo'; allowed: egl,")
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit"), [(resource.RLIMIT_NOFILE, 8), (resource.RLIMIT_AS, 200_000_000)]
+)
+def test_little_of_what_the_system_gives_is_no_traceback(kind, limit):
+    done = process(
+        *RUN,
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: resource.setrlimit(kind, (limit, limit)),
+    )
+    assert done.returncode not in (0, 1)
+    assert "Traceback" not in done.stderr
+
+
+def test_a_compressed_variable_takes_no_more_memory_than_it_may(monkeypatch):
+    import scipy.io
+
+    monkeypatch.setattr(matlab_check, "_LARGEST_TOTAL", 1_000_000)
+    monkeypatch.setattr(matlab_check, "_LARGEST_RATIO", 1)
+    scipy.io.savemat("big.mat", {"a": np.zeros(300_000)}, do_compression=True)
+    assert Path("big.mat").stat().st_size < 10_000
+    with pytest.raises(data.matlab.LeglabError, match=r"big\.mat.* more than 1000000 bytes"):
+        data.read("big.mat")
+
+
+@pytest.mark.parametrize("content", ["numbers", "cells"])
+def test_small_numbers_take_no_more_memory_than_they_may(monkeypatch, content):
+    import scipy.io
+
+    monkeypatch.setattr(matlab_check, "_LARGEST_TOTAL", 1_000_000)
+    monkeypatch.setattr(matlab_check, "_LARGEST_RATIO", 1)
+    # 8 bytes each in memory, one in the file; and an array each, of 56 bytes in the file.
+    cells = np.empty(10_000, dtype=object)
+    cells[:] = [np.zeros(0)] * 10_000
+    wide = {"numbers": np.zeros(200_000, dtype=np.int8), "cells": cells}[content]
+    scipy.io.savemat("wide.mat", {"a": wide}, do_compression=True)
+    with pytest.raises(data.matlab.LeglabError, match=r"wide\.mat.* take more memory than"):
+        data.read("wide.mat")
+
+
+@pytest.mark.parametrize("period", ["1e-9", "1e-300"])
+def test_a_period_of_no_step_is_refused_before_anything_is_sized_by_it(capsys, period):
+    status, _, errors = leglab(*RUN, "--set", f"sensors.control_period={period}", capsys=capsys)
+    assert status == 2
+    assert "allowed: a multiple of the model's timestep" in errors
+    assert errors.count("\n") == 1

@@ -1,0 +1,67 @@
+"""Small MJCF models without hydraulics: native actuators, and leglab's plugins beside them."""
+
+from leglab.machine import plugin
+from leglab.machine.parameters import plugin_tables
+from tests.helpers.plugin_models import instance
+
+plugin.load_plugin()
+
+MASS, REACH, INERTIA, GRAVITY = 1.0, 0.3, 0.01, 9.81
+
+
+def extension(*instances):
+    used = "".join(instances)
+    names = [name for name in plugin_tables() if f'<plugin plugin="{name}">' not in used]
+    return "".join(f'<plugin plugin="{name}"/>' for name in names) + used
+
+
+def machine(
+    body,
+    actuator,
+    instances,
+    timestep=1e-3,
+    integrator="implicitfast",
+):
+    return f"""
+      <mujoco>
+        <option timestep="{timestep}" integrator="{integrator}"/>
+        <extension>{extension(*instances)}</extension>
+        <worldbody>{body}</worldbody>
+        <actuator>{actuator}</actuator>
+      </mujoco>"""
+
+
+def pendulum(
+    *instances,
+    actuator='<motor name="drive" joint="hinge"/>',
+    joint='armature="0.02" damping="0.1"',
+    **options,
+):
+    """A pendulum that hangs at 0: 0.10 kg m^2 about the hinge without its armature."""
+    body = f"""<body name="arm">
+          <joint name="hinge" type="hinge" axis="0 1 0" {joint}/>
+          <inertial pos="0 0 {-REACH}" mass="{MASS}"
+           diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>
+        </body>"""
+    return machine(body, actuator, instances, **options)
+
+
+def slide(*instances, actuator='<motor name="drive" joint="axis"/>', mass=2.0, joint="", **options):
+    """A carriage on a horizontal slide."""
+    body = f"""<body name="carriage">
+          <joint name="axis" type="slide" axis="1 0 0" {joint}/>
+          <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/>
+        </body>"""
+    return machine(body, actuator, instances, **options)
+
+
+def friction(joint="axis", **attributes):
+    return instance("leglab.joint_friction", "friction", joint=joint, **attributes)
+
+
+def backlash(joint="hinge", **attributes):
+    return instance("leglab.backlash", "play", joint=joint, **attributes)
+
+
+def command_path(**attributes):
+    return instance("leglab.command_path", "path", actuator="drive", **attributes)

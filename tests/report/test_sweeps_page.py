@@ -1,0 +1,173 @@
+"""The page of a sweep: its numbers are those of the rows, and what it says can be done."""
+
+import base64
+import html
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from leglab.base.errors import LeglabError
+from leglab.cli.app import app
+from leglab.report.film import render_film
+from leglab.report.folder_index import write_index
+from leglab.report.sweep.films import film_runs
+from leglab.report.sweep.page import page, worst_runs, write_sweep_page
+from leglab.runs.sweeps.engine import run_sweep
+from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.query import ask
+from tests.cli.test_cli import leglab as command_line
+from tests.helpers.report_folders import HOSTILE
+from tests.helpers.sweep_folders import SIZES, middle, write_sweep
+from tests.runs.test_sweeps import BENCH
+
+COMMANDS = typer.main.get_command(app).commands
+
+
+def tables(text):
+    """Rows of the tables of a page by the beginning of their caption, as lists of text."""
+    found = {}
+    for table in re.findall(r"<table.*?</table>", text, re.DOTALL):
+        caption = html.unescape(re.search(r"<caption>(.*?)</caption>", table, re.DOTALL)[1])
+        rows = re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
+        cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
+        found.setdefault(caption, [[html.unescape(cell) for cell in row] for row in cells])
+    return found
+
+
+def test_heat_maps_show_medians_and_the_worst_runs_come_first(tmp_path):
+    times = write_sweep(tmp_path / "s", failed=(4,))
+    found = tables(page(tmp_path / "s"))
+    heat = found["90 % undone after, s, by scenario with size and controller"]
+    assert heat[0] == ["scenario, size", "bsnn_arx", "pd"]
+    for row, size in zip(heat[1:], SIZES, strict=True):
+        assert row[0] == f"seal_wear, {size:g}"
+        for cell, controller in zip(row[1:], ("bsnn_arx", "pd"), strict=True):
+            wanted = middle(times[controller, size])
+            assert cell == ("never" if wanted is None else f"{wanted:.3g}")
+    by_specimen = found["90 % undone after, s, by scenario with size and specimen (seed): pd"]
+    assert by_specimen[1] == ["seal_wear, 3", "never", "0.3", "0.4"]
+    assert by_specimen[2] == ["seal_wear, 25", "0.5", "", "never"]
+    worst = found["The worst runs, by the share of the damage that is undone"]
+    assert [row[0] for row in worst[1:4]] == ["11", "10", "9"]
+    assert worst[2][-2:] == ["never", "80"]
+    failed = next(rows for caption, rows in found.items() if caption.startswith("Runs that failed"))
+    assert failed[1] == ["died", "no <b>figures</b> of pd", "4", "1"]
+    numbers = next(rows for caption, rows in found.items() if caption.startswith("Medians over"))
+    assert numbers[2][:4] == ["seal_wear", "pd", "6", "1"]
+
+
+def test_the_headline_tells_controllers_apart(tmp_path):
+    times = write_sweep(tmp_path / "s")
+    text = html.unescape(re.search(r"<h1.*?>(.*?)</h1>", page(tmp_path / "s"))[1])
+    wanted = {}
+    for controller, first in (("pd", 0), ("bsnn_arx", 6)):
+        own = [time for (name, _), found in times.items() if name == controller for time in found]
+        share = 100 * (1 - 0.02 * (first + 2.5))
+        never = f" ({own.count(None)} of 6 never)"
+        wanted[middle(own)] = (
+            f"{controller} undoes {share:.3g} % of the damage, nine tenths after "
+            f"{middle(own):.3g} s{never}"
+        )
+    best, worse = (wanted[time] for time in sorted(wanted))
+    assert text == f"12 runs; in the median {best}, {worse}"
+
+
+def test_the_darkest_field_is_the_worst(tmp_path):
+    write_sweep(tmp_path / "s")
+    text = page(tmp_path / "s")
+    for caption, worst in (("undone at the end, %", min), ("error at the end, mrad", max)):
+        table = text[text.index(f"<caption>{caption}, by scenario with size and controller") :]
+        fields = re.findall(r'--shade: ([\d.]+)">([\d.]+)<', table[: table.index("</table>")])
+        values = {float(value): float(shade) for shade, value in fields}
+        assert len(values) == 4
+        assert values[worst(values)] == 1.0
+        assert min(values.values()) == 0.0
+
+
+def test_the_commands_of_the_worst_runs_are_commands(tmp_path):
+    write_sweep(tmp_path / "s x")
+    text = html.unescape(re.search(r"<pre>(.*?)</pre>", page(tmp_path / "s x"), re.DOTALL)[1])
+    for line in text.strip().splitlines():
+        for command in line.split(" && "):
+            program, name, *arguments = shlex.split(command)
+            assert program == "leglab"
+            parsed = COMMANDS[name].make_context(name, arguments).params
+            assert parsed["load"] == ["it's.py"]
+            assert parsed.get("out") in (None, tmp_path / "s x")
+
+
+def test_hostile_names_stay_text(tmp_path):
+    write_sweep(tmp_path / "s", controllers=(HOSTILE, "pd"))
+    text = page(tmp_path / "s")
+    assert HOSTILE not in text
+    assert "<script" not in text
+    assert "script-src 'none'" in html.unescape(text)
+
+
+def test_a_real_sweep_is_reported_and_one_of_its_runs_recorded(tmp_path, capsys):
+    plan = SweepPlan({"settings": BENCH, "block": [{"grid": {"seed": {"count": 3}}}]})
+    folder = tmp_path / "s"
+    run_sweep(plan, folder, workers=1)
+    status, printed, _ = command_line("report", folder, "--no-video", capsys=capsys)
+    assert (status, printed) == (0, f"written to {folder / 'report.html'}\n")
+    assert "exists; remove it" in command_line("report", folder, capsys=capsys)[2]
+    other = ("report", folder, "--out", tmp_path / "o")
+    assert command_line(*other, "--no-video", capsys=capsys)[0] == 0
+    assert (tmp_path / "o" / "report.html").read_text() == (folder / "report.html").read_text()
+    record = ("sweep", folder / "sweep.json", "--out", folder, "--record")
+    assert command_line(*record, "2", capsys=capsys)[0] == 0
+    metrics = (folder / "recordings" / "00000" / "2" / "metrics.json").read_text()
+    (error,) = ask(folder, "SELECT after_rad FROM runs WHERE run = 2").rows[0]
+    assert f'"all": {error!r}' in metrics
+    assert "there is no run 3; allowed: 0 to 2" in command_line(*record, "3", capsys=capsys)[2]
+    entries, _ = write_index(tmp_path, tmp_path / "index.html")
+    assert [e.told for e in entries if e.kind == "sweep"] == ["3 runs over seed"]
+
+
+def test_a_folder_without_a_sweep_is_refused(tmp_path):
+    with pytest.raises(LeglabError, match="holds no sweep"):
+        write_sweep_page(tmp_path)
+
+
+@pytest.mark.slow("films")
+def test_the_worst_runs_are_filmed_from_before_the_change_on(tmp_path, capsys):
+    grid = {"controller": ["pd", "static_feedforward"], "seed": {"count": 2}}
+    plan = SweepPlan({"settings": {**BENCH, "duration": 6.0}, "block": [{"grid": grid}]})
+    folder, out = tmp_path / "s", tmp_path / "o"
+    run_sweep(plan, folder, workers=2)
+    words = ("report", folder, "--out", out, "--films", "2", "--duration", "0.2", "--json")
+    status, printed, _ = command_line(*words, capsys=capsys)
+    assert status == 0
+    films = [Path(film) for film in json.loads(printed)["films"]]
+    worst = worst_runs(folder, 2)
+    assert [film.name for film in films] == [f"run-{number}.mp4" for number in worst]
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["report.html", *(film.name for film in films)]
+    )
+    text = (out / "report.html").read_text()
+    found = re.findall(r'<video[^>]*src="data:video/mp4;base64,([^"]*)"', text)
+    assert [base64.b64decode(data) for data in found] == [film.read_bytes() for film in films]
+    rows = tables(text)[next(c for c in tables(text) if c.startswith("The worst runs"))]
+    told = re.findall(r"<figcaption>(Run \d+): ", text)
+    assert told == [f"Run {row[0]}" for row in rows[1:3]]
+    assert "<script" not in text
+    # The change comes after half of the run, three seconds: the film begins two before.
+    still = film_runs(folder, worst[:1], tmp_path, duration=0.2, camera="three_quarter")
+    at_one = render_film(
+        [folder / "recordings" / "00000" / str(worst[0])],
+        tmp_path / "at_one.mp4",
+        start=1.0,
+        duration=0.2,
+    )
+    assert still[worst[0]].read_bytes() == at_one.read_bytes()
+    refused = command_line("report", folder, "--films", "13", "--overwrite", capsys=capsys)[2]
+    assert "films is 13; allowed: 0 to 12" in refused
+    run = folder / "recordings" / "00000" / str(worst[0])
+    assert (
+        "is for the page of a sweep"
+        in command_line("report", run, "--films", "1", capsys=capsys)[2]
+    )
