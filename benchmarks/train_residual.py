@@ -1,7 +1,7 @@
 """Trains the residual policy of examples/train_residual.py and tells how it ended.
 
 `python benchmarks/train_residual.py --write docs/data/train_residual.json`; the learning curve goes
-to docs/images/train_residual.png with `--figure`, from kept results with `--render`. Interrupted,
+to docs/images/train_residual.webp with `--figure`, from kept results with `--render`. Interrupted,
 the training goes on in runs/train_residual.
 """
 

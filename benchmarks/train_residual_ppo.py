@@ -1,7 +1,7 @@
 """Trains the network of examples/train_residual_ppo.py and tells how it ended.
 
 `python benchmarks/train_residual_ppo.py --write docs/data/train_residual_ppo.json`; the learning
-curve goes to docs/images/train_residual_ppo.png with `--figure`, from kept results. Needs the
+curve goes to docs/images/train_residual_ppo.webp with `--figure`, from kept results. Needs the
 extra `ppo`.
 """
 

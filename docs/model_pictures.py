@@ -6,8 +6,8 @@ from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
-import matplotlib.image
 import mujoco
+from PIL import Image
 
 from leglab.machine.simulation import Simulation, load_model
 
@@ -29,8 +29,8 @@ def main() -> None:
             simulation.reset(pose)
             for camera in arguments.cameras:
                 renderer.update_scene(simulation.data, camera)
-                path = arguments.out / f"{arguments.model}_{pose}_{camera}.png"
-                matplotlib.image.imsave(path, renderer.render())
+                path = arguments.out / f"{arguments.model}_{pose}_{camera}.webp"
+                Image.fromarray(renderer.render()).save(path, quality=88, method=6)
 
 
 if __name__ == "__main__":

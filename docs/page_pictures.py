@@ -50,7 +50,7 @@ def main() -> None:
                     pictures = [screen(page, part) for part in ("summary", "numbers", "plots")]
                 else:
                     pictures = [page.screenshot(full_page=options.full)]
-                save(pictures, options.out / f"{name}{suffix}.png")
+                save(pictures, options.out / f"{name}{suffix}.webp")
                 page.close()
         browser.close()
 
@@ -82,7 +82,7 @@ def screen(page: Page, part: str) -> bytes:
 
 
 def save(pictures: list[bytes], path: Path) -> None:
-    """Writes pictures beside each other as one PNG."""
+    """Writes pictures beside each other as one."""
     images = [Image.open(io.BytesIO(picture)).convert("RGB") for picture in pictures]
     width = sum(image.width for image in images) + GAP * (len(images) - 1)
     whole = Image.new("RGB", (width, images[0].height), (128, 128, 128))
@@ -90,7 +90,7 @@ def save(pictures: list[bytes], path: Path) -> None:
     for image in images:
         whole.paste(image, (left, 0))
         left += image.width + GAP
-    whole.save(path, optimize=True)
+    whole.save(path, quality=88, method=6)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
