@@ -14,7 +14,7 @@ from typing import Any
 import results
 
 FOLDER = results.ROOT / "runs" / "train_residual"
-FIGURE = results.ROOT / "docs" / "images" / "train_residual.png"
+FIGURE = results.ROOT / "docs" / "images" / "train_residual.webp"
 SHOWN = (1, 5, 10, 20, 40)  # generations of the table, beside the last
 
 

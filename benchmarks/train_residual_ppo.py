@@ -15,7 +15,7 @@ import results
 from train_residual import judgement
 
 FOLDER = results.ROOT / "runs" / "train_residual_ppo"
-FIGURE = results.ROOT / "docs" / "images" / "train_residual_ppo.png"
+FIGURE = results.ROOT / "docs" / "images" / "train_residual_ppo.webp"
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
