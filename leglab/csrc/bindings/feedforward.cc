@@ -186,18 +186,18 @@ class Feedforward {
   std::vector<double> shares() const { return core_.shares(); }
 
   void keep(int samples) { core_.keep(samples); }
-  int kept() const { return core_.kept(); }
+  int kept() const { return core_.kept().count(); }
 
   // Moves the kept samples to the first rows of `out`, (capacity, joints, parameters + 3); returns
   // how many they are.
   int take_kept(Output out) {
-    const std::size_t count =
-        std::size_t(core_.kept()) * tables_.tables().size() * std::size_t(core_.kept_width());
+    ff::KeptSamples& kept = core_.kept();
+    const std::size_t count = std::size_t(kept.count()) * joints() * std::size_t(kept.width());
     if (out.size() < count) throw nb::value_error("too few rows for the kept samples");
-    std::copy_n(core_.kept_samples(), count, out.data());
-    const int kept = core_.kept();
-    core_.drop_kept();
-    return kept;
+    std::copy_n(kept.rows(), count, out.data());
+    const int number = kept.count();
+    kept.drop();
+    return number;
   }
 
   void sent(Input command) {

@@ -7,10 +7,12 @@
 
 #include "feedforward/contenders.h"
 #include "feedforward/inverse_map.h"
+#include "feedforward/kept_samples.h"
 #include "feedforward/motion.h"
 #include "feedforward/plays.h"
 #include "feedforward/pressure_valve.h"
 #include "feedforward/proof.h"
+#include "feedforward/supervisor.h"
 #include "feedforward/valve_table.h"
 #include "identification/spline_narx.h"
 
@@ -82,12 +84,12 @@ class AdaptiveFeedforward {
                       std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
         reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)),
+        supervisor_(supervision()),
         contenders_(contest()),
         plays_(plays(), window_, tables_.size()) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
-    feedforward_ = error_ = sent_ = flow_ = learned_ = calibrated_ = std::vector<double>(n);
-    applied_ = withheld_ = fallback_ = last_ = before_last_ = feedforward_;
+    feedforward_ = error_ = sent_ = flow_ = last_ = before_last_ = std::vector<double>(n);
     seen_position_ = seen_velocity_ = feedforward_;
     pressure_a_ = pressure_b_ = middle_a_ = middle_b_ = middle_command_ = feedforward_;
   }
@@ -101,10 +103,10 @@ class AdaptiveFeedforward {
     supply_ = 0.0;
     window_.clear();
     reference_.clear();
-    for (auto* values : {&feedforward_, &error_, &sent_, &learned_, &calibrated_, &applied_,
-                         &withheld_, &fallback_}) {
+    for (auto* values : {&feedforward_, &error_, &sent_}) {
       std::fill(values->begin(), values->end(), 0.0);
     }
+    supervisor_.clear();
     proofs_.clear();
     for (const Learner* learner : learners_) proofs_.emplace_back(proof(), learner->parameters());
     contenders_.clear();
@@ -148,21 +150,13 @@ class AdaptiveFeedforward {
   // Nothing is learned from now on, until `reset`.
   void freeze() { frozen_ = true; }
 
-  // Keeps the latest learned samples, so many at most, for who looks at them now and then; 0 keeps
-  // none. Call it after `reset`.
+  // Keeps the latest learned samples, so many at most; 0 keeps none. Call it after `reset`.
   void keep(int samples) {
-    capacity_ = samples;
-    kept_ = 0;
-    width_ = learners_.empty() ? 0 : learners_[0]->parameters() + 3;
-    samples_.assign(std::size_t(samples * width_) * learners_.size(), 0.0);
+    kept_.keep(samples, int(learners_.size()), learners_.empty() ? 0 : learners_[0]->parameters());
   }
 
-  // Samples kept since `drop_kept`: (kept, joints, parameters + 3), a regressor, its output, the
-  // a-priori error, and 1; only zeros where the sample taught that joint nothing.
-  const double* kept_samples() const { return samples_.data(); }
-  int kept() const { return kept_; }
-  int kept_width() const { return width_; }
-  void drop_kept() { kept_ = 0; }
+  KeptSamples& kept() { return kept_; }
+  const KeptSamples& kept() const { return kept_; }
 
   // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
   // without a measurement the command is the feed-forward alone.
@@ -183,10 +177,10 @@ class AdaptiveFeedforward {
                                          : wanted_command(i, share));
       const double calibrated = allowed(table.command(motion_[j], share));
       if (settings_.supervised) {
-        supervise(j, measured[j] - seen_position_[j],
-                  table.share(motion_[j], learned) - table.share(motion_[j], calibrated));
+        supervisor_.take(j, measured[j] - seen_position_[j],
+                         table.share(motion_[j], learned) - table.share(motion_[j], calibrated));
       }
-      double wish = fallback_[j] > 0.0 ? calibrated : learned;
+      double wish = supervisor_.fallback(j) ? calibrated : learned;
       if (count_ > 1) wish = std::clamp(wish, feedforward_[j] - most, feedforward_[j] + most);
       out.feedforward[j] = feedforward_[j] = wish;
       const double proportional = settings_.position_gain[j] * (seen_position_[j] - measured[j]);
@@ -197,7 +191,7 @@ class AdaptiveFeedforward {
       if (plays_.any()) sum += 0.5 * width(j) * plays_.direction(j, sum);
       out.command[j] = std::isfinite(sum) ? sum : wish;
       out.error[j] = error_[j];
-      out.fallback[j] = fallback_[j];
+      out.fallback[j] = supervisor_.fallback(j) ? 1.0 : 0.0;
     }
     sent(out.command);
   }
@@ -239,6 +233,11 @@ class AdaptiveFeedforward {
     const double sample = settings_.interval * settings_.control_period;
     const double settle = std::min(1.0, sample / settings_.play_time);
     return {settings_.plays, settings_.turn, settings_.play_step, settle, settings_.play_noise};
+  }
+
+  SupervisorSettings supervision() const {
+    return {settings_.control_period, settings_.trust_time, settings_.margin,
+            settings_.noise, settings_.bandwidth, map_.speed()};
   }
 
   ContenderSettings contest() const {
@@ -332,7 +331,7 @@ class AdaptiveFeedforward {
     }
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
     contenders_.judge();
-    if (kept_ < capacity_) ++kept_;
+    kept_.next();
   }
 
   // Whether a reading cannot follow from the two before: a lost, shifted or failed encoder. What the
@@ -369,7 +368,7 @@ class AdaptiveFeedforward {
     };
     contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
     if (play_ > 0) learn_width(j, usable);
-    if (kept_ < capacity_) keep_sample(j, excess, usable);
+    if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
   // The width of a hysteresis is one more parameter of the map (least squares by blocks): a map of
@@ -398,37 +397,6 @@ class AdaptiveFeedforward {
     return excess;
   }
 
-  void keep_sample(std::size_t j, double excess, bool usable) {
-    double* row = samples_.data() + (std::size_t(kept_) * learners_.size() + j) * std::size_t(width_);
-    std::fill_n(row, width_, 0.0);
-    if (!usable) return;
-    std::copy_n(learners_[j]->regressor(), width_ - 3, row);
-    row[width_ - 3] = excess;
-    row[width_ - 2] = error_[j];
-    row[width_ - 1] = 1.0;
-  }
-
-  // The feedback loop forgets a flow error as a first order of its crossover frequency. So the
-  // excess that is in use explains a part of the tracking error, and what the error would be with
-  // the learned excess, and what without any, follows from the one that is measured.
-  void supervise(std::size_t j, double tracking, double excess) {
-    if (!(std::abs(tracking) < 1e3)) return;  // no measurement
-    const double h = settings_.control_period, bandwidth = settings_.bandwidth[j];
-    const double decay = std::exp(-bandwidth * h);
-    const double gain = (1.0 - decay) / bandwidth * map_.speed()[j];
-    const double used = fallback_[j] > 0.0 ? 0.0 : excess;
-    const double with = tracking + withheld_[j], without = tracking - applied_[j];
-    applied_[j] = decay * applied_[j] + gain * used;
-    withheld_[j] = decay * withheld_[j] + gain * (excess - used);
-    const double forget = std::min(1.0, h / settings_.trust_time);
-    learned_[j] += forget * (with * with - learned_[j]);
-    calibrated_[j] += forget * (without * without - calibrated_[j]);
-    // Where it has lost, the learned map must win clearly to come back.
-    const double margin = fallback_[j] > 0.0 ? 1.0 / settings_.margin : settings_.margin;
-    const double noise = fallback_[j] > 0.0 ? 0.0 : settings_.noise * settings_.noise;
-    fallback_[j] = learned_[j] > margin * margin * calibrated_[j] + noise ? 1.0 : 0.0;
-  }
-
   AdaptiveSettings settings_;
   InverseMap map_;
   SmoothingWindow window_;
@@ -437,21 +405,18 @@ class AdaptiveFeedforward {
   std::vector<PressureValve> valves_;  // none without pressures
   std::vector<Learner*> learners_, load_learners_, slope_learners_;
   std::vector<Proof> proofs_;
+  Supervisor supervisor_;
   Contenders<Learner> contenders_;
   Plays plays_;
   int play_ = 0;  // place of the widths that the learners' map is for
-  std::vector<double> motion_, feedforward_, error_, sent_, flow_, learned_, calibrated_;
-  // What the excess in use adds to the tracking error, and what the one not in use would [rad].
-  std::vector<double> applied_, withheld_;
-  std::vector<double> fallback_;  // 1 where the calibration stands in
+  std::vector<double> motion_, feedforward_, error_, sent_, flow_;
   std::vector<double> last_, before_last_;  // readings [rad]
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
   std::vector<double> pressure_a_, pressure_b_;  // last readings [Pa]
   std::vector<double> middle_a_, middle_b_, middle_command_;
   double supply_ = 0.0;
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
-  std::vector<double> samples_;  // that are kept
-  int capacity_ = 0, kept_ = 0, width_ = 0;
+  KeptSamples kept_;
   long count_ = 0;
   bool frozen_ = false;
 };

@@ -7,7 +7,7 @@
 namespace leglab::monitor {
 
 // A learned sample of one joint is a row of a regressor, its output, the a-priori error and 1; only
-// zeros where the sample taught that joint nothing (`AdaptiveFeedforward::kept_samples`).
+// zeros where the sample taught that joint nothing (`feedforward/kept_samples.h`).
 constexpr int behind_regressor = 3;
 
 // Sums of regressor times regressor, regressor times output, squared output and 1, of every joint.

@@ -206,7 +206,7 @@ extern "C" void period() {
                  {out[0], out[1], out[2], out[3], out[4]});
   last_error = 0.0;
   for (int j = 0; j < joints; ++j) last_error += std::abs(out[3][j]);
-  kept = unsigned(leg->core.kept());
+  kept = unsigned(leg->core.kept().count());
   time_now = time;
 }
 
@@ -216,9 +216,9 @@ extern "C" void take_block() {
   for (auto& learner : leg->learners) {
     for (int i = 0; i < int(parameters); ++i) *to++ = learner.rls().theta()[i];
   }
-  block_samples = leg->core.kept_samples();
-  monitor->take(time, block_samples, leg->core.kept(), block_parameters);
-  leg->core.drop_kept();
+  block_samples = leg->core.kept().rows();
+  monitor->take(time, block_samples, leg->core.kept().count(), block_parameters);
+  leg->core.kept().drop();
   case_open = monitor->open();
   onset = monitor->onset();
 }

@@ -1,0 +1,74 @@
+// Decides for each joint whether the learned map or the calibration gives the feed-forward.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+namespace leglab::feedforward {
+
+struct SupervisorSettings {
+  double control_period = 0.0;    // [s]
+  double trust_time = 0.0;        // time constant of the errors that are compared [s]
+  double margin = 1.0;            // learned over calibrated RMS at which the calibration takes over
+  double noise = 0.0;             // tracking errors below this are no reason to distrust [rad]
+  std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
+  std::vector<double> speed;      // full speeds [rad/s]
+};
+
+// The feedback loop forgets a flow error as a first order of its crossover frequency. So the excess
+// flow that is in use explains a part of the tracking error, and what the error would be with the
+// learned excess, and what without any, follows from the one that is measured.
+class Supervisor {
+ public:
+  explicit Supervisor(const SupervisorSettings& settings)
+      : margin_(settings.margin), noise_(settings.noise * settings.noise),
+        forget_(std::min(1.0, settings.control_period / settings.trust_time)),
+        joints_(settings.bandwidth.size()) {
+    for (std::size_t j = 0; j < joints_.size(); ++j) {
+      const double bandwidth = settings.bandwidth[j];
+      joints_[j].decay = std::exp(-bandwidth * settings.control_period);
+      joints_[j].gain = (1.0 - joints_[j].decay) / bandwidth * settings.speed[j];
+    }
+  }
+
+  void clear() {
+    for (Joint& joint : joints_) {
+      joint.applied = joint.withheld = joint.learned = joint.calibrated = 0.0;
+      joint.fallback = false;
+    }
+  }
+
+  // Whether the calibration stands in.
+  bool fallback(std::size_t j) const { return joints_[j].fallback; }
+
+  // Takes a tracking error [rad], and the excess flow that the learned map gives beyond the
+  // calibration [share of full speed].
+  void take(std::size_t j, double tracking, double excess) {
+    if (!(std::abs(tracking) < 1e3)) return;  // no measurement
+    Joint& joint = joints_[j];
+    const double used = joint.fallback ? 0.0 : excess;
+    const double with = tracking + joint.withheld, without = tracking - joint.applied;
+    joint.applied = joint.decay * joint.applied + joint.gain * used;
+    joint.withheld = joint.decay * joint.withheld + joint.gain * (excess - used);
+    joint.learned += forget_ * (with * with - joint.learned);
+    joint.calibrated += forget_ * (without * without - joint.calibrated);
+    // Where it has lost, the learned map must win clearly to come back.
+    const double margin = joint.fallback ? 1.0 / margin_ : margin_;
+    const double noise = joint.fallback ? 0.0 : noise_;
+    joint.fallback = joint.learned > margin * margin * joint.calibrated + noise;
+  }
+
+ private:
+  struct Joint {
+    double decay = 0.0, gain = 0.0;
+    double applied = 0.0, withheld = 0.0;    // tracking error by the excess in use, by that not [rad]
+    double learned = 0.0, calibrated = 0.0;  // mean squared tracking errors [rad^2]
+    bool fallback = false;
+  };
+
+  double margin_, noise_, forget_;
+  std::vector<Joint> joints_;
+};
+
+}  // namespace leglab::feedforward
