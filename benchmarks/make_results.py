@@ -55,13 +55,13 @@ JOBS = (
     _job("train_residual", 3),
     _job("train_residual_ppo", 4),
     _job("long_run", 2.5),
-    _job("live_names", 25),
-    _job("correction_bench", 3, options="--jobs 2"),
+    _job("live_names", 20, options="--specimens 6 --jobs 2"),
+    _job("correction_bench", 5, options="--jobs 2"),
     _job(
         "live_names_elsewhere",
-        25,
+        15,
         "live_names",
-        "--specimens 3 --elsewhere "
+        "--specimens 3 --jobs 2 --elsewhere "
         "'12-bit encoders with 15 times the noise,squat,squat on the ground,"
         "another fault 5 s before'",
     ),

@@ -271,9 +271,9 @@ def _load_packages(tests: tuple[str, ...]) -> None:
     sys.path.insert(0, str(ROOT))
     for test in tests:
         importlib.import_module(test.removesuffix(".py").replace("/", "."))
-    ours = [n for n in sys.modules if n.split(".")[0] in ("leglab", "tests")]
-    for name in ours:
-        if not name.startswith("leglab._native"):  # Python loads a compiled module once.
+    own = ("leglab", "tests", "rigs", "benchmarks")
+    for name in [n for n in sys.modules if n.split(".")[0] in own]:
+        if "._native" not in name:  # Python loads a compiled module once.
             del sys.modules[name]
 
 

@@ -422,7 +422,7 @@ def test_of_several_effects_each_stands_on_a_line_of_its_own(tmp_path):
     first, second = told["Missing"].split("\n")
     assert first.startswith("Valve deadband at knee_valve: lap 0.05")
     assert first.endswith(";")
-    assert second.startswith("valve bias at knee_valve: lap 0.05")
+    assert second.startswith("valve bias [valve null shift] at knee_valve: lap 0.05")
     _, root = parsed(write_page(several, tmp_path, model="m"))
     lines = ["".join(line.itertext()) for line in root.iter(f"{SPACE}span")]
     assert {first, second} <= set(lines)
