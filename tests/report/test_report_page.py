@@ -108,8 +108,8 @@ def test_what_a_controller_named_while_it_ran_is_told(tmp_path):
         if p.title == "What was named while it ran"
     )
     assert part.lines == (
-        "knee: seal_wear [internal_leakage] 9.6 (8.4 to 10.8; internal leakage ratio), 93 %, since 10.00 s, "
-        "said at 10.20 s.",
+        "knee: seal_wear [internal_leakage] 9.6 (8.4 to 10.8; internal leakage ratio), 93 %, "
+        "since 10.00 s, said at 10.20 s.",
     )
     gone = FaultEvent(names=[name.model_copy(update={"size": None})], withdrawn=11.0)
     assert gone.told().endswith("said at 10.20 s, withdrawn at 11.00 s")
