@@ -51,11 +51,11 @@ FLAGS = [
 ]  # fmt: skip
 JOINTS, CLOCK, RATE = 6, 400e6, 500.0  # Hz, Hz
 # Control periods, those that are not counted, and the one at which the machine changes.
-PERIODS, SETTLED, FAULT_AT = 480, 200, 330
+PERIODS, SETTLED, FAULT_AT = 600, 200, 330
 # Of the monitor: learned samples in a block; samples of an open case that are summed up and curves
 # of a look that are fitted in a period that does not learn.
 BLOCK, SUMMED, FITTED = 5, 2, 2
-MOST_CURVES, MOST_NODES = 96, 8  # as in the program
+MOST_CURVES, MOST_NODES = 128, 8  # as in the program
 
 # Cycles of an instruction from its start until its result can be used: those that LLVM schedules
 # double precision by (ARMScheduleM7.td, llvm.org), and choices on the safe side for the rest. Every

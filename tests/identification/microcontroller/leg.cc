@@ -30,7 +30,7 @@ struct Leg {
 Leg* leg = nullptr;
 
 // Curves of the bank, sizes of one, and learned samples from one block to the next.
-constexpr int most_curves = 96, most_nodes = 8, block = 5;
+constexpr int most_curves = 128, most_nodes = 8, block = 5;
 mon::FaultMonitor<float>* monitor = nullptr;
 mon::FaultCurve<float> curves[most_curves];
 
@@ -56,7 +56,7 @@ double forgetting_factor;
 // The bank: sizes of each curve, how many, the number of its fault and element, and shifts of all
 // curves one behind the other. On the controller it is constant and lies in flash.
 double bank_sizes[most_curves * most_nodes], bank_nodes[most_curves], bank_group[most_curves];
-float bank_shifts[256 * joints * 47];
+float bank_shifts[384 * joints * 47];
 unsigned bank_curves, bank_keys;
 // Gain of the plant's cylinders; another one is a fault.
 double plant_gain = 0.9;
