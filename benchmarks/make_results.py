@@ -55,7 +55,7 @@ JOBS = (
     _job("train_residual", 3),
     _job("train_residual_ppo", 4),
     _job("long_run", 2.5),
-    _job("live_names", 20, options="--specimens 6 --jobs 2"),
+    _job("live_names", 8, options="--jobs 2"),
     _job("correction_bench", 5, options="--jobs 2"),
     _job(
         "live_names_elsewhere",

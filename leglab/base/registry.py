@@ -124,6 +124,12 @@ class FactoryRegistry(Registry[Configured[Entry]]):
             summary: One line for listings.
             configuration: Its settings.
         """
+        if not (isinstance(configuration, type) and issubclass(configuration, Configuration)):
+            given = getattr(configuration, "__qualname__", repr(configuration))
+            raise LeglabError(
+                f"{self.kind} {name!r}: configuration is {given}; allowed: a subclass of "
+                "leglab.Configuration, which refuses unknown settings"
+            )
 
         def add(factory: Entry) -> Entry:
             entry = Configured(factory=factory, summary=summary, configuration=configuration)

@@ -1,4 +1,4 @@
-"""The command line. Exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+"""The command line: `leglab` and its commands; their exit status is in `conventions`."""
 
 import sys
 from collections.abc import Callable

@@ -22,7 +22,7 @@ from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, 
 
 EXIT_STATUS = {
     DONE: "done",
-    FAILED: "a check failed",
+    FAILED: "a check or every run failed",
     BAD_INPUT: "bad input, or a run that broke off",
     INTERRUPTED: "interrupted",
 }

@@ -153,6 +153,8 @@ def compare(
         terminal.tell(f"written to {out}")
     for line in terminal.failure_lines(summary):
         terminal.complain(line, "warning")
+    if not any(result["metrics"]["completed"] for result in results):
+        raise typer.Exit(terminal.FAILED)
 
 
 def view(

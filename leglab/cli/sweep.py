@@ -100,6 +100,8 @@ def sweep(
             'GROUP BY failure" tells why, --retry-failed makes them again',
             "warning",
         )
+    if result.failed == len(plan):
+        raise typer.Exit(terminal.FAILED)
 
 
 def query(

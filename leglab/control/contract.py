@@ -6,6 +6,7 @@ all joints and everything else included: what passes through here at every perio
 of small arrays, and what can be computed once belongs into a controller's constructor.
 """
 
+import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ class ReferencePoint(NamedTuple):
 
 class Controller(Protocol):
     """Turns measurements and references into valve commands.
+
+    `reset` and `command` are needed, `diagnostics` is optional.
 
     A controller that adapts has a further method, `freeze()`: it stops adapting until the next
     `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
@@ -259,16 +262,52 @@ CONTROLLERS: FactoryRegistry[Factory] = FactoryRegistry("controller")
 
 
 def register_controller(
-    name: str, *, summary: str, configuration: type[Configuration]
+    name: str, *, summary: str, configuration: type[Configuration] = Configuration
 ) -> Callable[[Factory], Factory]:
     """Registers the decorated controller class under a name.
 
     Args:
         name: Name that users give.
         summary: One line for listings.
-        configuration: Its settings, with units in their docs.
+        configuration: Its settings, a subclass of `leglab.Configuration` with units in its docs;
+            without it the controller has none, and its class is called with the setup alone.
+
+    Raises:
+        LeglabError: The class lacks a method, a method takes other arguments, or `configuration`
+            is no such subclass.
     """
-    return CONTROLLERS.register(name, summary=summary, configuration=configuration)
+    add = CONTROLLERS.register(name, summary=summary, configuration=configuration)
+
+    def register(factory: Factory) -> Factory:
+        _check_contract(name, factory)
+        return add(factory)
+
+    return register
+
+
+# Methods that every controller has, with the number of their arguments.
+_METHODS = {"reset": 1, "command": 2}
+
+
+def _check_contract(name: str, factory: Any) -> None:
+    """Raises `LeglabError` where a class is no controller; a function makes one later."""
+    if not inspect.isclass(factory):
+        return
+    for method, count in _METHODS.items():
+        own = getattr(factory, method, None)
+        wanted = ", ".join(("measurement", "reference")[:count])
+        if not callable(own):
+            raise LeglabError(
+                f"controller {name!r}: {factory.__qualname__} has no method {method!r}; needed are "
+                "reset(measurement) and command(measurement, reference)"
+            )
+        try:
+            inspect.signature(own).bind(None, *range(count))
+        except TypeError:
+            raise LeglabError(
+                f"controller {name!r}: {factory.__qualname__}.{method} takes "
+                f"{inspect.signature(own)}; needed is {method}({wanted})"
+            ) from None
 
 
 def controller_names() -> tuple[str, ...]:
@@ -295,7 +334,15 @@ def make_controller(
         LeglabError: The name or a setting is not known, or a value is not allowed.
     """
     factory, settings = CONTROLLERS.configured(name, config)
-    return factory(setup, settings)
+    bare = CONTROLLERS.get(name).configuration is Configuration
+    made: Controller = factory(setup) if bare else factory(setup, settings)  # type: ignore[call-arg]
+    return made
+
+
+def diagnostics_of(controller: Controller) -> dict[str, np.ndarray]:
+    """What a controller reports of the last period; nothing where it reports nothing."""
+    report = getattr(controller, "diagnostics", None)
+    return {} if report is None else report()
 
 
 def check_command(command: Any, setup: ControllerSetup, controller: str, time: float) -> np.ndarray:

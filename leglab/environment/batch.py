@@ -25,7 +25,7 @@ from leglab.control import (
     ReferencePoint,
     make_controller,
 )
-from leglab.control.contract import CONTROLLERS
+from leglab.control.contract import CONTROLLERS, diagnostics_of
 from leglab.control.feedforward.adaptive import FeedforwardTeam
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
@@ -336,7 +336,7 @@ class Batch:
                 machine=ManyMachines(own.machine, self.count),
             )
             self._shared = make_controller(settings.controller, many, config)
-            self._feedforward = "feedforward" in self._shared.diagnostics()
+            self._feedforward = "feedforward" in diagnostics_of(self._shared)
         else:
             probe = Loop(settings, preparation=preparation)
             probe.observe()
@@ -359,7 +359,7 @@ class Batch:
             wish = self._shared.command(measurement, point)
             self._wish = wish.reshape(self.command.shape)
             if self._feedforward:
-                told = self._shared.diagnostics()["feedforward"]
+                told = diagnostics_of(self._shared)["feedforward"]
                 self._forward = told.reshape(self.command.shape)
             return
         if self._team is not None:
@@ -378,7 +378,7 @@ class Batch:
                 controller.sent(self.command[i])
             self._wish[i] = loop.checked(controller.command(measurement, point))
             if self._feedforward:
-                self._forward[i] = controller.diagnostics()["feedforward"]
+                self._forward[i] = diagnostics_of(controller)["feedforward"]
 
     def _command_of_team(self, team: FeedforwardTeam, chosen: np.ndarray, first: bool) -> None:
         """The same of controllers that are compiled, in threads."""

@@ -14,6 +14,7 @@ from leglab._native.loop import Rows as RowTaker
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
+from leglab.control.contract import diagnostics_of
 from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.exact_inverse import ExactInverse
 from leglab.controllers.pd import PdConfiguration
@@ -254,7 +255,7 @@ class Loop:
 
     def diagnostics(self) -> dict[str, np.ndarray]:
         """Returns what the controller reports of the present period, by name, (joints,) each."""
-        return {} if self.controller is None else self.controller.diagnostics()
+        return {} if self.controller is None else diagnostics_of(self.controller)
 
     def reference_now(self) -> ReferencePoint:
         """Returns where the joints should be in the next period, before it is observed."""
@@ -472,9 +473,7 @@ class _Records:
         model, data = simulation.model, simulation.data
         self._loop, self._encoders = loop, loop.machine.encoders
         self._simulation, self._schedule = simulation, schedule
-        self._diagnostics = (
-            loop.diagnostics if loop.controller is None else (loop.controller.diagnostics)
-        )
+        self._diagnostics = getattr(loop.controller, "diagnostics", dict)
         self._columns, slots = _state_columns(simulation, schedule)
         self._qpos, self._qvel = np.empty((most, model.nq)), np.empty((most, model.nv))
         self._command = np.empty((most, model.nu))
@@ -504,7 +503,7 @@ class _Records:
             take(row)
         if self._schedule.others:
             self._others[row] = self._schedule.values
-        reports = self._diagnostics()
+        reports: dict[str, np.ndarray] = self._diagnostics()
         if self._copier is None or not self._copier.take(reports, row):
             self._keep(reports, row)
         self.rows = row + 1

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from pydantic import Field
+from pydantic import BaseModel, Field
 
+from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
@@ -17,6 +18,7 @@ from leglab.control import (
     make_controller,
     register_controller,
 )
+from leglab.runs.loop import Loop
 
 SETUP = ControllerSetup(
     joints=("hip", "knee"), control_period=0.002, machine=NominalMachine(position_gain=3.0)
@@ -116,3 +118,52 @@ def test_good_commands_pass_as_they_are():
 def test_bad_commands_are_named(command, message):
     with pytest.raises(LeglabError, match=message):
         check_command(command, SETUP, "pd", 1.5)
+
+
+class Held:
+    """Holds the valves; reports nothing and has no settings."""
+
+    def __init__(self, setup):
+        self.command_of_all = np.zeros(len(setup.joints))
+
+    def reset(self, measurement):
+        """Starts a run."""
+
+    def command(self, measurement, reference):
+        """Valve commands."""
+        return self.command_of_all
+
+
+def test_reports_and_settings_are_optional():
+    register_controller("held", summary="holds")(Held)
+    assert isinstance(make_controller("held", SETUP), Held)
+    with pytest.raises(LeglabError, match="'held' has no settings, but 'gain' was given"):
+        make_controller("held", SETUP, {"gain": 1.0})
+    one = ControllerSetup(joints=("knee",), control_period=0.002)
+    loop = Loop(
+        RunSettings(scenario="nominal", model="knee_bench", duration=0.1), controller=Held(one)
+    )
+    assert np.all(loop.run().command == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        ({"command": None}, "has no method 'command'; needed are reset"),
+        ({"reset": lambda self: None}, r"reset takes \(self\); needed is reset\(measurement\)"),
+    ],
+)
+def test_a_class_that_is_no_controller_is_refused_when_it_is_registered(broken, message):
+    wrong = type("Wrong", (Held,), broken)
+    with pytest.raises(LeglabError, match=message):
+        register_controller("wrong", summary="wrong")(wrong)
+
+
+def test_settings_that_take_any_name_are_refused():
+    class Loose(BaseModel):
+        gain: float = 1.0
+
+    with pytest.raises(
+        LeglabError, match="configuration is .*Loose; allowed: a subclass of leglab"
+    ):
+        register_controller("loose", summary="loose", configuration=Loose)
