@@ -126,4 +126,4 @@ def query(
     elif csv is not None:
         answer.write_csv(None if str(csv) == "-" else csv)
     else:
-        terminal.print_wide(terminal.plain_table(answer.names, answer.cells()))
+        terminal.print_answer(answer.names, answer.cells())

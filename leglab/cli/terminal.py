@@ -12,6 +12,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.errors import MarkupError
+from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -81,6 +82,21 @@ _Made = TypeVar("_Made")
 def print_wide(table: Table) -> None:
     """Prints a table in full, in a terminal or a file that is too narrow as well."""
     _Harmless(highlight=False, width=max(output.width, _WIDE)).print(table)
+
+
+def print_answer(names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints rows as a table, or one field a line where they are wider than the terminal."""
+    table = plain_table(names, rows)
+    console = _Harmless(highlight=False, width=max(output.width, _WIDE))
+    unbound = console.options.update_width(1_000_000)
+    if Measurement.get(console, unbound, table).maximum <= console.width:
+        console.print(table)
+        return
+    space = max(map(len, names))
+    for number, row in enumerate(rows, 1):
+        tell(f"row {number} of {len(rows)}")
+        for name, value in zip(names, row, strict=True):
+            tell(f"  {name:{space}}  {value}".rstrip())
 
 
 def print_json(content: Any, *, ascii_only: bool = True) -> None:

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -588,6 +589,10 @@ def test_questions_are_answered_and_nothing_else_is_done(whole, tmp_path, capsys
     status, printed, _ = command_line("query", tmp_path, sql, "--json", capsys=capsys)
     assert json.loads(printed)[1] == {"controller": "pid", "n": 3, "top": 2}
     assert command_line("query", tmp_path, sql, capsys=capsys)[1].split()[-3:] == ["pid", "3", "2"]
+    # What is wider than the terminal stands one field a line, each whole.
+    wide = command_line("query", tmp_path, "SELECT * FROM runs LIMIT 2", capsys=capsys)[1]
+    assert len(wide.splitlines()) == 2 * (1 + len(ask(tmp_path, "SELECT * FROM runs").names))
+    assert re.search(r"^  controller +p(d|id)$", wide, re.MULTILINE)
     status, printed, _ = command_line("query", tmp_path, sql, "--csv", "-", capsys=capsys)
     assert printed == "controller,n,top\npd,3,2\npid,3,2\n"
     out = tmp_path / "answer.csv"
