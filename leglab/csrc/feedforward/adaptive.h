@@ -232,7 +232,8 @@ class AdaptiveFeedforward {
   PlaySettings plays() const {
     const double sample = settings_.interval * settings_.control_period;
     const double settle = std::min(1.0, sample / settings_.play_time);
-    return {settings_.plays, settings_.turn, settings_.play_step, settle, settings_.play_noise};
+    const double leak = 0.1 * settings_.control_period / settings_.play_time;
+    return {settings_.plays, settings_.turn, settings_.play_step, settle, settings_.play_noise, leak};
   }
 
   SupervisorSettings supervision() const {
@@ -357,6 +358,12 @@ class AdaptiveFeedforward {
                         motion_[j] > settings_.learn_lower[j] &&
                         motion_[j] < settings_.learn_upper[j];
     if (!valves_.empty()) excess += learn_load(j, usable);
+    const bool contest = contenders_.any();
+    double own_gain = 1.0;
+    if (contest) {
+      contenders_.look(map_, i, settings_.forward);
+      own_gain = contenders_.gain(*learners_[j]);
+    }
     const auto learned = learners_[j]->state().learned;
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
@@ -366,7 +373,7 @@ class AdaptiveFeedforward {
     const auto found_with = [&](int play) {
       return play == play_ ? excess : excess + plays_.flow(play, j) - flow_[j];
     };
-    contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
+    if (contest) contenders_.take(j, inputs_, found_with, usable, error_[j] / own_gain, count_);
     if (play_ > 0) learn_width(j, usable);
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }

@@ -17,13 +17,16 @@ struct PlaySettings {
   double step = 0.0;           // of a width, over which it is seen what more of it would do
   double settle = 1.0;         // share of its error by which a width in use moves at a sample
   double noise = 0.0;          // flow of that step which is noise [share of full speed]
+  double leak = 0.0;           // share by which the travel of a command is forgotten in a period
 };
 
 // Follows where spools are if the valves have a play of a width (Krasnosel'skii and Pokrovskii 1989).
 // A command reaches the spool half a width late, so the inverse of a play adds half its width in the
 // direction in which the command moves. Place 0 has no play, the next ones those that are tried, and
 // the last but one those in use: one of its own for each joint, found by least squares of the map's
-// errors on what a little more of it would change and the map cannot tell.
+// errors on what a little more of it would change and the map cannot tell. No play is wider than a
+// quarter of the travel of its command: one that eats the command predicts any motion, since it lets
+// nothing of what was sent through.
 class Plays {
  public:
   Plays(PlaySettings settings, const SmoothingWindow& window, std::size_t joints)
@@ -32,7 +35,7 @@ class Plays {
     width_.assign(n, std::vector<double>(joints));
     spool_ = flow_ = width_;
     windows_.assign(n, window);
-    last_ = direction_ = power_ = width_[0];
+    last_ = direction_ = power_ = highest_ = lowest_ = width_[0];
     for (std::size_t k = 0; k < settings_.widths.size(); ++k) {
       std::fill(width_[k + 1].begin(), width_[k + 1].end(), settings_.widths[k]);
     }
@@ -40,11 +43,13 @@ class Plays {
 
   bool any() const { return width_.size() > 1; }
   int used() const { return any() ? int(width_.size()) - 2 : 0; }
-  double width(int play, std::size_t j) const { return width_[std::size_t(play)][j]; }
+  double width(int play, std::size_t j) const {
+    return std::min(width_[std::size_t(play)][j], widest(j));
+  }
 
   void reset() {
     for (auto& spool : spool_) std::fill(spool.begin(), spool.end(), 0.0);
-    for (auto* values : {&last_, &direction_, &power_}) {
+    for (auto* values : {&last_, &direction_, &power_, &highest_, &lowest_}) {
       std::fill(values->begin(), values->end(), 0.0);
     }
     use(0);
@@ -70,9 +75,14 @@ class Plays {
   // Takes the commands that were sent, and what flow each position of a spool gives now.
   template <class Flow>
   void take(const double* position, const double* sent, const Flow& flow) {
+    for (std::size_t j = 0; j < last_.size(); ++j) {
+      const double forgotten = settings_.leak * (highest_[j] - lowest_[j]);
+      highest_[j] = std::max(sent[j], highest_[j] - forgotten);
+      lowest_[j] = std::min(sent[j], lowest_[j] + forgotten);
+    }
     for (std::size_t k = 0; k < width_.size(); ++k) {
       for (std::size_t j = 0; j < last_.size(); ++j) {
-        const double half = 0.5 * width_[k][j];
+        const double half = 0.5 * width(int(k), j);
         double& spool = spool_[k][j];
         spool = std::clamp(spool, sent[j] - half, sent[j] + half);
         flow_[k][j] = flow(j, spool);
@@ -101,7 +111,7 @@ class Plays {
     const double least = settings_.noise / settings_.step;
     const double by = settings_.settle * error * slope / (power_[j] + least * least);
     const double before = width_[own][j];
-    width_[own][j] = std::clamp(before - by, 0.0, 1.0);
+    width_[own][j] = std::clamp(before - by, 0.0, widest(j));
     further();
     return width_[own][j] - before;
   }
@@ -116,6 +126,8 @@ class Plays {
   }
 
  private:
+  double widest(std::size_t j) const { return 0.25 * (highest_[j] - lowest_[j]); }
+
   // The last place is a little wider than what is in use.
   void further() {
     const auto& own = width_[width_.size() - 2];
@@ -126,6 +138,7 @@ class Plays {
   std::vector<std::vector<double>> width_, spool_, flow_;  // by place and joint
   std::vector<SmoothingWindow> windows_;
   std::vector<double> last_, direction_, power_;
+  std::vector<double> highest_, lowest_;  // commands of late
 };
 
 }  // namespace leglab::feedforward
