@@ -24,8 +24,8 @@ struct PlaySettings {
 // A command reaches the spool half a width late, so the inverse of a play adds half its width in the
 // direction in which the command moves. Place 0 has no play, the next ones those that are tried, and
 // the last but one those in use: one of its own for each joint, found by least squares of the map's
-// errors on what a little more of it would change and the map cannot tell. No play is wider than a
-// quarter of the travel of its command: one that eats the command predicts any motion, since it lets
+// errors on what a little more of it would change and the map cannot tell. No play is wider than an
+// eighth of the travel of its command: one that eats the command predicts any motion, since it lets
 // nothing of what was sent through.
 class Plays {
  public:
@@ -126,7 +126,7 @@ class Plays {
   }
 
  private:
-  double widest(std::size_t j) const { return 0.25 * (highest_[j] - lowest_[j]); }
+  double widest(std::size_t j) const { return 0.125 * (highest_[j] - lowest_[j]); }
 
   // The last place is a little wider than what is in use.
   void further() {
