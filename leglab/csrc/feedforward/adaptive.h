@@ -358,11 +358,6 @@ class AdaptiveFeedforward {
                         motion_[j] > settings_.learn_lower[j] &&
                         motion_[j] < settings_.learn_upper[j];
     if (!valves_.empty()) excess += learn_load(j, usable);
-    double own_gain = 1.0;
-    if (contenders_.any()) {
-      contenders_.look(map_, i, settings_.forward);
-      own_gain = contenders_.gain(*learners_[j]);
-    }
     const auto learned = learners_[j]->state().learned;
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
@@ -372,7 +367,7 @@ class AdaptiveFeedforward {
     const auto found_with = [&](int play) {
       return play == play_ ? excess : excess + plays_.flow(play, j) - flow_[j];
     };
-    contenders_.take(j, inputs_, found_with, usable, error_[j] / own_gain, count_);
+    contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
     if (play_ > 0) learn_width(j, usable);
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }

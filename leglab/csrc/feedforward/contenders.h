@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "feedforward/proof.h"
-#include "identification/guard.h"
 
 namespace leglab::feedforward {
 
@@ -24,8 +23,6 @@ struct ContenderSettings {
 // the map that knows nothing, of now and, as a geometric mean, of what has been. One that predicts
 // much worse than that map (Occam's window; Madigan and Raftery 1994) is out for good: it learns as
 // well, and would come back where the motion is easy.
-// Errors are compared as errors of the motion, those of the flow over how much more flow a faster
-// motion takes: a play so wide that it lets no flow through would predict its flow without error.
 template <class Learner>
 class Contenders {
  public:
@@ -88,23 +85,6 @@ class Contenders {
     return sum;
   }
 
-  // Prepares `gain` for a joint's motion, of which `map` knows the inputs. A forward map gives the
-  // motion itself.
-  template <class Map>
-  void look(const Map& map, int joint, bool forward) {
-    forward_ = forward;
-    if (forward) return;
-    map.inputs(joint, map.share(joint) - step, slower_);
-    map.inputs(joint, map.share(joint) + step, faster_);
-  }
-
-  // Flow by which a motion takes more flow as it is faster, both as shares of full speed.
-  double gain(Learner& learner) const {
-    if (forward_) return 1.0;
-    const double slope = (learner.peek(faster_) - learner.peek(slower_)) / (2.0 * step);
-    return std::max(1.0 + slope, least_gain);
-  }
-
   // A sample of a joint, and the error of the map without a contender. `found` by play.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
@@ -113,9 +93,9 @@ class Contenders {
     for (std::size_t k = 0; k < others_.size(); ++k) {
       if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
-      const double found = found_with(others_[k].play), own_gain = gain(learner);
+      const double found = found_with(others_[k].play);
       const auto learned = learner.state().learned;
-      const double error = (found - learner.update(inputs, found, usable)) / own_gain;
+      const double error = found - learner.update(inputs, found, usable);
       if (learner.state().learned == learned) continue;
       sum_[k + 1] += error * error;
       others_[k].proofs[j].take(period, found, learner.rls().theta());
@@ -169,15 +149,8 @@ class Contenders {
     for (double& weight : weight_) weight /= sum;
   }
 
-  // A tenth of full speed: what splines of the velocity do within it is noise. Maps that take a
-  // tenth of the calibration's flow for a motion are wrong enough.
-  static constexpr double step = 0.1, least_gain = 0.1;
-
   ContenderSettings settings_;
   std::vector<Other> others_;
-  bool forward_ = false;
-  double slower_[identification::GuardSettings<double>::max_inputs] = {};
-  double faster_[identification::GuardSettings<double>::max_inputs] = {};
   std::vector<double> weight_, error_, sum_, ratio_;  // of the map without a contender, and of each
 };
 
