@@ -1,5 +1,10 @@
 # The public names, and where they are defined: `__init__.py` loads from this list.
+from .base.errors import FileError as FileError
 from .base.errors import LeglabError as LeglabError
+from .base.errors import ModelError as ModelError
+from .base.errors import RecordingError as RecordingError
+from .base.errors import SettingsError as SettingsError
+from .base.errors import SimulationError as SimulationError
 from .base.recording import Recording as Recording
 from .base.scenario import Options as Options
 from .base.scenario import ParameterChange as ParameterChange

@@ -1,22 +1,79 @@
-"""The one error that users see as a line, not as a traceback."""
+"""The errors that users see as a line, not as a traceback."""
 
 import difflib
 from collections.abc import Iterable
+from typing import Self
 
 
 class LeglabError(ValueError):
-    """Bad input: the message names what is wrong, where, and what is allowed."""
+    """Bad input: the message names what is wrong, where, and what is allowed.
+
+    A subclass says of what kind the input is; this class itself is raised where the computer lacks
+    something, such as a package or a display.
+
+    Args:
+        message: One line; where it ends with a space, `allowed` follows, names with commas.
+        given: As the attribute.
+        allowed: As the attribute.
+
+    Attributes:
+        given: The name, value or path that was refused; None where there is not one alone.
+        allowed: The names to choose from as a tuple, or a text such as "0 or more"; None where
+            nothing of the kind can be told.
+    """
+
+    def __init__(
+        self, message: str, *, given: object = None, allowed: Iterable[str] | None = None
+    ) -> None:
+        listed = allowed if allowed is None or isinstance(allowed, str) else tuple(allowed)
+        if listed is not None and message.endswith(" "):
+            message += listed if isinstance(listed, str) else ", ".join(listed)
+        super().__init__(message)
+        self.given = given
+        self.allowed = listed
+
+    @classmethod
+    def unknown(cls, kind: str, name: object, known: Iterable[str]) -> Self:
+        """Builds the error for a name that is not among the known ones.
+
+        Args:
+            kind: What the name stands for, for instance "scenario".
+            name: The name that was asked for.
+            known: The names that exist; all are listed, the closest one is suggested.
+        """
+        choices = sorted(known)
+        close = difflib.get_close_matches(str(name), choices, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        message = f"unknown {kind} {name!r}: choose one of {', '.join(choices)}{hint}"
+        return cls(message, given=name, allowed=choices)
+
+    def at(self, place: object) -> Self:
+        """Builds the same error with its place, for instance a file, before the message."""
+        error = type(self)(f"{place}: {self}", given=self.given)
+        error.allowed = self.allowed
+        return error
+
+
+class ModelError(LeglabError):
+    """A model, its MJCF, a plugin of MuJoCo or the machine that they describe does not fit."""
+
+
+class RecordingError(LeglabError):
+    """Measured data or their columns cannot be used."""
+
+
+class SettingsError(LeglabError):
+    """A setting, an option, a name or an argument is not allowed."""
+
+
+class SimulationError(LeglabError):
+    """A run fails or diverges: the message says when and which state."""
+
+
+class FileError(LeglabError):
+    """A file or folder is not there, cannot be read or written, or has another format."""
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> LeglabError:
-    """Builds the error for a name that is not among the known ones.
-
-    Args:
-        kind: What the name stands for, for instance "scenario".
-        name: The name that was asked for.
-        known: The names that exist; all are listed, the closest one is suggested.
-    """
-    choices = sorted(known)
-    close = difflib.get_close_matches(str(name), choices, n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    return LeglabError(f"unknown {kind} {name!r}: choose one of {', '.join(choices)}{hint}")
+    """As `SettingsError.unknown`."""
+    return SettingsError.unknown(kind, name, known)

@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 
 
 def read_bytes(path: str | Path, most: int = -1) -> bytes:
@@ -22,12 +22,14 @@ def read_bytes(path: str | Path, most: int = -1) -> bytes:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as stream:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
-                raise LeglabError(f"{path}: cannot be read: it is no regular file")
+                raise FileError(f"{path}: cannot be read: it is no regular file", given=path)
             return stream.read(most)
     except OSError as error:
-        raise LeglabError(f"{path}: cannot be read: {error.strerror or error}") from error
+        reason = error.strerror or error
+        raise FileError(f"{path}: cannot be read: {reason}", given=path) from error
     except MemoryError as error:
-        raise LeglabError(f"{path}: cannot be read: it does not fit into memory") from error
+        reason = "it does not fit into memory"
+        raise FileError(f"{path}: cannot be read: {reason}", given=path) from error
 
 
 def no_file(path: str | Path) -> str:
@@ -47,7 +49,7 @@ def read_json(path: str | Path) -> Any:
     except ValueError as error:
         if isinstance(error, LeglabError):
             raise
-        raise LeglabError(f"{path}: cannot be read: {error}") from error
+        raise FileError(f"{path}: cannot be read: {error}", given=path) from error
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError
 
 _LOCK = ".leglab.lock"
 _WORKPLACE = ".leglab-work."
@@ -112,13 +112,13 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
         if not os.path.lexists(folder):
             return
         if not overwrite:
-            raise LeglabError(
-                f"output folder {str(folder)!r} exists; remove it or give --overwrite"
-            )
+            told = f"output folder {str(folder)!r} exists; remove it or give --overwrite"
+            raise FileError(told, given=folder)
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / mark).exists()):
-            raise LeglabError(f"{str(folder)!r} holds no {mark}: it is left as it is")
+            raise FileError(f"{str(folder)!r} holds no {mark}: it is left as it is", given=folder)
         if Path.cwd().is_relative_to(os.path.realpath(folder)):
-            raise LeglabError(f"{str(folder)!r} is or holds the working folder: give another one")
+            told = f"{str(folder)!r} is or holds the working folder: give another one"
+            raise FileError(told, given=folder)
     except OSError as error:
         raise cannot_write(folder, error) from error
 
@@ -132,7 +132,8 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
     real = os.path.realpath(folder)
     for path in inputs:
         if Path(os.path.realpath(path)).is_relative_to(real):
-            raise LeglabError(f"{path} lies in the output folder {str(folder)!r}: give another one")
+            told = f"{path} lies in the output folder {str(folder)!r}: give another one"
+            raise FileError(told, given=path)
 
 
 @contextmanager
@@ -202,9 +203,9 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
             remove([workplace])
 
 
-def cannot_write(path: Path, error: OSError) -> LeglabError:
+def cannot_write(path: Path, error: OSError) -> FileError:
     """Returns the error of a file or folder that cannot be written, with the system's reason."""
-    return LeglabError(f"{path}: cannot be written: {error.strerror or error}")
+    return FileError(f"{path}: cannot be written: {error.strerror or error}", given=path)
 
 
 @contextmanager
@@ -262,9 +263,10 @@ def _acquire(lock: Path, place: Path) -> tuple[int, bool]:
                 patience -= 1
                 time.sleep(0.02)
                 continue
-            raise LeglabError(
+            raise FileError(
                 f"{place}: {owner or 'another process'} is writing it; wait for its end or give "
-                "another place"
+                "another place",
+                given=place,
             ) from error
         except OSError as error:
             if error.errno in _NO_LOCKS:
@@ -293,7 +295,7 @@ def regular_file(path: Path) -> Path:
         return real
     if not stat.S_ISREG(mode):
         what = "a folder" if stat.S_ISDIR(mode) else "no regular file"
-        raise LeglabError(f"{path}: cannot be written: it is {what}")
+        raise FileError(f"{path}: cannot be written: it is {what}", given=path)
     return real
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypedDict
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.input import no_file
 
 KINDS = ("controllers", "scenarios", "references", "effects", "models")
@@ -81,7 +81,8 @@ def load_entry_points(
             if register is not None and not known(name):
                 register(name, found)
             if not known(name):
-                raise LeglabError(f"it registers nothing called {name!r} among the {kind}")
+                told = f"it registers nothing called {name!r} among the {kind}"
+                raise SettingsError(told, given=name)
         except Exception as error:
             _failures[kind, name] = f"{where} cannot be loaded: {_line(error)}"
         else:
@@ -114,20 +115,16 @@ def load(source: str) -> None:
     path = Path(source)
     is_file = path.suffix == ".py" or path.is_file()
     if is_file and not path.is_file():
-        raise LeglabError(f"--load {source}: {no_file(source)}")
+        raise FileError(f"--load {source}: {no_file(source)}", given=source)
     try:
         with _Importing():
             module = _import_file(path.resolve()) if is_file else importlib.import_module(source)
     except LeglabError as error:
-        raise LeglabError(f"--load {source}: {error}") from error
-    except ModuleNotFoundError as error:
-        if error.name == source:
-            raise LeglabError(
-                f"--load {source}: there is no module of this name, nor a file"
-            ) from error
-        raise LeglabError(f"--load {source}: {_line(error)}") from error
+        raise error.at(f"--load {source}") from error
     except Exception as error:
-        raise LeglabError(f"--load {source}: {_line(error)}") from error
+        missing = isinstance(error, ModuleNotFoundError) and error.name == source
+        reason = "there is no module of this name, nor a file" if missing else _line(error)
+        raise SettingsError(f"--load {source}: {reason}", given=source) from error
     _sources[str(path.resolve()) if is_file else source] = True
     _files.update(_package_files(module))
 
@@ -219,7 +216,7 @@ def _import_file(path: Path) -> ModuleType:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise LeglabError("it is no Python file")
+        raise FileError("it is no Python file", given=path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

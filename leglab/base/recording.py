@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import RecordingError
 from leglab.base.notebook import data_frame, html_table, panels
 from leglab.base.units import error_unit, own_units, unit_of
 
@@ -53,22 +53,25 @@ class Recording:
     def __post_init__(self) -> None:
         time = _read_only(self.time, "time")
         if time.size == 0:
-            raise LeglabError("a recording needs at least one sample, 'time' is empty")
+            raise RecordingError("a recording needs at least one sample, 'time' is empty")
         _check_time(time)
         columns = {}
         for name, samples in self.columns.items():
             if not isinstance(name, str) or not name or name == "time":
-                raise LeglabError(f"{name!r} cannot name a column: use text other than 'time'")
+                told = f"{name!r} cannot name a column: use "
+                raise RecordingError(told, given=name, allowed="text other than 'time'")
             columns[name] = _read_only(samples, name)
             if columns[name].size != time.size:
-                raise LeglabError(
-                    f"column {name!r} has {columns[name].size} samples, 'time' has {time.size}"
+                raise RecordingError(
+                    f"column {name!r} has {columns[name].size} samples, 'time' has {time.size}",
+                    given=name,
                 )
         for key, value in self.metadata.items():
             try:
                 json.dumps({key: value}, allow_nan=False)
             except (TypeError, ValueError) as error:
-                raise LeglabError(f"metadata {key!r} cannot be stored as JSON: {error}") from error
+                told = f"metadata {key!r} cannot be stored as JSON: {error}"
+                raise RecordingError(told, given=key) from error
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "columns", MappingProxyType(columns))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -81,7 +84,7 @@ class Recording:
         if name == "time":
             return self.time
         if name not in self.columns:
-            raise unknown_name("column", name, self.columns)
+            raise RecordingError.unknown("column", name, self.columns)
         return self.columns[name]
 
     def __contains__(self, name: object) -> bool:
@@ -138,7 +141,7 @@ class Recording:
             endings = ("_position", "_reference", "_command")
             columns = tuple(c for c in self.columns if c.endswith(endings)) or tuple(self.columns)
         if not columns:
-            raise LeglabError("nothing to plot: the recording has no column")
+            raise RecordingError("nothing to plot: the recording has no column")
         groups: dict[str, list[str]] = {}
         for name in columns:
             self[name]  # an unknown one is refused before a figure opens
@@ -176,14 +179,15 @@ class Recording:
             LeglabError: There is one sample only, or the intervals differ; names the row.
         """
         if self.time.size < 2:
-            raise LeglabError("a recording of one sample has no sampling period")
+            raise RecordingError("a recording of one sample has no sampling period")
         intervals = np.diff(self.time)
         period = float(np.median(intervals))
         worst = int(np.argmax(np.abs(intervals - period)))
         if abs(intervals[worst] - period) > _UNIFORM_TOLERANCE * period:
-            raise LeglabError(
+            raise RecordingError(
                 f"samples are not uniform: {intervals[worst]:g} s between rows {worst} and "
-                f"{worst + 1}, usual are {period:g} s"
+                f"{worst + 1}, usual are {period:g} s",
+                given=float(intervals[worst]),
             )
         return self.duration / (self.time.size - 1)
 
@@ -286,9 +290,10 @@ class Recording:
         """
         first, last = np.searchsorted(self.time, (start, end))
         if first >= last:
-            raise LeglabError(
-                f"no sample in [{start:g}, {end:g}) s: the recording covers "
-                f"[{self.time[0]:g}, {self.time[-1]:g}] s"
+            raise RecordingError(
+                f"no sample in [{start:g}, {end:g}) s: the recording covers ",
+                given=(start, end),
+                allowed=f"[{self.time[0]:g}, {self.time[-1]:g}] s",
             )
         columns = {name: samples[first:last] for name, samples in self.columns.items()}
         return Recording(time=self.time[first:last], columns=columns, metadata=self.metadata)
@@ -344,14 +349,16 @@ def _read_only(samples: Any, name: str) -> np.ndarray:
     """Returns the samples as a read-only float64 array of shape (n,) that nobody else can write."""
     array = np.asarray(samples)
     if array.ndim != 1:
-        raise LeglabError(f"column {name!r} has shape {array.shape}, allowed is (n,)")
+        told = f"column {name!r} has shape {array.shape}, allowed is "
+        raise RecordingError(told, given=array.shape, allowed="(n,)")
     if array.dtype == np.float64 and array.base is None and not array.flags.writeable:
         return array
     try:
         array = np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         row, value = _first_not_a_number(array)
-        raise LeglabError(f"column {name!r}, row {row}: {value!r} is not a number") from error
+        told = f"column {name!r}, row {row}: {value!r} is not "
+        raise RecordingError(told, given=value, allowed="a number") from error
     array.setflags(write=False)
     return array
 
@@ -369,11 +376,13 @@ def _check_time(time: np.ndarray) -> None:
     finite = np.isfinite(time)
     if not finite.all():
         row = int(np.argmin(finite))
-        raise LeglabError(f"column 'time', row {row}: {time[row]} is not a finite time")
+        told = f"column 'time', row {row}: {time[row]} is not "
+        raise RecordingError(told, given=float(time[row]), allowed="a finite time")
     backwards = np.diff(time) <= 0
     if backwards.any():
         row = int(np.argmax(backwards)) + 1
-        raise LeglabError(
+        raise RecordingError(
             f"column 'time', row {row}: {float(time[row])!r} s does not come after "
-            f"{float(time[row - 1])!r} s; time must increase strictly"
+            f"{float(time[row - 1])!r} s; time must increase strictly",
+            given=float(time[row]),
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.settings import Configuration, validate_configuration
 
 Entry = TypeVar("Entry")
@@ -55,8 +55,9 @@ class Registry(Generic[Entry]):
             plugins.note(defined_by.__module__)
         taken = self._definitions.get(name)
         if taken not in (None, definition):
-            raise LeglabError(
-                f"{self.kind} {name!r} is defined twice: in {taken[0]} and in {definition[0]}"
+            raise SettingsError(
+                f"{self.kind} {name!r} is defined twice: in {taken[0]} and in {definition[0]}",
+                given=name,
             )
         self._definitions[name] = definition
         self._entries[name] = entry
@@ -77,8 +78,9 @@ class Registry(Generic[Entry]):
         """
         self._load()
         if name not in self._entries:
-            error = unknown_name(self.kind, name, self._entries)
-            raise LeglabError("; ".join((str(error), *plugins.failures(f"{self.kind}s"))))
+            error = SettingsError.unknown(self.kind, name, self._entries)
+            told = "; ".join((str(error), *plugins.failures(f"{self.kind}s")))
+            raise SettingsError(told, given=name, allowed=error.allowed)
         return self._entries[name]
 
     def names(self) -> tuple[str, ...]:
@@ -126,9 +128,10 @@ class FactoryRegistry(Registry[Configured[Entry]]):
         """
         if not (isinstance(configuration, type) and issubclass(configuration, Configuration)):
             given = getattr(configuration, "__qualname__", repr(configuration))
-            raise LeglabError(
-                f"{self.kind} {name!r}: configuration is {given}; allowed: a subclass of "
-                "leglab.Configuration, which refuses unknown settings"
+            raise SettingsError(
+                f"{self.kind} {name!r}: configuration is {given}; allowed: ",
+                given=configuration,
+                allowed="a subclass of leglab.Configuration, which refuses unknown settings",
             )
 
         def add(factory: Entry) -> Entry:

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from glob import escape
 from typing import Any
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.registry import Registry
 
 _KINDS = ("scale", "set")
@@ -42,15 +42,19 @@ class ParameterChange:
     def __post_init__(self) -> None:
         where = f"change of {self.parameter!r}"
         if self.kind not in _KINDS:
-            raise LeglabError(f"{where}: unknown kind {self.kind!r}: choose {' or '.join(_KINDS)}")
+            told = f"{where}: unknown kind {self.kind!r}: choose {' or '.join(_KINDS)}"
+            raise SettingsError(told, given=self.kind, allowed=_KINDS)
         if not math.isfinite(self.value):
-            raise LeglabError(f"{where}: value {self.value!r} is not finite")
+            told = f"{where}: value {self.value!r} is not finite"
+            raise SettingsError(told, given=self.value, allowed="a finite number")
         if self.kind == "scale" and self.value < 0:
-            raise LeglabError(f"{where}: factor {self.value!r} is negative, allowed is >= 0")
+            told = f"{where}: factor {self.value!r} is negative, allowed is "
+            raise SettingsError(told, given=self.value, allowed=">= 0")
         for name in ("start", "ramp_duration"):
             seconds = getattr(self, name)
             if not (seconds >= 0 and math.isfinite(seconds)):
-                raise LeglabError(f"{where}: {name} {seconds!r} s is not allowed, must be >= 0")
+                told = f"{where}: {name} {seconds!r} s is not allowed, must be "
+                raise SettingsError(told, given=seconds, allowed=">= 0")
 
     @property
     def end(self) -> float:
@@ -193,18 +197,21 @@ class Scenario:
     def __post_init__(self) -> None:
         where = f"scenario {self.name!r}"
         if not (self.duration > 0 and math.isfinite(self.duration)):
-            raise LeglabError(f"{where}: duration {self.duration!r} s is not allowed, must be > 0")
+            told = f"{where}: duration {self.duration!r} s is not allowed, must be "
+            raise SettingsError(told, given=self.duration, allowed="> 0")
         for earlier, later in zip(self.changes, self.changes[1:], strict=False):
             if later.start < earlier.start:
-                raise LeglabError(
+                raise SettingsError(
                     f"{where}: the schedule goes backwards: {later.parameter!r} changes at "
-                    f"{later.start:g} s, listed after {earlier.parameter!r} at {earlier.start:g} s"
+                    f"{later.start:g} s, listed after {earlier.parameter!r} at {earlier.start:g} s",
+                    given=later.start,
                 )
         for change in self.changes:
             if change.end > self.duration:
-                raise LeglabError(
+                raise SettingsError(
                     f"{where}: the change of {change.parameter!r} lasts until {change.end:g} s, "
-                    f"the run ends at {self.duration:g} s"
+                    f"the run ends at {self.duration:g} s",
+                    given=change.end,
                 )
 
     @property
@@ -352,10 +359,11 @@ def get_scenario(
     """
     entry = SCENARIOS.get(name)
     if element is not None and not entry.per_joint:
-        able = ", ".join(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint)
-        raise LeglabError(
+        raise SettingsError(
             f"scenario {name!r} does not happen to one joint alone, but element {element!r} was "
-            f"given; these do: {able}"
+            "given; these do: ",
+            given=name,
+            allowed=(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint),
         )
     duration = entry.duration if duration is None else duration
     chosen = _choose_severity(name, entry.severity, severity)
@@ -371,7 +379,8 @@ def get_scenario(
         own = joint_pattern(element)
         changes = tuple(replace(change, element=own, fallback=False) for change in changes)
     if ramp_duration and not changes:
-        raise LeglabError(f"scenario {name!r} changes nothing, so it has no ramp_duration")
+        told = f"scenario {name!r} changes nothing, so it has no ramp_duration"
+        raise SettingsError(told, given=ramp_duration)
     return Scenario(
         **settled,
         reference=entry.reference,
@@ -409,13 +418,13 @@ def scenario_per_joint(name: str) -> bool:
 def _choose_severity(name: str, severity: Severity | None, asked: float | None) -> float | None:
     if severity is None:
         if asked is not None:
-            raise LeglabError(f"scenario {name!r} has no severity, but {asked!r} was given")
+            told = f"scenario {name!r} has no severity, but {asked!r} was given"
+            raise SettingsError(told, given=asked)
         return None
     if asked is None:
         return severity.default
     if not severity.lowest <= asked <= severity.highest:
-        raise LeglabError(
-            f"scenario {name!r}: severity {asked!r} is outside [{severity.lowest:g}, "
-            f"{severity.highest:g}]; it is the {severity.meaning}"
-        )
+        allowed = f"[{severity.lowest:g}, {severity.highest:g}]"
+        told = f"scenario {name!r}: severity {asked!r} is outside {allowed}; it is the "
+        raise SettingsError(told + severity.meaning, given=asked, allowed=allowed)
     return asked

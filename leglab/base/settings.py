@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 
 # A setting and its meaning, up to the next one; a unit, but for ranges such as [-1, 1].
 _SETTING = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
@@ -21,6 +21,13 @@ class Configuration(BaseModel):
 
 
 Model = TypeVar("Model", bound=Configuration)
+
+
+def first_problem(error: ValidationError) -> tuple[str, str]:
+    """Returns where a validation found its first problem, "" for the whole, and the reason."""
+    problem = error.errors(include_url=False, include_input=False)[0]
+    reason = problem["msg"].removeprefix("Value error, ")
+    return ".".join(str(part) for part in problem["loc"]), reason[:1].lower() + reason[1:]
 
 
 def validate_configuration(
@@ -44,18 +51,15 @@ def validate_configuration(
         return model.model_validate(dict(values or {}))
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in problem["loc"])
+        key, reason = first_problem(error)
     if problem["type"] == "extra_forbidden":
         if not model.model_fields:
-            raise LeglabError(f"{owner} has no settings, but {key!r} was given")
-        raise unknown_name(f"setting of {owner}", key, model.model_fields)
+            raise SettingsError(f"{owner} has no settings, but {key!r} was given", given=key)
+        raise SettingsError.unknown(f"setting of {owner}", key, model.model_fields)
     if problem["type"] == "missing":
-        raise LeglabError(f"{owner} needs the setting {key!r}")
-    message = problem["msg"].removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:]
-    if not key:
-        raise LeglabError(f"{owner}: {message}")
-    raise LeglabError(f"{owner}: setting {key!r} is {problem['input']!r}: {message}")
+        raise SettingsError(f"{owner} needs the setting {key!r}", allowed=(key,))
+    where = f"{owner}: setting {key!r} is {problem['input']!r}: " if key else f"{owner}: "
+    raise SettingsError(where, given=problem["input"], allowed=reason)
 
 
 def documented_units(owner: type) -> dict[str, str]:

@@ -306,7 +306,7 @@ def test_a_full_disk_leaves_the_earlier_file(tmp_path):
         check=False,
         preexec_fn=_little_space,
     )
-    assert "LeglabError: a.csv: cannot be written: File too large" in done.stderr
+    assert "FileError: a.csv: cannot be written: File too large" in done.stderr
     assert (tmp_path / "a.csv").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
