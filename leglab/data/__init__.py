@@ -3,7 +3,7 @@
 from pathlib import Path
 from types import ModuleType
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
@@ -112,7 +112,7 @@ def read_table(
         columns = read_column_map(columns)
     is_bag = path.is_dir()
     if not is_bag and not path.is_file():
-        raise LeglabError(f"{path}: {no_file(path)}")
+        raise FileError(f"{path}: {no_file(path)}", given=path)
     form = mcap if is_bag else _MODULES[format_of(path)]
     # Only topics have clocks of their own, and how they are brought onto one depends on the names.
     left_out: dict[str, str] | None = {} if partial else None
@@ -126,10 +126,10 @@ def read_table(
         reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}
     if "time" not in table and left_out and "time" in left_out:
-        raise LeglabError(f"{path}: {metadata['unreadable']['time']}")
+        raise RecordingError(f"{path}: {metadata['unreadable']['time']}", given="time")
     if "time" not in table:
         found = ", ".join(map(repr, table)) or "no column"
-        raise LeglabError(f"{path}: no column 'time', found {found}")
+        raise RecordingError(f"{path}: no column 'time', found {found}", given=tuple(table))
     return table, metadata
 
 
@@ -162,9 +162,9 @@ def write(
     elif module in (mcap, rerun):
         module.write(recording, path, scene)
     else:
-        raise LeglabError(
-            f"{path}: {form or format_of(path)} cannot show a machine; allowed: mcap, rerun"
-        )
+        form = form or format_of(path)
+        told = f"{path}: {form} cannot show a machine; allowed: "
+        raise FileError(told, given=form, allowed=("mcap", "rerun"))
     return path
 
 
@@ -194,14 +194,13 @@ def format_of(path: str | Path) -> str:
     """
     path = Path(path)
     if path.suffix not in _SUFFIXES:
-        raise LeglabError(
-            f"{path}: suffix {path.suffix!r} is not a known format, allowed: {', '.join(_SUFFIXES)}"
-        )
+        told = f"{path}: suffix {path.suffix!r} is not a known format, allowed: "
+        raise FileError(told, given=path.suffix, allowed=_SUFFIXES)
     return _SUFFIXES[path.suffix]
 
 
 def _module(path: Path, form: str | None) -> ModuleType:
     form = form or format_of(path)
     if form not in _MODULES:
-        raise unknown_name("format", form, FORMATS)
+        raise FileError.unknown("format", form, FORMATS)
     return _MODULES[form]

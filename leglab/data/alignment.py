@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 
 # A pause this many times the usual interval is a gap that no value is drawn across: above the
 # jitter of a topic on a busy computer, where single messages come one or two periods late.
@@ -74,9 +74,11 @@ def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) ->
     interval = np.diff(stamps)
     if (interval < 0).any():
         row = int(np.argmax(interval < 0)) + 1
-        raise LeglabError(
+        raise RecordingError(
             f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
-            f"comes after {stamps[row - 1]} ns; allowed: stamps that do not go backwards"
+            f"comes after {stamps[row - 1]} ns; allowed: ",
+            given=int(stamps[row]),
+            allowed="stamps that do not go backwards",
         )
     latest = np.append(interval > 0, True)  # Of several messages at one time the last one counts.
     stamps, values = stamps[latest], values[latest]

@@ -11,7 +11,7 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
 from leglab.data.files import first_line, refuse
@@ -83,7 +83,7 @@ def scan(path: Path) -> Bag:
             reason = f"it ends {at}; is the file truncated?"
         else:
             reason = f"{at}: {first_line(error)}"
-        raise LeglabError(f"{path}: not a complete MCAP file: {reason}") from error
+        raise FileError(f"{path}: not a complete MCAP file: {reason}", given=path) from error
     return bag
 
 
@@ -123,7 +123,7 @@ def decode(
             schema = bag.schemas[channel.schema_id]
             decoder = factory.decoder_for(channel.message_encoding, schema)
             if decoder is None:
-                raise LeglabError(
+                raise RecordingError(
                     f"encoded as {channel.message_encoding!r} with a definition in "
                     f"{schema.encoding!r}; allowed: 'cdr' with 'ros2msg'"
                 )
@@ -133,7 +133,7 @@ def decode(
             found = numbers(schema.name, content, channel.topic, is_clock=is_clock)
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
-            told = LeglabError(f"{where}: {first_line(error)}")
+            told = RecordingError(f"{where}: {first_line(error)}", given=channel.topic)
             if left_out is None or channel.topic == clock_topic:
                 raise told from error
             refuse(owner, told, left_out)
@@ -151,7 +151,8 @@ def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> TopicSeri
     try:
         stamps = np.array(header if by_header else log, dtype=np.int64)
     except (OverflowError, TypeError, ValueError) as error:
-        raise LeglabError(f"{path}: topic {topic!r}: stamps beyond 2^63 ns") from error
+        told = f"{path}: topic {topic!r}: stamps beyond 2^63 ns"
+        raise RecordingError(told, given=topic) from error
     names = dict.fromkeys(name for row in rows for name in row[2])
     columns = {n: np.array([row[2].get(n, np.nan) for row in rows]) for n in names}
     return TopicSeries(topic, stamps, columns, stamped_by="header" if by_header else "log")

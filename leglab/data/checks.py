@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
 # An interval this much longer than the usual one has lost at least one sample: between 1 (none
@@ -113,12 +113,12 @@ def to_recording(
         fatal.extend(f for f in _inspect_time(table) if f.kind == "repeated_row")
     if fatal:
         more = f" ({len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
-        raise LeglabError(f"{source}: {fatal[0].message}{more}")
+        raise RecordingError(f"{source}: {fatal[0].message}{more}", given=fatal[0].column)
     columns = {name: samples for name, samples in table.items() if name != "time"}
     try:
         return Recording(time=table["time"], columns=columns, metadata=metadata)
     except LeglabError as error:
-        raise LeglabError(f"{source}: {error}") from error
+        raise error.at(source) from error
 
 
 def _inspect_time(table: Mapping[str, np.ndarray]) -> Iterator[Finding]:

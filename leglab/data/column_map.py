@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, RecordingError, SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.data.files import refuse
@@ -57,9 +57,10 @@ class ColumnMap:
         owners: dict[str, str] = {}
         for theirs, rule in self.rules.items():
             if rule.name in owners:
-                raise LeglabError(
+                raise SettingsError(
                     f"{self.source}: {owners[rule.name]!r} and {theirs!r} both become "
-                    f"{rule.name!r}; allowed: one column for a name"
+                    f"{rule.name!r}; allowed: one column for a name",
+                    given=rule.name,
                 )
             owners[rule.name] = theirs
         object.__setattr__(self, "rules", MappingProxyType(dict(self.rules)))
@@ -96,9 +97,11 @@ class ColumnMap:
                 left_out[self.rules[theirs].name] = reasons[0] if reasons else absent
         elif missing:
             which = "none" if len(missing) == len(self.rules) else f"no {_list(missing)}"
-            raise LeglabError(
+            raise RecordingError(
                 f"{source}: {which} of the columns of {self.source} is there: the map names "
-                f"{_list(self.rules)}; the recording has {_list(table)}"
+                f"{_list(self.rules)}; the recording has {_list(table)}",
+                given=missing[0],
+                allowed=table,
             )
         mapped: dict[str, np.ndarray] = {}
         for theirs, samples in table.items():
@@ -108,7 +111,7 @@ class ColumnMap:
                     f"{source}: after {self.source} two columns are called {name!r}, one of them "
                     f"{theirs!r}; allowed: give the other one a rule with another name"
                 )
-                refuse(name, LeglabError(why), left_out)
+                refuse(name, RecordingError(why, given=theirs), left_out)
             rule = self.rules.get(theirs)
             if rule and (rule.factor, rule.offset) != (1.0, 0.0):
                 with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
@@ -133,16 +136,19 @@ def read_column_map(path: str | Path) -> ColumnMap:
     except ValueError as error:
         if isinstance(error, LeglabError):
             raise
-        raise LeglabError(f"{path}: not a column map in TOML: {error}") from error
+        told = f"{path}: not a column map in TOML: {error}"
+        raise SettingsError(told, given=path) from error
     file = validate_configuration(_MapFile, content, str(path))
     rules = {}
     for theirs, rule in file.columns.items():
         if isinstance(rule, str):
             rule = {"name": rule}
         if not isinstance(rule, dict):
-            raise LeglabError(
-                f'{path}: column {theirs!r} is {rule!r}; allowed: {theirs} = "our_name" or '
-                f'{theirs} = {{name = "our_name", factor = ..., offset = ...}}'
+            raise SettingsError(
+                f"{path}: column {theirs!r} is {rule!r}; allowed: ",
+                given=rule,
+                allowed=f'{theirs} = "our_name" or '
+                f'{theirs} = {{name = "our_name", factor = ..., offset = ...}}',
             )
         rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
     return ColumnMap(rules=rules, source=str(path), clock=file.clock, stamps=file.stamps)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.files import refuse
 
 
@@ -30,7 +30,8 @@ def to_arrays(
     for name in dict.fromkeys(names):
         try:
             if names.count(name) > 1:
-                raise LeglabError(f"{path}: column {name!r} is there {names.count(name)} times")
+                told = f"{path}: column {name!r} is there {names.count(name)} times"
+                raise RecordingError(told, given=name)
             found[name] = _to_array(table.column(name), name, path)
         except LeglabError as error:
             refuse(name, error, left_out)
@@ -45,8 +46,10 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path) -> np.ndarray:
         return column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
     for row, value in enumerate(column.to_pylist()):
         if value is not None and not _is_number(value):
-            raise LeglabError(f"{path}: column {name!r}, row {row}: {value!r} is not a number")
-    raise LeglabError(f"{path}: column {name!r} holds {kind}, allowed are numbers")
+            told = f"{path}: column {name!r}, row {row}: {value!r} is not "
+            raise RecordingError(told, given=value, allowed="a number")
+    told = f"{path}: column {name!r} holds {kind}, allowed are "
+    raise RecordingError(told, given=str(kind), allowed="numbers")
 
 
 def _is_number(text: object) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
@@ -48,12 +48,14 @@ def read_table(
             convert_options=pc.ConvertOptions(null_values=_MISSING, strings_can_be_null=True),
         )
     except pa.ArrowException as error:
-        raise LeglabError(f"{path}: not a CSV file: {str(error).splitlines()[0]}") from error
+        reason = str(error).splitlines()[0]
+        raise FileError(f"{path}: not a CSV file: {reason}", given=path) from error
     if broken:
         row = broken[0]
-        raise LeglabError(
+        raise FileError(
             f"{path}: row {row.number - 2} has {row.actual_columns} cells instead of "
-            f"{row.expected_columns} ({row.text!r}); is the file truncated?"
+            f"{row.expected_columns} ({row.text!r}); is the file truncated?",
+            given=path,
         )
     return to_arrays(table, path, left_out), {}
 
@@ -68,7 +70,8 @@ def write(recording: Recording, path: Path) -> None:
     table = pa.table({"time": recording.time, **recording.columns})
     broken = [name for name in table.column_names if "\n" in name or "\r" in name]
     if broken:
-        raise LeglabError(f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold")
+        told = f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold"
+        raise RecordingError(told, given=broken[0])
     # "needed" quotes all names.
     special = any(letter in name for name in table.column_names for letter in ',"')
     options = pc.WriteOptions(
@@ -84,7 +87,6 @@ def _text_of(path: Path) -> bytes:
         content.decode()
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise LeglabError(
-            f"{path}: line {line}: byte 0x{content[error.start]:02x} is not UTF-8 text"
-        ) from error
+        told = f"{path}: line {line}: byte 0x{content[error.start]:02x} is not UTF-8 text"
+        raise FileError(told, given=path) from error
     return content

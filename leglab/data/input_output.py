@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
 if TYPE_CHECKING:
@@ -61,10 +61,12 @@ def from_input_output(
     """
     period = data.sampling_time
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
-        raise LeglabError(f"sampling_time is {period!r}, allowed is a positive number of seconds")
+        told = f"sampling_time is {period!r}, allowed is "
+        raise RecordingError(told, given=period, allowed="a positive number of seconds")
     names = [*inputs, *outputs]
     if len(set(names)) < len(names):
-        raise LeglabError(f"columns {', '.join(map(repr, names))} are not all different")
+        told = f"columns {', '.join(map(repr, names))} are not all different"
+        raise RecordingError(told, given=tuple(names))
     columns = {**_split(data.u, inputs, "u", "inputs"), **_split(data.y, outputs, "y", "outputs")}
     metadata: dict[str, Any] = {}
     if data.name:
@@ -78,7 +80,8 @@ def from_input_output(
 
 def _stacked(recording: Recording, names: Sequence[str], what: str) -> np.ndarray:
     if isinstance(names, str) or not names:
-        raise LeglabError(f"{what} is {names!r}, allowed is a list of one or more columns")
+        told = f"{what} is {names!r}, allowed is "
+        raise RecordingError(told, given=names, allowed="a list of one or more columns")
     columns = [np.array(recording[name]) for name in names]
     return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
@@ -88,7 +91,6 @@ def _split(array: Any, names: Sequence[str], field: str, what: str) -> dict[str,
     if array.ndim == 1:
         array = array[:, None]
     if isinstance(names, str) or array.ndim != 2 or array.shape[1] != len(names):
-        raise LeglabError(
-            f"{field} has shape {array.shape}, {what} is {names!r}; allowed: one name a column"
-        )
+        told = f"{field} has shape {array.shape}, {what} is {names!r}; allowed: "
+        raise RecordingError(told, given=names, allowed="one name a column")
     return {name: array[:, i] for i, name in enumerate(names)}

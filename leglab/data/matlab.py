@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
@@ -60,7 +60,7 @@ def read_table(
             return _own_table(ours, left_out)
         return _foreign_table(variables, left_out)
     except LeglabError as error:
-        raise LeglabError(f"{path}: {error}") from error
+        raise error.at(path) from error
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -85,7 +85,8 @@ def write(recording: Recording, path: Path) -> None:
         options = {"long_field_names": True, "do_compression": True, "oned_as": "column"}
         savemat(stream, {_VARIABLE: content}, **options)
     except ValueError as error:  # scipy's MatWriteError among them.
-        raise LeglabError(f"{path}: does not fit into a MATLAB file: {error}") from error
+        told = f"{path}: does not fit into a MATLAB file: {error}"
+        raise FileError(told, given=path) from error
     written = _HEADER + stream.getvalue()[len(_HEADER) :]
     write_atomically(path, lambda file: file.write(written))
 
@@ -115,9 +116,11 @@ def _allowed(name: str) -> str:
 def _load(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
-        raise LeglabError(
+        raise FileError(
             f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
-            f"save('{path.name}', ..., '-v7')"
+            f"save('{path.name}', ..., '-v7')",
+            given="version 7.3 (HDF5)",
+            allowed="version 5",
         )
     from scipy.io import loadmat
 
@@ -127,7 +130,8 @@ def _load(path: Path) -> dict[str, Any]:
             found = loadmat(io.BytesIO(checked(content)), simplify_cells=True)
     # Whatever the parser trips over, the cause is the file.
     except Exception as error:
-        raise LeglabError(f"{path}: not a complete MATLAB file: {first_line(error)}") from error
+        told = f"{path}: not a complete MATLAB file: {first_line(error)}"
+        raise FileError(told, given=path) from error
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -137,22 +141,23 @@ def _own_table(
     names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
     if not all(isinstance(name, str) for name in names.values()):
-        raise LeglabError("field 'name_map' of 'recording' gives a name that is no text")
+        raise FileError("field 'name_map' of 'recording' gives a name that is no text")
     signals = content["signals"] if names else {}
     units: Any = content.get("units") if names else {}
     if not isinstance(signals, dict):
-        raise LeglabError("field 'signals' of 'recording' is not a struct")
+        raise FileError("field 'signals' of 'recording' is not a struct")
     table = {"time": _vector(content["time"], "time")}
     for field, name in names.items():
         if field not in signals:
-            raise LeglabError(f"field {field!r} of 'name_map' is missing in 'signals'")
+            raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
         if name in table:
-            raise LeglabError(f"field 'name_map' of 'recording' gives {name!r} twice")
+            raise FileError(f"field 'name_map' of 'recording' gives {name!r} twice", given=name)
         _add(table, name, signals[field], left_out)
     # Columns that somebody added in MATLAB.
     for field in [field for field in signals if field not in names]:
         if field in table:
-            raise LeglabError(f"'signals' holds {field!r} twice, by its field and by 'name_map'")
+            told = f"'signals' holds {field!r} twice, by its field and by 'name_map'"
+            raise FileError(told, given=field)
         _add(table, field, signals[field], left_out)
     _check_lengths(table, left_out)
     if isinstance(units, dict):
@@ -182,7 +187,8 @@ def _foreign_table(
             columns = {f"{name}[{i}]": column for i, column in enumerate(array.T)}
         for key, column in columns.items():
             if key in table:
-                refuse(key, LeglabError(f"two variables give column {key!r}"), left_out)
+                told = f"two variables give column {key!r}"
+                refuse(key, RecordingError(told, given=key), left_out)
             table[key] = column.astype(np.float64)
     for key in left_out or {}:
         table.pop(key, None)
@@ -212,7 +218,8 @@ def _vector(value: Any, name: str) -> np.ndarray:
         found = type(value).__name__
         if isinstance(value, np.ndarray):
             found = f"{' x '.join(map(str, value.shape))} array of {value.dtype}"
-        raise LeglabError(f"column {name!r} is a {found}, allowed is a real vector")
+        told = f"column {name!r} is a {found}, allowed is "
+        raise RecordingError(told, given=name, allowed="a real vector")
     return np.atleast_1d(array).astype(np.float64)
 
 
@@ -220,9 +227,10 @@ def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     try:
         found = parse_json(content[field])
     except (TypeError, ValueError, RecursionError) as error:
-        raise LeglabError(f"field {field!r} of 'recording' is not JSON: {error}") from error
+        told = f"field {field!r} of 'recording' is not JSON: {error}"
+        raise FileError(told, given=field) from error
     if not isinstance(found, dict):
-        raise LeglabError(f"field {field!r} of 'recording' is not a JSON object")
+        raise FileError(f"field {field!r} of 'recording' is not a JSON object", given=field)
     if field == "metadata":
         check_notes(found)
     return found
@@ -233,9 +241,9 @@ def _check_lengths(table: dict[str, np.ndarray], left_out: dict[str, str] | None
         rows, wanted = len(table[name]), len(table["time"])
         if rows != wanted:
             why = f"column {name!r} has {rows} samples, 'time' has {wanted}"
-            refuse(name, LeglabError(why), left_out)
+            refuse(name, RecordingError(why, given=name), left_out)
             del table[name]
     lengths = {name: len(column) for name, column in table.items()}
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"{name!r} {length}" for name, length in lengths.items())
-        raise LeglabError(f"vectors have different lengths: {found}")
+        raise RecordingError(f"vectors have different lengths: {found}", given=lengths)

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap_ros2.writer import Writer
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
@@ -100,16 +100,17 @@ def read_table(
         try:
             found = _aligned_columns(other, clock, columns, notes, left_out)
         except LeglabError as error:
-            raise LeglabError(f"{path}: {error}") from error
+            raise error.at(path) from error
         for name, samples in found.items():
             if name in table:
-                both = f"topic {other.topic!r} and another topic both give column {name!r}"
-                refuse(name, LeglabError(f"{path}: {both}"), left_out)
+                both = f"{path}: topic {other.topic!r} and another topic both give column {name!r}"
+                refuse(name, RecordingError(both, given=name), left_out)
             table[name] = samples
     for name in left_out or {}:
         table.pop(name, None)
     if "time" in table:
-        raise LeglabError(f"{path}: a topic is called 'time', which is the time axis")
+        told = f"{path}: a topic is called 'time', which is the time axis"
+        raise RecordingError(told, given="time")
     metadata = dict(bag.metadata)
     start = int(clock.stamps.min()) if clock.stamps.size else 0
     if clock.stamps.size and clock.stamps.max() <= _LAST_EXACT:
@@ -139,16 +140,16 @@ def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
     """
     scaled = np.rint(recording.time * 1e9)
     if scaled[0] < 0 or scaled[-1] >= _END_OF_ROS_TIME * 1e9:
-        raise LeglabError(
-            f"{path}: time covers [{recording.time[0]:g}, {recording.time[-1]:g}] s; allowed in a "
-            f"ROS message: [0, {_END_OF_ROS_TIME}) s"
-        )
+        first, last = recording.time[[0, -1]].tolist()
+        told = f"{path}: time covers [{first:g}, {last:g}] s; allowed in a ROS message: "
+        raise RecordingError(told, given=(first, last), allowed=f"[0, {_END_OF_ROS_TIME}) s")
     stamps = scaled.astype(np.int64)
     if (np.diff(stamps) <= 0).any():
         row = int(np.argmax(np.diff(stamps) <= 0)) + 1
-        raise LeglabError(f"{path}: rows {row - 1} and {row} are less than 1 ns apart")
+        raise RecordingError(f"{path}: rows {row - 1} and {row} are less than 1 ns apart")
     if _CLOCK_TOPIC.removeprefix("/") in recording:
-        raise LeglabError(f"{path}: column 'joint_states' is taken by the topic {_CLOCK_TOPIC!r}")
+        told = f"{path}: column 'joint_states' is taken by the topic {_CLOCK_TOPIC!r}"
+        raise RecordingError(told, given="joint_states")
     write_atomically(path, lambda stream: _write(recording, stamps.tolist(), stream, scene))
 
 
@@ -274,25 +275,28 @@ def _file_of(path: Path) -> Path:
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         names = ", ".join(file.name for file in files) or "none"
-        raise LeglabError(f"{path}: a bag with {len(files)} .mcap files ({names}); allowed: one")
+        told = f"{path}: a bag with {len(files)} .mcap files ({names}); allowed: "
+        raise FileError(told, given=path, allowed="one")
     return files[0]
 
 
 def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
     candidates = {c.topic for c in bag.channels.values() if bag.kind(c) == JOINT_STATE}
     if not candidates:
-        raise LeglabError(f"{path}: no topic of type {JOINT_STATE}; found {bag.topics()}")
+        told = f"{path}: no topic of type {JOINT_STATE}; found {bag.topics()}"
+        raise RecordingError(told, allowed=(JOINT_STATE,))
     if columns.clock is not None:
         if columns.clock not in candidates:
-            raise unknown_name(f"clock of {columns.source}", columns.clock, candidates)
+            raise RecordingError.unknown(f"clock of {columns.source}", columns.clock, candidates)
         return columns.clock
     if len(candidates) == 1:
         return candidates.pop()
     if _CLOCK_TOPIC in candidates:
         return _CLOCK_TOPIC
-    raise LeglabError(
+    raise RecordingError(
         f"{path}: several topics of type {JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
-        f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}"
+        f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}",
+        allowed=sorted(candidates),
     )
 
 
@@ -310,7 +314,7 @@ def _aligned_columns(
             apart = f"{name!r} covers {series.span}, {clock.topic!r} covers {clock.span}"
             if name in columns.rules:
                 why = f'column {apart}; try stamps = "log" in {columns.source}'
-                refuse(name, LeglabError(why), left_out)
+                refuse(name, RecordingError(why, given=name), left_out)
             notes.append(f"left out, no time in common: {apart}")
             continue
         try:

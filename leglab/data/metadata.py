@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 
 
 def to_json(metadata: Mapping[str, Any]) -> str:
@@ -24,4 +24,5 @@ def check_notes(metadata: Mapping[str, Any]) -> None:
     """
     for key in ("alignment", "repairs"):
         if not isinstance(metadata.get(key, []), list):
-            raise LeglabError(f"metadata {key!r} is {metadata[key]!r}, allowed is a list")
+            told = f"metadata {key!r} is {metadata[key]!r}, allowed is "
+            raise RecordingError(told, given=metadata[key], allowed="a list")

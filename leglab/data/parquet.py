@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
@@ -53,13 +53,13 @@ def read_table(
         table = pq.read_table(path, page_checksum_verification=True)
         shape = [table.num_rows, *table.column_names]
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise LeglabError(f"{path}: not a complete Parquet file: {first_line(error)}") from error
+        told = f"{path}: not a complete Parquet file: {first_line(error)}"
+        raise FileError(told, given=path) from error
     stored = table.schema.metadata or {}
     text = stored.get(_METADATA_KEY)
     if _DIGEST_KEY in stored and stored[_DIGEST_KEY] != _digest(shape, text or b""):
-        raise LeglabError(
-            f"{path}: is damaged: names, length and metadata do not fit their checksum"
-        )
+        told = f"{path}: is damaged: names, length and metadata do not fit their checksum"
+        raise FileError(told, given=path)
     return to_arrays(table, path, left_out), _metadata(path, text)
 
 
@@ -114,7 +114,7 @@ class Growing:
             LeglabError: No row was written.
         """
         if self._writer is None:
-            raise LeglabError("a recording needs at least one sample")
+            raise RecordingError("a recording needs at least one sample")
         self._writer.add_key_value_metadata(_notes(self.rows, self.names, metadata))
         self.close()
 
@@ -132,7 +132,8 @@ class Growing:
         """Begins the file, or does so again with more columns."""
         missing = [name for name in self.names if name not in names]
         if missing:
-            raise LeglabError(f"column {missing[0]!r} ends before the recording does")
+            told = f"column {missing[0]!r} ends before the recording does"
+            raise RecordingError(told, given=missing[0])
         earlier = self._place.with_name(f"{self._place.name}.earlier")
         self.close()
         if self.rows:
@@ -207,7 +208,8 @@ class StoredColumns(Mapping[str, np.ndarray]):
                 start, end = end, end + batch.num_rows
                 samples[start:end] = batch.column(0).to_numpy(zero_copy_only=False)
         except (pa.ArrowException, OSError) as error:
-            raise LeglabError(f"{self._path}: cannot be read: {first_line(error)}") from error
+            told = f"{self._path}: cannot be read: {first_line(error)}"
+            raise FileError(told, given=self._path) from error
         samples.setflags(write=False)
         return samples
 
@@ -253,7 +255,8 @@ def _metadata(path: Path, text: bytes | None) -> dict:
             raise ValueError(f"it holds {type(found).__name__}, allowed is an object")
         check_notes(found)
     except ValueError as error:
-        raise LeglabError(f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}") from error
+        told = f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}"
+        raise FileError(told, given=path) from error
     return found
 
 

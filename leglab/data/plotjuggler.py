@@ -12,7 +12,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv
@@ -59,7 +59,7 @@ def write_layout(recording: Recording, path: Path) -> None:
         LeglabError: The recording has no joint, or the folder cannot be written to.
     """
     if not recording.joints:
-        raise LeglabError(f"{path}: a layout shows joints, and the recording has none")
+        raise RecordingError(f"{path}: a layout shows joints, and the recording has none")
     names = _names(recording)
     root = Xml.Element("root")
     tabs = Xml.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
@@ -115,9 +115,10 @@ def _names(recording: Recording) -> dict[str, str]:
     for column in recording.columns:
         name = " ".join(column.replace('"', "'").split())
         if name in ("", "time") or name in names.values():
-            raise LeglabError(
-                f"column {column!r} would be called {name!r} in PlotJuggler; allowed: names that "
-                "differ in more than quotes and spaces"
+            raise RecordingError(
+                f"column {column!r} would be called {name!r} in PlotJuggler; allowed: ",
+                given=column,
+                allowed="names that differ in more than quotes and spaces",
             )
         names[column] = name
     return names

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
@@ -25,7 +25,8 @@ def read_table(path: Path, left_out: dict[str, str] | None = None) -> tuple[dict
         LeglabError: Always.
     """
     del left_out
-    raise LeglabError(f"{path}: files for rerun cannot be read back; keep the recording itself")
+    told = f"{path}: files for rerun cannot be read back; keep the recording itself"
+    raise FileError(told, given=path)
 
 
 def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.files import first_line
@@ -45,9 +45,10 @@ def to_time_series(recording: Recording) -> "TimeSeries":
     for index, column in enumerate(recording.columns):
         signal, kind = _signal_of(column)
         if signal in mapping:
-            raise LeglabError(
+            told = (
                 f"column {column!r} and another one both become signal {signal!r} of mujoco.sysid"
             )
+            raise RecordingError(told, given=column)
         mapping[signal] = (types[kind], np.array([index]))
     data = np.empty((len(recording), len(recording.columns)))
     for index, samples in enumerate(recording.columns.values()):
@@ -93,11 +94,12 @@ def read_table(
     # A foreign archive can fail anywhere in the loader; the cause is the file.
     except Exception as error:
         reason = first_line(error)
-        raise LeglabError(f"{path}: not a time series of mujoco.sysid: {reason}") from error
+        told = f"{path}: not a time series of mujoco.sysid: {reason}"
+        raise FileError(told, given=path) from error
     try:
         return _table_of(found), {}
     except LeglabError as error:
-        raise LeglabError(f"{path}: {error}") from error
+        raise error.at(path) from error
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -135,9 +137,8 @@ def _table_of(series: Any) -> dict[str, np.ndarray]:
     if data.ndim == 1:
         data = data[:, None]
     if data.ndim != 2 or data.dtype.kind not in "fiub" or series.times.dtype.kind not in "fiub":
-        raise LeglabError(
-            f"a time series of shape {data.shape} and type {data.dtype}; allowed: real, (n, m)"
-        )
+        told = f"a time series of shape {data.shape} and type {data.dtype}; allowed: "
+        raise RecordingError(told, given=data.shape, allowed="real, (n, m)")
     table = {"time": series.times.astype(np.float64)}
     mapping = series.signal_mapping
     signals = [("signal", "CustomObs", np.arange(data.shape[1]))]
@@ -147,9 +148,11 @@ def _table_of(series: Any) -> dict[str, np.ndarray]:
         column = _column_of(name, kind)
         for i, index in enumerate(indices.tolist()):
             if not 0 <= index < data.shape[1]:
-                raise LeglabError(f"signal {name!r} is in column {index} of {data.shape[1]}")
+                told = f"signal {name!r} is in column {index} of {data.shape[1]}"
+                raise RecordingError(told, given=name)
             key = column if len(indices) == 1 and mapping is not None else f"{column}[{i}]"
             if not key or key in table:
-                raise LeglabError(f"signal {name!r} gives the column {key!r}, which is taken")
+                told = f"signal {name!r} gives the column {key!r}, which is taken"
+                raise RecordingError(told, given=name)
             table[key] = data[:, index].astype(np.float64)
     return table

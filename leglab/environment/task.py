@@ -7,12 +7,12 @@ import numpy as np
 from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SimulationError
 from leglab.base.scenario import Scenario
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
-from leglab.machine.simulation import Simulation, SimulationError
+from leglab.machine.simulation import Simulation
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation, reference_joints
 

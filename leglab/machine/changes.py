@@ -8,7 +8,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import (
     ParameterChange,
     Scenario,
@@ -102,10 +102,12 @@ class Schedule:
                     for element in target.elements
                     if target.has(element, change.parameter)
                 ]
-                raise LeglabError(
+                raise SettingsError(
                     f"scenario {scenario.name!r} changes {change.parameter!r} of "
                     f"{change.element!r}, which no element of the model has"
-                    + (f"; it is a parameter of {', '.join(able)}" if able else "")
+                    + (f"; it is a parameter of {', '.join(able)}" if able else ""),
+                    given=change.element,
+                    allowed=able,
                 )
             for element, target in matched:
                 key = (element, change.parameter)
@@ -156,9 +158,11 @@ def fitted(scenario: Scenario, simulation: Simulation) -> Scenario:
     possible = [
         name for name in scenario_names() if _fit(get_scenario(name), simulation)[1] is None
     ]
-    raise LeglabError(
+    raise SettingsError(
         f"scenario {scenario.name!r} changes {missing.parameter!r} of {missing.element!r}, which "
-        f"no element of the model has; scenarios for this machine: {', '.join(possible)}"
+        "no element of the model has; scenarios for this machine: ",
+        given=scenario.name,
+        allowed=possible,
     )
 
 
@@ -287,9 +291,9 @@ class Bodies:
 
     def _check(self, element: str, name: str) -> None:
         if element not in self._ids:
-            raise unknown_name("body", element, self._ids)
+            raise SettingsError.unknown("body", element, self._ids)
         if name != ADDED_MASS.name:
-            raise unknown_name("body parameter", name, [ADDED_MASS.name])
+            raise SettingsError.unknown("body parameter", name, [ADDED_MASS.name])
 
 
 ACTUATOR_GAIN = Parameter(
@@ -357,7 +361,8 @@ class NativeJoints:
                 getattr(self._model, field)[drive.id] = value * self._nominal[field][drive.id]
             return
         if not 0 <= value < np.inf:
-            raise LeglabError(f"joint {element!r}: {name} = {value:g}; allowed: 0 or more")
+            told = f"joint {element!r}: {name} = {value:g}; allowed: "
+            raise SettingsError(told, given=value, allowed="0 or more")
         place = self._place(element, name)
         first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
         for field in higher:  # a polynomial grows as a whole
@@ -404,7 +409,8 @@ LARGEST = 0.3
 def check_tolerance(tolerance: float) -> None:
     """Raises a `LeglabError` for a tolerance outside [0, 0.3]."""
     if not 0 <= tolerance <= LARGEST:
-        raise LeglabError(f"tolerance {tolerance!r} is outside [0, {LARGEST:g}]")
+        told = f"tolerance {tolerance!r} is outside "
+        raise SettingsError(told, given=tolerance, allowed=f"[0, {LARGEST:g}]")
 
 
 def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from leglab._native import hydraulics as _native
-from leglab.base.errors import LeglabError
-from leglab.machine.parameters import parameter_vector
+from leglab.base.errors import ModelError
+from leglab.machine.parameters import parameter_vector, refused
 
 # Order of the continuous state; the energies are integrals since the start [J].
 CONTINUOUS_STATES = (
@@ -61,7 +61,7 @@ class Cylinder:
         try:
             self.native = _native.CylinderModel(self.vector)
         except ValueError as error:
-            raise LeglabError(f"leglab.cylinder: {error}") from None
+            raise refused("leglab.cylinder", str(error)) from None
         self.supply_pressure = values.get("supply_pressure", 16e6)
         self.area_a, self.area_b = self.native.areas()
 
@@ -188,9 +188,10 @@ class Cylinder:
         low, high = -1.0, 1.0
         # Without flow enough, pressures run away: then the force is off by far, with the same sign.
         if balance(low, guess)[1] > 0 or balance(high, guess)[1] < 0:
-            raise LeglabError(
+            raise ModelError(
                 f"no steady state at {velocity:g} m/s and {force:g} N: the valve is too small "
-                f"or the supply pressure {ps / 1e5:.0f} bar too low"
+                f"or the supply pressure {ps / 1e5:.0f} bar too low",
+                given=(velocity, force),
             )
         spool = brentq(lambda s: balance(s, guess)[1], low, high, xtol=1e-9)
         pressures = balance(spool, guess)[0] * ps

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import leglab.models
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError
 from leglab.base.input import no_file
 from leglab.base.registry import Registry
 
@@ -31,7 +31,7 @@ def register_model(name: str, path: str | Path, *, summary: str | None = None) -
     """
     path = Path(path).resolve()
     if not path.is_file():
-        raise LeglabError(f"model {name!r}: there is no file {str(path)!r}")
+        raise FileError(f"model {name!r}: there is no file {str(path)!r}", given=path)
     entry = _Model(path=path, summary=_first_sentence(path) if summary is None else summary)
     MODELS.add(name, entry, path)
 
@@ -61,7 +61,7 @@ def model_path(model: str | Path) -> Path:
     if path.is_file():
         return path
     if path.suffix == ".xml":
-        raise LeglabError(f"model file {name!r}: {no_file(path)}")
+        raise FileError(f"model file {name!r}: {no_file(path)}", given=path)
     return MODELS.get(name).path  # raises, and lists the names
 
 

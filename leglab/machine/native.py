@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 
 _SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
@@ -69,7 +69,7 @@ class NativeActuator:
         where = f"actuator {name!r}"
         wrong = _not_supported(model, number)
         if wrong:
-            raise LeglabError(f"{where} {wrong}; {_ALLOWED}")
+            raise ModelError(f"{where} {wrong}; {_ALLOWED}", given=name)
         low, high = _control_range(model, number, joint, where, moments)
         return cls(
             model=model,
@@ -120,7 +120,8 @@ class NativeActuator:
         """
         gain = self.gain(data)
         if gain == 0.0:
-            raise LeglabError(f"actuator {self.name!r} has no gain in this pose: no command moves")
+            told = f"actuator {self.name!r} has no gain in this pose: no command moves"
+            raise ModelError(told, given=self.name)
         low, high = self.force_range(data)
         control = (min(max(force, low), high) - self.bias(data)) / gain
         if not low < force < high:
@@ -207,16 +208,16 @@ def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
     name = model.actuator(number).name
     where = f"actuator {name!r}" if name else f"actuator {number}"
     if not levers.any():
-        raise LeglabError(f"{where} moves no joint")
+        raise ModelError(f"{where} moves no joint", given=name)
     dof = int(levers.argmax())
     joint = int(model.dof_jntid[dof])
     others = np.delete(levers, dof)
     if int(model.jnt_type[joint]) not in _SIMPLE or (others > _LEVER_ELSEWHERE * levers[dof]).any():
-        raise LeglabError(
-            f"{where} moves more than one joint; allowed: one hinge or slide joint an actuator"
-        )
+        told = f"{where} moves more than one joint; allowed: "
+        raise ModelError(told, given=name, allowed="one hinge or slide joint an actuator")
     if not model.joint(joint).name:
-        raise LeglabError(f"{where} moves joint {joint}, which has no name; a run needs one")
+        told = f"{where} moves joint {joint}, which has no name; a run needs one"
+        raise ModelError(told, given=name)
     return joint
 
 
@@ -246,7 +247,8 @@ def _control_range(
     if model.actuator_ctrllimited[number]:
         low, high = model.actuator_ctrlrange[number].tolist()
         if not high > low:
-            raise LeglabError(f"{where} has an empty ctrlrange {low:g} to {high:g}")
+            told = f"{where} has an empty ctrlrange {low:g} to {high:g}"
+            raise ModelError(told, given=(low, high))
         return low, high
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
@@ -259,6 +261,5 @@ def _control_range(
     if model.actuator_forcelimited[number] and gain[0] and not (affine and bias[2]):
         ends = model.actuator_forcerange[number] / gain[0]
         return float(ends.min()), float(ends.max())
-    raise LeglabError(
-        f"{where} has no ctrlrange, and a run commands shares of it; give it a ctrlrange"
-    )
+    told = f"{where} has no ctrlrange, and a run commands shares of it; give it a ctrlrange"
+    raise ModelError(told, given=model.actuator(number).name)

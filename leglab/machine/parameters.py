@@ -6,6 +6,7 @@ entry; this module mirrors them, so that a name is spelled in one place.
 
 import functools
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -14,11 +15,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from leglab._native import hydraulics as _native
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import ModelError, SettingsError
 
 RESIDUAL = "leglab.residual"
 # What a learned residual may depend on, in the order of its coefficients.
 RESIDUAL_VARIABLES = ("position", "velocity", "load", "command")
+# How plugins and core tell them: "attribute 'bore' = 9 m is out of range; allowed: ..."
+_GIVEN = re.compile(r" = ('[^']*'|[^\s;]+)")
+_ALLOWED = re.compile(r"; allowed:? (.*)")
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,8 @@ class Parameter:
         number = float(value)
         above = number >= self.minimum if self.minimum_allowed else number > self.minimum
         if not (math.isfinite(number) and above and number <= self.maximum):
-            raise LeglabError(f"{where}: {self.name} = {number:g}; allowed {self.allowed}")
+            told = f"{where}: {self.name} = {number:g}; allowed "
+            raise SettingsError(told, given=number, allowed=self.allowed)
         return number
 
 
@@ -96,7 +101,8 @@ class PluginTable:
             return self.parameters[name]
         if name in self.states:
             return self.states[name]
-        raise unknown_name(f"{self.plugin} parameter", name, [*self.parameters, *self.states])
+        known = [*self.parameters, *self.states]
+        raise SettingsError.unknown(f"{self.plugin} parameter", name, known)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the table as JSON can hold it; a default or bound that there is not is None."""
@@ -180,6 +186,15 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def refused(where: str, text: str) -> ModelError:
+    """Turns what MuJoCo, a plugin or the compiled core says of a model into one line."""
+    line = " ".join(text.split())
+    given, allowed = _GIVEN.search(line), _ALLOWED.search(line)
+    return ModelError(
+        f"{where}: {line}", given=given and given[1].strip("'"), allowed=allowed and allowed[1]
+    )
+
+
 def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
     """Parameters of one instance in table order, shape (n,): `values` over the nominal ones.
 
@@ -189,11 +204,12 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
     table = plugin_tables()[plugin]
     for name in values:
         if name not in table.parameters:
-            raise unknown_name(f"{plugin} parameter", name, table.parameters)
+            raise SettingsError.unknown(f"{plugin} parameter", name, table.parameters)
     vector = np.empty(len(table.parameters))
     for name, parameter in table.parameters.items():
         if name not in values and math.isnan(parameter.nominal):
-            raise LeglabError(f"{plugin}: {name} is missing; allowed {parameter.allowed}")
+            told = f"{plugin}: {name} is missing; allowed "
+            raise SettingsError(told, allowed=parameter.allowed)
         vector[parameter.offset] = parameter.check(values.get(name, parameter.nominal), plugin)
     return vector
 
@@ -220,13 +236,14 @@ def placed_parameters(
     for key, value in sorted(parameters.items(), key=lambda item: "." in item[0]):
         element, dot, name = key.rpartition(".")
         if dot and element not in owned:
-            raise unknown_name("element", element, owned)
+            raise SettingsError.unknown("element", element, owned)
         having = [e for e, rows in owned.items() if name in rows and element in ("", e)]
         if not having:
             known = owned[element] if dot else {row for rows in owned.values() for row in rows}
-            raise unknown_name(f"parameter of {element or 'the model'}", name, known)
+            raise SettingsError.unknown(f"parameter of {element or 'the model'}", name, known)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise LeglabError(f"parameters: {key} is {value!r}; allowed: a number")
+            told = f"parameters: {key} is {value!r}; allowed: "
+            raise SettingsError(told, given=value, allowed="a number")
         for each in having:
             found[each, name] = owned[each][name].check(value, f"parameters: {each}")
     return found

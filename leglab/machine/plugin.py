@@ -14,12 +14,13 @@ import mujoco
 
 import leglab._native
 from leglab._native.hydraulics import parameter_tables
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import ModelError
 from leglab.machine.parameters import (
     RESIDUAL,
     RESIDUAL_VARIABLES,
     PluginTable,
     plugin_tables,
+    refused,
     residual_table,
     table_at_slide,
 )
@@ -59,9 +60,10 @@ def load_plugin() -> None:
         mujoco.mj_loadPluginLibrary(str(path))
     except mujoco.FatalError as error:
         reason = " ".join(str(error).split())
-        raise LeglabError(
+        raise ModelError(
             f"the plugins do not load with mujoco {mujoco.__version__}: {reason}; install the "
-            "version that leglab was built against, or build leglab anew"
+            "version that leglab was built against, or build leglab anew",
+            given=mujoco.__version__,
         ) from error
 
 
@@ -161,7 +163,7 @@ _MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not
 _ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
-def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) -> LeglabError:
+def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) -> ModelError:
     """Turns MuJoCo's error about a model into one line.
 
     Args:
@@ -181,15 +183,15 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
     unknown = _UNKNOWN_ATTRIBUTE.search(text)
     if unknown and attribute_names(unknown["plugin"]):
         known = attribute_names(unknown["plugin"])
-        detail = unknown_name(f"{unknown['plugin']} attribute", unknown["attribute"], known)
-        return LeglabError(f"{where}: {detail}")
+        kind = f"{unknown['plugin']} attribute"
+        return ModelError.unknown(kind, unknown["attribute"], known).at(where)
     missing = _MISSING.search(text)
     if missing and spec is not None:
         sites = missing["kind"] == "site"
         parts = [*spec.sites] if sites else [*spec.tendons, *spec.joints]
         names = [part.name for part in parts if part.name]
-        return LeglabError(f"{where}: {unknown_name(missing['kind'], missing['name'], names)}")
-    return LeglabError(f"{where}: {' '.join(text.split())}")
+        return ModelError.unknown(missing["kind"], missing["name"], names).at(where)
+    return refused(where, text)
 
 
 class _Suspension:

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as Xml
 import mujoco
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError, RecordingError
 from leglab.base.recording import Recording
 from leglab.data.scene import Mesh, Scene
 from leglab.machine.cylinder import Cylinder
@@ -125,8 +125,10 @@ def _poses(model: mujoco.MjModel, recording: Recording) -> np.ndarray:
         poses[:, model.jnt_qposadr[joint]] = samples[held]
         known += 1
     if not known:
-        names = ", ".join(model.joint(j).name for j in range(model.njnt))
-        raise LeglabError(f"the recording has no position of a joint of the model: {names}")
+        raise RecordingError(
+            "the recording has no position of a joint of the model: ",
+            allowed=(model.joint(j).name for j in range(model.njnt)),
+        )
     return poses
 
 
@@ -201,9 +203,8 @@ def _joints(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
         kind = _TYPES.get(mujoco.mjtJoint(model.jnt_type[joint]))
         name = model.joint(joint).name or f"joint_{joint}"
         if kind is None:
-            raise LeglabError(
-                f"joint {name!r} is a ball: a URDF has hinges, slides and free joints"
-            )
+            told = f"joint {name!r} is a ball: a URDF has "
+            raise ModelError(told, given=name, allowed="hinges, slides and free joints")
         if kind == "floating":
             position, quat = np.zeros(3), _IDENTITY.copy()
         else:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab._native.loop import Readings
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.settings import Configuration
 from leglab.machine.parameters import Parameter
 
@@ -94,22 +94,27 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
         LeglabError: If period or latency is no multiple of the time step, or the latency is longer.
     """
     if config.control_period / timestep > _MOST_STEPS:
-        raise LeglabError(
-            f"timestep = {timestep:g} s; allowed: at least {config.control_period / _MOST_STEPS:g} "
-            f"s, {_MOST_STEPS} steps a control period"
+        least = f"at least {config.control_period / _MOST_STEPS:g} s"
+        raise SettingsError(
+            f"timestep = {timestep:g} s; allowed: ",
+            given=timestep,
+            allowed=f"{least}, {_MOST_STEPS} steps a control period",
         )
     steps = round(config.control_period / timestep)
     late = round(config.latency / timestep)
     for name, count in (("control_period", steps), ("latency", late)):
         value = getattr(config, name)
         if abs(value - count * timestep) > _SAME_TIME or (name == "control_period" and count < 1):
-            raise LeglabError(
-                f"{name} = {value:g} s; allowed: a multiple of the model's timestep {timestep:g} s"
+            raise SettingsError(
+                f"{name} = {value:g} s; allowed: ",
+                given=value,
+                allowed=f"a multiple of the model's timestep {timestep:g} s",
             )
     if late > steps:
-        raise LeglabError(
-            f"latency = {config.latency:g} s; allowed: at most control_period = "
-            f"{config.control_period:g} s"
+        raise SettingsError(
+            f"latency = {config.latency:g} s; allowed: ",
+            given=config.latency,
+            allowed=f"at most control_period = {config.control_period:g} s",
         )
     return LoopTiming(to_sample=steps - late, to_command=late)
 
@@ -437,7 +442,7 @@ class Encoders:
 
     def _index(self, element: str, name: str) -> tuple[int, int]:
         if name not in FAULTS:
-            raise unknown_name("encoder fault", name, FAULTS)
+            raise SettingsError.unknown("encoder fault", name, FAULTS)
         if element not in self.elements:
-            raise unknown_name("joint", element, self.elements)
+            raise SettingsError.unknown("joint", element, self.elements)
         return FAULTS[name].offset, self.elements.index(element)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 import leglab.machine.plugin
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import ModelError, SettingsError, SimulationError
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.library import model_path
 from leglab.machine.native import NativeActuator, joint_range
@@ -19,10 +19,6 @@ CYLINDER = "leglab.cylinder"
 _COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
 # Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
 SPEED_LIMIT = 1e3
-
-
-class SimulationError(LeglabError):
-    """The simulation blew up: the message says when and which state."""
 
 
 def load_model(
@@ -45,7 +41,8 @@ def load_model(
         LeglabError: If there is no such model or MuJoCo refuses it; one line.
     """
     if timestep is not None and not (math.isfinite(timestep) and timestep > 0):
-        raise LeglabError(f"timestep = {timestep:g} s; allowed: more than 0")
+        told = f"timestep = {timestep:g} s; allowed: "
+        raise SettingsError(told, given=timestep, allowed="more than 0")
     leglab.machine.plugin.load_plugin()
     path = model_path(model)
     spec = None
@@ -103,7 +100,8 @@ class Simulation:
         self.data = mujoco.MjData(model)
         count = model.nactuator
         if not count:
-            raise LeglabError("the model has no actuator; allowed: one for each driven joint")
+            told = "the model has no actuator; allowed: "
+            raise ModelError(told, allowed="one for each driven joint")
         self._elements = leglab.machine.plugin.elements(model)
         mujoco.mj_forward(model, self.data)
         moments = actuator_moments(model, self.data)
@@ -120,11 +118,10 @@ class Simulation:
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
         for i, joint in enumerate(self.joints):
             if joint in self.joints[:i]:
-                raise LeglabError(
-                    f"joint {joint!r} is driven by actuators "
-                    f"{self.actuators[self.joints.index(joint)]!r} and {self.actuators[i]!r}; "
-                    "allowed: one"
-                )
+                first = self.actuators[self.joints.index(joint)]
+                both = f"{first!r} and {self.actuators[i]!r}"
+                told = f"joint {joint!r} is driven by actuators {both}; allowed: "
+                raise ModelError(told, given=joint, allowed="one")
         self.qpos_index = model.jnt_qposadr[self._joint_ids]
         self.dof_index = model.jnt_dofadr[self._joint_ids]
         self.reset(keyframe)
@@ -141,7 +138,7 @@ class Simulation:
         else:
             names = [self.model.key(i).name for i in range(self.model.nkey)]
             if keyframe not in names:
-                raise unknown_name("keyframe", keyframe, names)
+                raise SettingsError.unknown("keyframe", keyframe, names)
             mujoco.mj_resetDataKeyframe(self.model, self.data, names.index(keyframe))
         mujoco.mj_forward(self.model, self.data)
 
@@ -157,7 +154,7 @@ class Simulation:
             LeglabError: If the element or the parameter does not exist.
         """
         if element not in self._elements:
-            raise unknown_name("element", element, self._elements)
+            raise SettingsError.unknown("element", element, self._elements)
         address, table = self._elements[element]
         return address + table.entry(name).offset
 
@@ -315,7 +312,9 @@ class Simulation:
         joint = self.model.joint(self.model.dof_jntid[dof]).name
         raise SimulationError(
             f"the simulation blew up at {self.data.time if time is None else time:.6g} s: velocity "
-            f"of joint {joint!r} is {velocity[dof]:g}, allowed below {SPEED_LIMIT:g}"
+            f"of joint {joint!r} is {velocity[dof]:g}, allowed ",
+            given=float(velocity[dof]),
+            allowed=f"below {SPEED_LIMIT:g}",
         )
 
     def _supply_of(self, actuator: str) -> str:
@@ -331,5 +330,5 @@ class Simulation:
         moments = np.abs(moments)
         for name, row in zip(self.actuators, moments, strict=True):
             if not row.any():
-                raise LeglabError(f"actuator {name!r} moves no joint")
+                raise ModelError(f"actuator {name!r} moves no joint", given=name)
         return self.model.dof_jntid[moments.argmax(axis=1)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from leglab._native.loop import Reports
 from leglab._native.loop import Rows as RowTaker
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SimulationError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.control.contract import diagnostics_of
@@ -21,7 +21,7 @@ from leglab.controllers.pd import PdConfiguration
 from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.changes import Schedule
 from leglab.machine.plugin import headless
-from leglab.machine.simulation import Simulation, SimulationError
+from leglab.machine.simulation import Simulation
 from leglab.references import Samples
 from leglab.runs.fault_simulation import fault_bank
 from leglab.runs.history import Ending, History, Rows, Whole

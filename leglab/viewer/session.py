@@ -11,7 +11,6 @@ from leglab.base.scenario import ParameterChange, Scenario
 from leglab.base.units import error_unit
 from leglab.machine.changes import Bodies
 from leglab.machine.plugin import without_warnings
-from leglab.machine.simulation import SimulationError
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import FaultEvent, FaultTrend
@@ -108,7 +107,7 @@ class Session:
                 self._loop.step()
             self._count += 1
             self.simulation.check()
-        except (LeglabError, SimulationError) as error:
+        except LeglabError as error:
             self.failure = str(error)
 
     def move(self, name: str, value: float) -> None:

@@ -7,11 +7,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from leglab import Run, RunSettings, run_scenario
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SimulationError
 from leglab.base.scenario import get_scenario
 from leglab.control import make_controller
 from leglab.machine.changes import vary_bodies, vary_parameters
-from leglab.machine.simulation import Simulation, SimulationError, load_model
+from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.inversion import exact_commands
 from leglab.runs.loop import Loop
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import leglab.models
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SimulationError
 from leglab.commissioning.calibration import holding_forces, settle, speed_limits, valve_maps
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.library import model_names, model_summary
-from leglab.machine.simulation import Simulation, SimulationError, load_model
+from leglab.machine.simulation import Simulation, load_model
 
 
 @pytest.fixture(scope="module")
