@@ -38,9 +38,9 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 docs: $(STAMP)
-	rm -rf docs/api/generated  # pages of modules that are gone
+	rm -rf docs/reference/api/generated  # pages of modules that are gone
 	$(BIN)/python -m sphinx -W --keep-going -n -q -j auto docs out/docs
-	$(BIN)/python docs/check_links.py out/docs
+	$(BIN)/python docs/_tools/check_links.py out/docs
 	@echo "open out/docs/index.html"
 
 # Hours: docs/data anew, then the tables of README.md and docs. Interrupted, the long ones go on.

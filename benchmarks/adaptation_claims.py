@@ -30,13 +30,13 @@ NEEDED = ("static_feedforward", "bsnn_arx", "oracle")
 SAFETY = ("static_feedforward", "bsnn_arx")
 HEADER = """# What adapting gains
 
-Made by `python benchmarks/adaptation_claims.py --render > docs/adaptation_results.md`
+Made by `python benchmarks/adaptation_claims.py --render > docs/results/adaptation_tables.md`
 from docs/data/adaptation_results.json; not to be edited.
 
 A seed draws the specimen (every parameter off the drawing by a factor of standard deviation 10 %),
 the phase of the stride, the time of the change (8 to 12 s of 20) and the sensor noise; the exact
 machine is a chapter of its own. Controllers know the drawing, never the specimen
-([what the calibration knows](calibration.md)). Errors are RMS over joints and time in mrad, of the
+([what the calibration knows](../guides/calibration.md)). Errors are RMS over joints and time in mrad, of the
 true positions; 95 % intervals over seeds.
 
 - `before` is the whole strides of the 5 s before the change, `end` those of the last 5 s.

@@ -1,4 +1,4 @@
-"""Tables of docs/identification.md: `python benchmarks/identification_tables.py NAME`.
+"""Tables of docs/concepts/identification.md: `python benchmarks/identification_tables.py NAME`.
 
 `free_runs` and `recovery` compute what the deployed identifier does on the paper's plant; `asked`
 does so as well and takes the rest from docs/data.

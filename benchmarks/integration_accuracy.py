@@ -1,9 +1,9 @@
 """Accuracy against cost of the fixed-step scheme, beside stiff reference solvers.
 
-A 20 kg mass on the cylinder of docs/physics.md follows half a second of valve commands held for
-1 ms: sines, a step and a reversal. Errors are those at the ends of the milliseconds against LSODA
-with a relative tolerance of 1e-10, itself compared with Radau. "naive" is what a first plugin does:
-force from the old pressures, pressures by explicit Euler with the old velocity.
+A 20 kg mass on the cylinder of docs/concepts/physics.md follows half a second of valve commands
+held for 1 ms: sines, a step and a reversal. Errors are those at the ends of the milliseconds
+against LSODA with a relative tolerance of 1e-10, itself compared with Radau. "naive" is what a
+first plugin does: force from the old pressures, pressures by explicit Euler with the old velocity.
 
 Without air the continuous model lets oil under tension where the scheme lets it boil; where the
 motion touches that, the two keep a difference that no step removes. Times are of the processor.

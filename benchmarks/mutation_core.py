@@ -85,7 +85,8 @@ _CHANGES = (
 )  # fmt: skip
 _NUMBER = re.compile(r"(?<![\w.\"])(\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+|[1-9]\d*)(?![\w.\"])")
 _NO_CODE = re.compile(r"//.*$|\"(\\.|[^\"])*\"")
-# Lines without arithmetic; X( is a row of a table, whose bounds are listed in docs/parameters.md.
+# Lines without arithmetic; X( is a row of a table, whose bounds are listed in
+# docs/reference/parameters.md.
 _LEFT_OUT = ("#", "static_assert", "template", "using", "X(")
 _FLAGS = (
     "-std=c++20", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off",

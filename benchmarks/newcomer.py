@@ -1,8 +1,8 @@
 """The newcomer's way, timed: `python benchmarks/newcomer.py`.
 
-Takes the commands of docs/newcomer.md from the page, section by section, and runs them as one typed
-them: in one shell, in an empty folder, with a clone of the commit that is checked out and an empty
-home, so that the environment is made and compiled anew. A command that fails ends it.
+Takes the commands of docs/start/first_hour.md from the page, section by section, and runs them as
+one typed them: in one shell, in an empty folder, with a clone of the commit that is checked out
+and an empty home, so that the environment is made and compiled anew. A command that fails ends it.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import results
 sys.path.insert(0, str(results.ROOT))  # for the reader of pages, which the tests use as well
 from tests.helpers.pages import Block, blocks
 
-PAGE = results.ROOT / "docs" / "newcomer.md"
+PAGE = results.ROOT / "docs" / "start" / "first_hour.md"
 _HEAD = re.compile(r"^## (\d+\. .+)$", re.MULTILINE)
 _ADDRESS = "URL-OF-THIS-REPOSITORY"
 # Of the own environment, what the shell of a newcomer has as well; his home is empty.

@@ -2,7 +2,7 @@
 
 Below it what the learning constant that the paper prints does to the order of its models.
 
-Page and figures of the same run go to docs/replication.
+Page and figures of the same run go to docs/results/replication.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def main() -> None:
     """Replicates, or prints what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--instances", type=int, default=paper.INSTANCES)
-    parser.add_argument("--out", type=Path, default=Path("docs/replication"))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/replication"))
     results.main(parser, measure, tables)
 
 

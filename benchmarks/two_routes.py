@@ -1,8 +1,8 @@
 """Inverse or forward model for the feed-forward: `python benchmarks/two_routes.py`.
 
 Both learn the same features online; one says what flow a motion takes, the other what speed a flow
-gives, which is then solved for the flow (docs/identification.md). RMS tracking errors in mrad
-before and 0-2, 2-4 and 5-8 s after the change, over specimens.
+gives, which is then solved for the flow (docs/concepts/identification.md). RMS tracking errors in
+mrad before and 0-2, 2-4 and 5-8 s after the change, over specimens.
 """
 
 import argparse

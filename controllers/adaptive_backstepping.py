@@ -4,7 +4,7 @@ Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633, for the structu
 load force, valve flow, with leakage as adapted parameter and lumped disturbances in the force and
 the flow equation; Yao, Bu, Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79, for the
 single-rod cylinder and for compensation at the reference. Equations and what each part knows:
-docs/adaptive_backstepping.md.
+docs/concepts/adaptive_backstepping.md.
 """
 
 import math

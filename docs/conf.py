@@ -36,10 +36,8 @@ extensions = [
     "myst_parser",
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-# Pages of parts that may not be built in.
-OPTIONAL = ("environment", "report", "viewer", "command_line", "data_formats")
 templates_path = ["_templates"]
-exclude_patterns = ["_templates", "data"]
+exclude_patterns = ["_templates", "_tools", "data"]
 autosummary_generate = True
 # `name` in a docstring is code, as in Markdown.
 default_role = "literal"
@@ -84,14 +82,6 @@ def _escape_bars(app, what, name, obj, options, lines):
         lines[i] = "".join(p if p.startswith("`") else p.replace("|", "\\|") for p in parts)
 
 
-def _drop_missing(app, docname, source):
-    """Takes pages that are not there out of the table of contents."""
-    if docname == "index":
-        for name in OPTIONAL:
-            if not (app.srcdir / f"{name}.md").exists():
-                source[0] = source[0].replace(f"\n{name}\n", "\n")
-
-
 def _skip(app, what, name, obj, skip, options):
     """Fields of a named tuple are described by its docstring."""
     del app, what, name, options
@@ -117,4 +107,3 @@ def setup(app):
     app.connect("build-finished", _write_sitemap)
     app.connect("autodoc-skip-member", _skip)
     app.connect("autodoc-process-docstring", _escape_bars)
-    app.connect("source-read", _drop_missing)

@@ -3,8 +3,8 @@
 The policy adds a command to `static_feedforward`: for each joint tanh of a weighted sum of its
 tracking error, the error's rate, the load pressure, the reference and the controller's own command.
 Every candidate drives the same machines, whose seals wear out by 3 to 20 times; a batch steps all
-candidates together (docs/environment.md). Its cost is the RMS tracking error after the change. The
-result is judged on machines of other seeds beside `static_feedforward` alone.
+candidates together (docs/guides/environments.md). Its cost is the RMS tracking error after the
+change. The result is judged on machines of other seeds beside `static_feedforward` alone.
 
 Needs the extra `train` (the package cma). Interrupted, it goes on from the last generation.
 """
@@ -55,7 +55,7 @@ def make(count, arguments, **settings):
 
 
 def features(observation, joints):
-    """What the policy sees, (machines, joints, features); parts as in docs/environment.md."""
+    """What the policy sees, (machines, joints, features); see docs/guides/environments.md."""
     parts = observation.astype(float)
     names = ("position", "velocity", "a", "b")
     at = {name: parts[:, i * joints : (i + 1) * joints] for i, name in enumerate(names)}

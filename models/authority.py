@@ -1,8 +1,8 @@
 """Forces and speeds that squat and stride need of the cylinders, and those that 160 bar gives.
 
-`python -m leglab.models.authority` prints the tables of docs/leg_design.md. The weight of leg and
-trunk share stands on the foot as a vertical force without friction; a stride is the sagittal motion
-below at one stride a second with 60 % stance, the force rolling from heel to ball.
+`python -m leglab.models.authority` prints the tables of docs/concepts/leg_design.md. The weight of
+leg and trunk share stands on the foot as a vertical force without friction; a stride is the
+sagittal motion below at one stride a second with 60 % stance, the force rolling from heel to ball.
 """
 
 import mujoco

@@ -1,6 +1,6 @@
 """Cylinder linkages of the leg: levers, piston positions, effective masses.
 
-`python -m leglab.models.linkage` prints the tables of docs/leg_design.md.
+`python -m leglab.models.linkage` prints the tables of docs/concepts/leg_design.md.
 """
 
 import argparse

@@ -16,7 +16,7 @@ from leglab.machine import plugin
 SAMPLING_PERIOD = 1e-3  # s
 # Neither the replay's step nor half of it, which corrects the replay.
 TIMESTEP = 0.2e-3  # s
-ENCODER_STEP = 2.0 * np.pi / 131072.0  # rad, docs/knee_bench.md
+ENCODER_STEP = 2.0 * np.pi / 131072.0  # rad, docs/concepts/knee_bench.md
 POSITION_NOISE = 2e-5  # rad rms
 PRESSURE_NOISE = 1.5e4  # Pa rms
 _LOOP_GAIN = 0.5  # valve command per rad
@@ -175,7 +175,7 @@ def references(rng: np.random.Generator, duration: float = 12.0) -> dict[str, np
     return found
 
 
-# Nominal values that the faults start from, docs/knee_bench.md.
+# Nominal values that the faults start from, docs/concepts/knee_bench.md.
 NOMINAL = {
     "internal_leakage": 1.7e-13,
     "entrained_air": 0.005,

@@ -255,7 +255,7 @@ def _external(
 
 
 def _viscosity(temperature: float) -> float:
-    """Of VG 46 over that at 40 C, by Vogel's law through 0, 40 and 100 C of docs/physics.md."""
+    """Of VG 46 over that at 40 C, by Vogel's law (docs/concepts/physics.md)."""
     # ln nu = a + b / (T + c) through (0, 577), (40, 46), (100, 6.8): c from the two slopes.
     first, second = np.log(577.0 / 46.0), np.log(46.0 / 6.8)
     ratio = first / second * 60.0 / 40.0  # (100 + c) / c

@@ -1,8 +1,8 @@
 """The oil is cold from half time on.
 
 Viscous friction grows and leakage shrinks with the viscosity: 577 cSt instead of 46 for VG 46
-(docs/physics.md, case f). A machine does not change its temperature at once; the step shows what a
-controller meets that was tuned at 40 °C, and has a before and an after to compare.
+(docs/concepts/physics.md, case f). A machine does not change its temperature at once; the step
+shows what a controller meets that was tuned at 40 °C, and has a before and an after to compare.
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario

@@ -1,7 +1,7 @@
 """The piston seals wear out half way.
 
-Leakage grows with the cube of the seal's clearance (docs/parameters.md): x2, x10 and x50 stand
-for 1.26, 2.15 and 3.68 times the clearance.
+Leakage grows with the cube of the seal's clearance (docs/reference/parameters.md): x2, x10 and x50
+stand for 1.26, 2.15 and 3.68 times the clearance.
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario

@@ -1,6 +1,6 @@
 """The null of all valves shifts at half time.
 
-New servovalves stay within 2 % over temperature and supply pressure (docs/parameters.md).
+New servovalves stay within 2 % over temperature and supply pressure (docs/reference/parameters.md).
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario

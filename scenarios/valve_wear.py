@@ -1,6 +1,7 @@
 """Dirt and wear give all valves a wider dead band and hysteresis from half time on.
 
-A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis (docs/parameters.md).
+A new small servovalve has an overlap of 2 % and less than 3 % of hysteresis
+(docs/reference/parameters.md).
 """
 
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario

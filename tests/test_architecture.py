@@ -59,7 +59,7 @@ def test_only_package_faces_re_export():
 
 
 def test_the_places_that_contributing_names_exist():
-    text = (ROOT / "docs" / "contributing.md").read_text()
+    text = (ROOT / "docs" / "development" / "contributing.md").read_text()
     found = text[text.index("## Find a room") : text.index("## Words")]
     places = set(re.findall(r"`([\w./]+/[\w./]*)`", found)) - {"benchmarks/NAME.py"}
     assert len(places) > 40

@@ -108,11 +108,11 @@ def per_joint(scenario: str) -> bool:
 
 
 def catalogue_page() -> str:
-    """Returns all summaries as Markdown, the content of docs/catalogue.md."""
+    """Returns all summaries as Markdown, the content of docs/reference/catalogue.md."""
     lines = [
         "# Scenarios, controllers, references, models",
         "",
-        "Made by `leglab list --markdown > docs/catalogue.md`.",
+        "Made by `leglab list --markdown > docs/reference/catalogue.md`.",
     ]
     for kind, entries in summaries().items():
         scenarios = kind == "scenarios"

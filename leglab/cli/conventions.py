@@ -82,7 +82,7 @@ EXAMPLES = {
     "verify": ("leglab verify", "leglab verify --json > verification.json"),
     "parameters": (
         "leglab parameters leglab.cylinder",
-        "leglab parameters --markdown > docs/parameters.md",
+        "leglab parameters --markdown > docs/reference/parameters.md",
     ),
 }
 """Two or three lines for the shell by command."""

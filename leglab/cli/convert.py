@@ -51,8 +51,8 @@ def convert(
 ) -> None:
     """Converts a recording to another format and says what is lost.
 
-    Samples keep every bit; docs/data_formats.md says what else survives in which format. A run's
-    folder as .mcap or .rrd shows the machine too: links, poses, meshes.
+    Samples keep every bit; docs/reference/data_formats.md says what else survives in which format.
+    A run's folder as .mcap or .rrd shows the machine too: links, poses, meshes.
     """
     from leglab import data
     from leglab.data import plotjuggler

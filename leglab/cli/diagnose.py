@@ -34,7 +34,9 @@ def diagnose(
     columns: Columns = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option(help="Effect to consider, of docs/effects.md, repeatable; default: all."),
+        typer.Option(
+            help="Effect to consider, of docs/reference/effects.md, repeatable; default: all."
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,

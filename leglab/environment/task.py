@@ -104,7 +104,7 @@ class TrackingTask(Task):
             self._measure()
 
     def get_observation(self, physics: LegPhysics) -> dict[str, np.ndarray]:
-        """Measurements, reference and commands; see docs/environment.md."""
+        """Measurements, reference and commands; see docs/guides/environments.md."""
         return collections.OrderedDict(self._observation)
 
     def get_reward(self, physics: LegPhysics) -> float:

@@ -18,8 +18,8 @@ AUTORESETS = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.S
 class LegVectorEnv(gymnasium.vector.VectorEnv):
     """Machines of `leglab.environment.make_batch` as a `gymnasium.vector.VectorEnv`.
 
-    Observations are one float32 array, a row a machine, in the order of docs/environment.md; the
-    arrays that `reset` and `step` return are the caller's.
+    Observations are one float32 array, a row a machine, in the order of
+    docs/guides/environments.md; the arrays that `reset` and `step` return are the caller's.
 
     `info` has, with a row a machine, `time` [s], the true `tracking_error` [rad] and the `command`
     that was sent; of machines whose episode begins, under the mask `_scenario`, also `scenario`,

@@ -250,13 +250,13 @@ def placed_parameters(
 
 
 def markdown_tables(tables: Iterable[PluginTable]) -> str:
-    """Parameters and states as Markdown, the content of docs/parameters.md."""
+    """Parameters and states as Markdown, the content of docs/reference/parameters.md."""
     lines = [
         "# Parameters and states of the plugins",
         "",
-        "Made by `leglab parameters --markdown > docs/parameters.md`. SI units, °C for oil. "
-        "Units of plugins on a joint are those at a hinge: at a slide N stands for N m, m for rad, "
-        "kg for kg m^2.",
+        "Made by `leglab parameters --markdown > docs/reference/parameters.md`. SI units, "
+        "°C for oil. Units of plugins on a joint are those at a hinge: at a slide N stands for "
+        "N m, m for rad, kg for kg m^2.",
     ]
     for table in tables:
         lines += ["", f"## {table.plugin}", ""]

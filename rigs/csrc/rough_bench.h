@@ -2,7 +2,7 @@
 // equations of its own. Shares nothing with hydraulics/: an error there must not hide here.
 //
 // The laws of friction, orifice, edges, oil, valve and spring are chosen by number; 0 is the law that
-// docs/physics.md states. SI units, pressures gauge.
+// docs/concepts/physics.md states. SI units, pressures gauge.
 #pragma once
 
 #include <algorithm>

@@ -73,7 +73,7 @@ BOOM = Path(__file__).with_name("boom.xml")
 
 def page_files(page):
     """Files that a how-to page has its reader save, by name."""
-    found = blocks((ROOT / f"docs/how_to/{page}.md").read_text())
+    found = blocks((ROOT / f"docs/guides/{page}.md").read_text())
     # Without the line that names the file.
     return {block.file: block.text.partition("\n")[2] for block in found if block.file}
 
@@ -163,7 +163,7 @@ def test_a_package_runs_compares_and_reports(site, tmp_path):
 
 @pytest.mark.slow("processes that start processes")
 def test_a_package_takes_part_in_a_diagnosis(site, tmp_path):
-    page = (ROOT / "docs/how_to/effect.md").read_text()
+    page = (ROOT / "docs/guides/effect.md").read_text()
     (tmp_path / "pendulum.xml").write_text(page_files("effect")["pendulum.xml"])
     (record,) = (b.text for b in blocks(page) if "def record" in b.text)
     save = "\nfrom leglab import write\nfor name, one in recordings.items():\n"

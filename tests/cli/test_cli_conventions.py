@@ -253,11 +253,10 @@ def test_the_completion_script_is_shell(tmp_path):
 
 
 def test_the_page_of_the_command_line_is_up_to_date():
-    script = Path(__file__).parents[2] / "docs" / "make_command_line.py"
+    script = Path(__file__).parents[2] / "docs" / "_tools" / "make_command_line.py"
     made = runpy.run_path(str(script))["page"]()
-    assert (script.parent / "command_line.md").read_text(encoding="utf-8") == made, (
-        "run python docs/make_command_line.py"
-    )
+    page = script.parents[1] / "reference" / "command_line.md"
+    assert page.read_text(encoding="utf-8") == made, "run python docs/_tools/make_command_line.py"
 
 
 def test_main_without_arguments_shows_help(capsys):

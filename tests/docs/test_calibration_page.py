@@ -1,4 +1,4 @@
-"""The table of docs/calibration.md says what controllers ask for; `test_tables.py` compares it."""
+"""Tables of docs/guides/calibration.md: what controllers ask for."""
 
 from dataclasses import fields
 
@@ -18,7 +18,7 @@ CHANGES = {field.name for field in fields(Foreknowledge)}
 
 @pytest.fixture
 def page(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "docs")
+    monkeypatch.syspath_prepend(ROOT / "docs" / "_tools")
     import calibration_tables
 
     return calibration_tables

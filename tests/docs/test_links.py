@@ -12,17 +12,18 @@ import pytest
 
 from leglab import scenario_names
 
-SCRIPT = Path(__file__).parents[2] / "docs" / "check_links.py"
+DOCS = Path(__file__).parents[2] / "docs"
+SCRIPT, CONF = DOCS / "_tools" / "check_links.py", DOCS / "conf.py"
 
 
-def loaded(name):
-    spec = importlib.util.spec_from_file_location(name, SCRIPT.with_name(f"{name}.py"))
+def loaded(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-check_links = loaded("check_links")
+check_links = loaded(SCRIPT)
 
 
 def site(folder, **links):
@@ -70,11 +71,11 @@ def test_a_link_that_leads_nowhere_is_named(tmp_path):
 )
 def test_a_site_with_an_address_lists_its_pages(tmp_path, monkeypatch, address, known):
     monkeypatch.setenv("LEGLAB_DOCS_URL", address)
-    conf = loaded("conf")
+    conf = loaded(CONF)
     app = SimpleNamespace(
         config=SimpleNamespace(html_baseurl=conf.html_baseurl),
         builder=SimpleNamespace(name="html"),
-        env=SimpleNamespace(found_docs={"index", "how_to/model"}),
+        env=SimpleNamespace(found_docs={"index", "guides/model"}),
         outdir=tmp_path,
     )
     conf._write_sitemap(app, None)
@@ -82,7 +83,7 @@ def test_a_site_with_an_address_lists_its_pages(tmp_path, monkeypatch, address, 
     if known:
         found = ElementTree.parse(tmp_path / "sitemap.xml").getroot()
         assert [page.text for page in found.iter(f"{found.tag.removesuffix('urlset')}loc")] == [
-            "https://example.org/leglab/how_to/model.html",
+            "https://example.org/leglab/guides/model.html",
             "https://example.org/leglab/index.html",
         ]
 
@@ -91,18 +92,19 @@ def test_the_site_says_its_version_and_commit():
     describe = ["git", "describe", "--tags", "--always", "--dirty=+"]
     git = subprocess.run(describe, cwd=SCRIPT.parent, capture_output=True, text=True, check=False)
     told = f" ({git.stdout.strip()})" if git.returncode == 0 else ""
-    assert loaded("conf").html_title == f"leglab {metadata.version('leglab')}{told}"
+    assert loaded(CONF).html_title == f"leglab {metadata.version('leglab')}{told}"
 
 
 @pytest.mark.slow("our own figures")
 def test_pages_of_the_gallery_are_what_their_script_writes(tmp_path):
-    docs = SCRIPT.parent
-    command = [sys.executable, str(docs / "make_scenarios.py"), "--pages", str(tmp_path)]
+    command = [sys.executable, str(SCRIPT.with_name("make_scenarios.py")), "--pages", str(tmp_path)]
     subprocess.run(command, check=True)
     made = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    assert made == {path.name: path.read_text() for path in (docs / "scenarios").iterdir()}
+    assert made == {
+        path.name: path.read_text() for path in (DOCS / "reference" / "scenarios").iterdir()
+    }
     assert set(made) == {f"{name}.md" for name in (*scenario_names(), "index")}
-    pictures = list((docs / "images" / "scenarios").iterdir())
+    pictures = list((DOCS / "images" / "scenarios").iterdir())
     shown = {f"{name}{end}.webp" for name in scenario_names() for end in ("", "_error")}
     assert {path.name for path in pictures} == shown
     assert sum(path.stat().st_size for path in pictures) < 3_000_000

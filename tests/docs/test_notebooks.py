@@ -1,4 +1,4 @@
-"""The notebooks of docs/notebooks run, and show what is kept in them."""
+"""The notebooks of docs/start/notebooks run, and show what is kept in them."""
 
 import pytest
 

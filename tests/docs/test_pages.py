@@ -16,10 +16,10 @@ from leglab.runs.folder import default_folder
 from tests.helpers.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
-HOW_TO = sorted(f"docs/how_to/{path.name}" for path in ROOT.glob("docs/how_to/*.md"))
-PAGES = ("docs/newcomer.md", "docs/tutorial.md", "docs/sweeps.md", *HOW_TO)
+HOW_TO = [f"docs/guides/{name}.md" for name in ("controller", "effect", "model", "scenario")]
+PAGES = ("docs/start/first_hour.md", "docs/start/tutorial.md", "docs/guides/sweeps.md", *HOW_TO)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
-OTHERS = ("README.md", "docs/getting_started.md")
+OTHERS = ("README.md", "docs/start/getting_started.md")
 INSTALLATION = (
     "git clone URL-OF-THIS-REPOSITORY leglab && cd leglab",
     "make demo",
@@ -29,7 +29,7 @@ NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", 
 
 
 # Of each kind one.
-QUICK = ("README.md", "docs/how_to/scenario.md")
+QUICK = ("README.md", "docs/guides/scenario.md")
 
 
 def _from_end_to_end(page, *options):
@@ -46,7 +46,7 @@ def _from_end_to_end(page, *options):
 )
 def test_the_page_does_what_it_says(page, options, tmp_path):
     folder = tmp_path / "page"
-    if page == "docs/newcomer.md":  # its reader stands in the clone
+    if page == "docs/start/first_hour.md":  # its reader stands in the clone
         folder.mkdir()
         for part in ("docs", "examples"):
             (folder / part).symlink_to(ROOT / part)
@@ -69,7 +69,7 @@ def test_the_formats_page_does_what_it_says(tmp_path):
     settings = RunSettings(scenario="nominal", model="knee_bench", duration=0.5)
     run = run_scenario(settings)
     data.write(run.recording, tmp_path / "run.parquet")
-    page = ROOT / "docs/data_formats.md"
+    page = ROOT / "docs/reference/data_formats.md"
     arguments = [str(page), "--keep", str(tmp_path), "--only", "python"]
     done = subprocess.run(
         [sys.executable, "-m", "tests.helpers.pages", *arguments],

@@ -4,7 +4,8 @@ import pytest
 
 from tests.tables import Made, difference, made, pages, printed, write
 
-# The table of docs/physics.md has its test beside the checks that it shows, in test_conformance.py.
+# The table of docs/concepts/physics.md has its test beside the checks that it shows, in
+# test_conformance.py.
 MADE = [part for part in made() if "leglab.studies.verification" not in part.command]
 
 

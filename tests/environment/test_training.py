@@ -64,7 +64,7 @@ def test_features_are_what_they_are_called(example):
 
 
 def test_a_network_trains_on_the_batch_and_is_judged(tmp_path, monkeypatch):
-    """Short: how much it gains is in docs/environment.md."""
+    """Short: how much it gains is in docs/guides/environments.md."""
     pytest.importorskip("stable_baselines3", reason="pip install stable-baselines3 tensorboard")
     monkeypatch.syspath_prepend(str(EXAMPLE.parent))
     ppo = importlib.import_module("train_residual_ppo")

@@ -72,7 +72,7 @@ def main() -> None:
     ):
         data.write(small, place(f"{name}/plain").with_suffix(suffix)).rename(place(f"{name}/plain"))
     # From the page on sweeps: each of its examples.
-    page = Path(__file__).parents[2] / "docs" / "sweeps.md"
+    page = Path(__file__).parents[2] / "docs" / "guides" / "sweeps.md"
     for i, text in enumerate(re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)):
         place(f"sweep/page_{i}").write_text(text)
     folder = write_folder(place("run_json/plain").with_name("made"))

@@ -15,7 +15,7 @@ import nbformat
 from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[2]
-NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((ROOT / "docs/start/notebooks").glob("*.ipynb"))
 _SECONDS = 300  # of one cell
 # Set in every kernel, beside what this process has: small pictures, one thread.
 _ENVIRONMENT = {

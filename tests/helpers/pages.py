@@ -1,4 +1,4 @@
-"""Runs the examples of a page as a reader would: `python -m tests.helpers.pages docs/tutorial.md`.
+"""Runs the examples of a page: `python -m tests.helpers.pages docs/start/tutorial.md`.
 
 Fenced blocks are taken in the order of the page, in one folder that is empty at the start:
 

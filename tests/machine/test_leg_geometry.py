@@ -1,4 +1,4 @@
-"""Joints, masses, linkages and shapes of the leg models (docs/leg_design.md)."""
+"""Joints, masses, linkages and shapes of the leg models (docs/concepts/leg_design.md)."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from leglab.models.swap import FOLDER, load_with_motors
 POSES = ("home", "stand", "swing", "squat")
 # Extending the cylinder turns the joint this way (leg.xml, header comment).
 SIGN = dict.fromkeys(JOINTS, -1) | {"hip_yaw": 1}
-# Shortest lever over the whole range, m (docs/leg_design.md).
+# Shortest lever over the whole range, m (docs/concepts/leg_design.md).
 SHORTEST_LEVER = {
     "hip_yaw": 0.039,
     "hip_roll": 0.041,

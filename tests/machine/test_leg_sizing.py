@@ -24,7 +24,7 @@ def leg() -> mujoco.MjModel:
 
 
 def test_formulas_agree_with_the_conformance_cylinder():
-    """Cases a, b and c of docs/physics.md: 16/10 x 80 mm, 7.5 l/min, x = 40 mm."""
+    """Cases a, b and c of docs/concepts/physics.md: 16/10 x 80 mm, 7.5 l/min, x = 40 mm."""
     cylinder = CylinderSize(
         bore=0.016,
         rod=0.010,

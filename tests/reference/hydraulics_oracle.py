@@ -1,4 +1,4 @@
-"""One valve-controlled cylinder in plain NumPy, written from the model table of docs/physics.md.
+"""One valve-controlled cylinder in plain NumPy, written from docs/concepts/physics.md.
 
 Every rate is kept as the list of its terms, so that a comparison can be relative to the size of
 the terms and not to what their cancellation happens to leave. SI units, pressures gauge.

@@ -119,7 +119,7 @@ def _be_killed(plan, folder, after):
 
 
 def test_the_file_of_the_page_can_be_read():
-    text = (Path(__file__).parents[2] / "docs/sweeps.md").read_text()
+    text = (Path(__file__).parents[2] / "docs/guides/sweeps.md").read_text()
     (block,) = [
         part for part in text.split("```") if 'draw = "tpe"' in part and "[settings]" in part
     ]

@@ -1,4 +1,4 @@
-"""Every case of docs/physics.md, in the continuous model and in MuJoCo at 0.5 and 1 ms steps."""
+"""Cases of docs/concepts/physics.md, in the continuous model and in MuJoCo at 0.5 and 1 ms."""
 
 import functools
 import json
@@ -107,8 +107,8 @@ def test_bulk_modulus_formula(entry):
 
 @pytest.mark.parametrize("entry", REFERENCE["k_worn_stall"])
 def test_stall_formula(entry):
-    # The stored hot entry lets the orifice gain grow with 1/sqrt(rho) as well; K of docs/physics.md
-    # is constant. At 80 degC that is 0.26 % of the pressure.
+    # The stored hot entry lets the orifice gain grow with 1/sqrt(rho) as well; K of
+    # docs/concepts/physics.md is constant. At 80 degC that is 0.26 % of the pressure.
     ratio = dynamic_viscosity_ratio(entry["T"])
     density = ratio / (walther(entry["T"]) / walther(40.0))
     spool = entry["xs"] / math.sqrt(density)

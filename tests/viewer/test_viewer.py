@@ -353,7 +353,7 @@ def test_a_real_window_hears_slider_and_keys(screen):
 
 
 def test_names_that_a_plugin_refers_to_stay(tmp_path):
-    found = blocks((ROOT / "docs/how_to/model.md").read_text())
+    found = blocks((ROOT / "docs/guides/model.md").read_text())
     text = next(block.text for block in found if block.file == "boom.xml")
     name = "lifting_boom_valve"
     learned = f'<instance name="rest"><config key="cylinder" value="{name}"/></instance>'

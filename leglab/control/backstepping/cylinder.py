@@ -1,7 +1,7 @@
 """Equations of all nominal cylinders at once: flow, pressure, their inverse, and seal friction.
 
 Chamber quantities have shape (2, joints): cap side (A) first, rod side (B) second. Equations and
-symbols are those of docs/physics.md.
+symbols are those of docs/concepts/physics.md.
 """
 
 from typing import NamedTuple

@@ -15,7 +15,7 @@ _LEAST_NOISE = (2e-5, 1.5e4)
 def no_load_speed(data: NominalCylinders) -> np.ndarray:
     """Piston speed of a fully open valve without load, retracting [m/s], (joints,).
 
-    v = K sqrt(A_B p_s/(A_A^3 + A_B^3)), case a of docs/physics.md.
+    v = K sqrt(A_B p_s/(A_A^3 + A_B^3)), case a of docs/concepts/physics.md.
     """
     return data.orifice_gain * np.sqrt(
         data.area[1] * data.supply_pressure / (data.area**3).sum(axis=0)

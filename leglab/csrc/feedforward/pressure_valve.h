@@ -30,8 +30,9 @@ struct ChamberPressures {
 };
 
 // A piston whose load force is F moves as if the valve's flow were w_A Q_A - w_B Q_B = F' + k v plus
-// what leaks, w_i = A_i beta_i/V_i and k = w_A A_A + w_B A_B (docs/adaptive_backstepping.md). So the
-// flow of a command is a speed, here as a share of the joint's full speed.
+// what leaks, w_i = A_i beta_i/V_i and k = w_A A_A + w_B A_B
+// (docs/concepts/adaptive_backstepping.md). So the flow of a command is a speed, here as a share
+// of the joint's full speed.
 class PressureValve {
  public:
   explicit PressureValve(CylinderSheet sheet)

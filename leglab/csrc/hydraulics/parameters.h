@@ -57,7 +57,8 @@ inline constexpr double kRequired = __builtin_nan("");
 
 // X(name, unit, nominal, minimum, maximum, minimum_allowed, description)
 // Sources: [HyQ] Ledezma et al. 2016, HyQ leg parameter scripts; [V] vendor data of an E024-class
-// servovalve; [ISO] ISO 3448 grades; [C] choice of this project. See shared notes in docs/physics.md.
+// servovalve; [ISO] ISO 3448 grades; [C] choice of this project. See shared notes in
+// docs/concepts/physics.md.
 #define LEGLAB_CYLINDER_PARAMETERS(X)                                                              \
   X(bore, "m", kRequired, 1e-3, 0.5, true, "piston diameter, cap side")                            \
   X(rod, "m", kRequired, 0.0, 0.5, true, "rod diameter; smaller than the bore")                    \

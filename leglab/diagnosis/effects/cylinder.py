@@ -99,7 +99,7 @@ _oil(
     "entrained_air",
     relative("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
     physics="Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
-    source="docs/physics.md; 0.5 % is normal, foaming oil holds several per cent",
+    source="docs/concepts/physics.md; 0.5 % is normal, foaming oil holds several per cent",
     excitation="pressures that change quickly",
 )
 
@@ -387,7 +387,7 @@ _valve(
         "How an edge shuts behind its lap, exponent n of its rounding, and how laps of the four "
         "edges differ, which sets the level of both pressures."
     ),
-    source=f"docs/physics.md; {VALVE}: edges are ground to 2 um of a stroke of 0.5 mm",
+    source=f"docs/concepts/physics.md; {VALVE}: edges are ground to 2 um of a stroke of 0.5 mm",
     excitation="small openings of the valve",
     nameable=False,
 )
@@ -421,8 +421,8 @@ _friction(
         "how far its bristle gives way before, 1/sigma_0."
     ),
     source=(
-        "docs/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994); seals "
-        "creep, stick or give way by tens of um"
+        "docs/concepts/physics.md; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994); "
+        "seals creep, stick or give way by tens of um"
     ),
     excitation="slow motion and reversals",
     nameable=False,

@@ -158,7 +158,7 @@ class QuadraticDamping(JointEffect):
 
     name = "quadratic_damping"
     physics = "-d |v| v: orifice dampers, drag."
-    source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/physics.md"
+    source = "turbulent flow (Bernoulli); Folgheraiter's damper, docs/concepts/physics.md"
     excitation = "slow and fast motion, which tell it from viscous friction"
     rows = (
         SizedRow(

@@ -113,8 +113,8 @@ class Track:
     def seal_leakage(self) -> np.ndarray | None:
         """Leakage of the seals over that of the new machine at one viscosity, (n, joints).
 
-        C over C_new = internal_leakage / (its value at the start) x clearance^3, docs/physics.md.
-        None where neither was recorded.
+        C over C_new = internal_leakage / (its value at the start) x clearance^3,
+        docs/concepts/physics.md. None where neither was recorded.
         """
         factors, known = [], False
         for joint, actuator in zip(self.joints, self.actuators, strict=True):

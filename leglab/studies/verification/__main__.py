@@ -1,6 +1,6 @@
 """Runs every check: `python -m leglab.studies.verification`; exit status 1 where one fails.
 
-`--markdown` prints the worst row of each case in MuJoCo, the table of docs/physics.md.
+`--markdown` prints the worst row of each case in MuJoCo, the table of docs/concepts/physics.md.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The cases of docs/physics.md: closed forms, computed apart from the core, beside solvers."""
+"""The cases of docs/concepts/physics.md: closed forms, computed apart from the core."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -46,7 +46,7 @@ class Check:
     """A quantity, its value in closed form and what a solver computed.
 
     Attributes:
-        case: Letter of the case in the table of docs/physics.md, or a word for the others.
+        case: Letter of the case in the table of docs/concepts/physics.md, or a word for the others.
         quantity: Name of what is compared.
         solver: Name of the solver: "core", "continuous", or "MuJoCo" with its time step.
         unit: Unit of `expected` and `got`.
@@ -88,7 +88,7 @@ class Found(NamedTuple):
 
 
 CASES: dict[str, Callable[[], Iterator[Check]]] = {}
-"""By name, in the order of docs/physics.md's table."""
+"""By name, in the order of docs/concepts/physics.md's table."""
 Comparer = Callable[[Any], Iterator[Found]]
 
 
@@ -425,7 +425,7 @@ def _creep(solver: Solver) -> Iterator[Found]:
         yield Found(name, "m/s", null_creep(load)[0], _late_speed(trace))
 
 
-# Kinematic viscosity [cSt] of VG 46 as docs/physics.md rounds it.
+# Kinematic viscosity [cSt] of VG 46 as docs/concepts/physics.md rounds it.
 _TABLE = {-10: 1474.0, 0: 577.0, 20: 133.8, 40: 46.0, 60: 20.6, 80: 11.1}
 _GRADES = {"VG 32": (32.0, 5.4), "VG 46": (46.0, 6.8), "VG 68": (68.0, 8.7)}
 
@@ -622,8 +622,8 @@ def _warming(engine: Engine) -> Iterator[Found]:
 def _droop(engine: Engine) -> Iterator[Found]:
     """A 0.04 l accumulator, 100 bar gas, falls by n p Q/V_gas while the piston takes A_A x 1 m/s.
 
-    Gas pressures are absolute here; the rounded 1.6 bar/ms of docs/physics.md takes them as gauge
-    (1.575), which differs by 0.4 %.
+    Gas pressures are absolute here; the rounded 1.6 bar/ms of docs/concepts/physics.md takes them
+    as gauge (1.575), which differs by 0.4 %.
     """
     volume, index = 4e-5, 1.4
     absolute = SUPPLY_PRESSURE + _ATMOSPHERE

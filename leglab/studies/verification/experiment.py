@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from leglab.machine import plugin
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 
-CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, docs/parameters.md
+CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, docs/reference/parameters.md
 SUPPLY_PRESSURE = 16e6  # Pa
 MASS = 20.0  # kg
 MID_POSITION = 0.040  # m

@@ -40,7 +40,9 @@ def _row_table(rows: Iterable[Check]) -> Table:
         cells = row.case, row.quantity, row.solver, *values, *deviation
         lines.append((row.passed, cells))
     head = "case, quantity, solver, expected, got, unit, deviation, allowed"
-    return _table("Cases of docs/physics.md", head, lines, "expected, got, deviation, allowed")
+    return _table(
+        "Cases of docs/concepts/physics.md", head, lines, "expected, got, deviation, allowed"
+    )
 
 
 def _summary(rows: Iterable[Check]) -> Table:
@@ -55,7 +57,9 @@ def _summary(rows: Iterable[Check]) -> Table:
         cells = *key, f"{passed} of {len(group)}", worst.quantity, *deviation
         lines.append((passed == len(group), cells))
     head = "case, solver, passed, closest row, deviation, allowed"
-    return _table("Cases of docs/physics.md: the row closest to its limit", head, lines, "")
+    return _table(
+        "Cases of docs/concepts/physics.md: the row closest to its limit", head, lines, ""
+    )
 
 
 def _replay_table(results: Iterable[ReplayCheck]) -> Table:
