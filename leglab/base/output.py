@@ -12,7 +12,7 @@ import socket
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -137,12 +137,16 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
 
 
 @contextmanager
-def new_folder(folder: Path, *, mark: str, overwrite: bool = False) -> Iterator[Path]:
+def new_folder(
+    folder: Path, *, mark: str, made: Sequence[str], overwrite: bool = False
+) -> Iterator[Path]:
     """Yields where the content of a folder is to be made, which takes its place at the end.
 
     Args:
         folder: Where results shall go; parents are made. A symbolic link stays one.
         mark: File by which a folder with earlier results is known.
+        made: Names of all files and folders that results may have there; what else the folder
+            holds is the user's and stays.
         overwrite: Whether earlier results may be replaced; they stay until the end.
 
     Yields:
@@ -169,6 +173,7 @@ def new_folder(folder: Path, *, mark: str, overwrite: bool = False) -> Iterator[
             yield Path(name)
             check_folder(folder, mark=mark, overwrite=overwrite)
             try:
+                _carry_over(real, Path(name), {mark, *made})
                 _exchange(Path(name), real, earlier)
             except OSError as error:
                 raise cannot_write(folder, error) from error
@@ -297,6 +302,25 @@ def regular_file(path: Path) -> Path:
         what = "a folder" if stat.S_ISDIR(mode) else "no regular file"
         raise FileError(f"{path}: cannot be written: it is {what}", given=path)
     return real
+
+
+def _carry_over(folder: Path, new: Path, made: Collection[str]) -> None:
+    """Puts what a folder holds beside results into the new one as well: linked, else copied."""
+
+    def put(source: str, target: str) -> None:
+        try:
+            os.link(source, target, follow_symlinks=False)
+        except OSError:  # Not on this file system.
+            shutil.copy2(source, target, follow_symlinks=False)
+
+    for path in folder.iterdir() if folder.exists() else ():
+        target = new / path.name
+        if path.name in made or target.exists():
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.copytree(path, target, symlinks=True, copy_function=put)
+        else:
+            put(str(path), str(target))
 
 
 def _exchange(new: Path, folder: Path, earlier: Path) -> None:

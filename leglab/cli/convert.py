@@ -1,6 +1,7 @@
 """`leglab convert` and `leglab inspect`: recordings of one format in another, and at a glance."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,10 +11,15 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.output import new_file
 from leglab.cli.options import Columns, Json
 from leglab.cli.terminal import errors, output, print_json, print_wide
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+
     from leglab.data import Summary
 
 
@@ -69,20 +75,25 @@ def convert(
             raise LeglabError(f"{file} exists; --overwrite replaces it")
     if layout is not None and form not in ("csv", "plotjuggler"):
         raise LeglabError(f"--layout goes with csv and plotjuggler, not with {form}")
+    timestep = None
     if (source / RECORDING).is_file():
         run = read_run(source)
         if form in _SHOWING and model is None:
             model = str(run.configuration.settings["model"])
+            timestep = run.configuration.settings.get("timestep")
         source = source / RECORDING
     if model is not None and form not in _SHOWING:
         allowed = " or ".join(_SHOWING)
         raise LeglabError(f"{form} cannot show a machine; --model goes with {allowed}")
     recording = data.read(source, columns=columns)
     lost = data.losses(recording, target, form)
-    scene = scene_of(load_model(model), recording) if model is not None else None
-    if layout is not None:
-        plotjuggler.write_layout(recording, layout)
-    data.write(recording, target, form, scene=scene)
+    scene = None
+    if model is not None:
+        scene = scene_of(load_model(model, timestep=timestep), recording)
+    with new_file(layout) if layout is not None else nullcontext() as place:
+        if place is not None:
+            plotjuggler.write_layout(recording, place)
+        data.write(recording, target, form, scene=scene)
     repairs = list(recording.metadata.get("repairs", ()))
     if as_json:
         found = {
@@ -117,22 +128,45 @@ def inspect(
     """Shows what is in a recording: columns, units, rate, duration, gaps, what is wrong."""
     from leglab import data
 
-    table, metadata = data.read_table(file, columns=columns)
+    table, metadata = data.read_table(file, columns=columns, partial=True, timed=False)
+    unreadable = metadata.pop("unreadable", {})
     summary = data.summarise(table, metadata)
     if as_json:
-        print_json({"file": str(file), **summary.to_json()})
+        print_json({"file": str(file), **summary.to_json(), "unreadable": unreadable})
         return
     output.print(f"{file}: {_axis(summary)}", markup=False, soft_wrap=True)
     print_wide(_table(summary))
     for finding in summary.findings:
         label = "error" if finding.fatal else finding.kind
         output.print(f"{label}: {finding.message}", markup=False, soft_wrap=True)
-    if not summary.findings:
+    for name, why in unreadable.items():
+        output.print(f"unreadable: {name}: {why}", markup=False, soft_wrap=True)
+    if "time" not in table:
+        for line in _map_of(table):
+            output.print(line, markup=False, soft_wrap=True)
+    elif not summary.findings:
         output.print("no gap, nothing missing, no constant column")
     for key, value in summary.metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
         output.print(f"{key} = {short}", markup=False, soft_wrap=True)
+
+
+def _map_of(table: "Mapping[str, np.ndarray]") -> list[str]:
+    """A column map to be completed, for a table whose columns have other names."""
+    import numpy as np
+
+    forward = [n for n, x in table.items() if x.size > 1 and (np.diff(x) > 0).all()]
+    time = min(forward, key=list(table).index) if forward else None
+    lines = ["a file for --columns, to be completed:", "[columns]"]
+    for name in table:
+        ours = '"time"' if name == time else '{name = "JOINT_position", factor = 1.0}'
+        lines.append(f"{json.dumps(name)} = {ours}")
+    return [
+        *lines,
+        "names here: time [s], JOINT_position [rad or m], JOINT_velocity, JOINT_pressure_a and _b "
+        "[Pa], ACTUATOR_command [-1 to 1]; factor: ours per theirs, of degrees 0.0174533",
+    ]
 
 
 def _axis(summary: "Summary") -> str:
@@ -141,6 +175,8 @@ def _axis(summary: "Summary") -> str:
         text += f" over {summary.duration:g} s from {summary.start:g} s"
     if summary.rate is not None and summary.period is not None:
         text += f", {summary.rate:.6g} Hz ({summary.period:.6g} s)"
+    if summary.duration is None:
+        return text
     count = len(summary.gaps)
     return f"{text}, {count or 'no'} gap{'s' * (count != 1)}"
 

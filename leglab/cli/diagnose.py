@@ -71,7 +71,8 @@ def diagnose(
             f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
         )
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
-    with new_folder(out, mark="diagnosis.json", overwrite=overwrite) as partial:
+    made = ("diagnosis.html", "improved.xml", "figures")
+    with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as partial:
         with progress("diagnosis") as show:
             result, found = run_diagnosis(
                 model,

@@ -44,7 +44,8 @@ def improve(
     check_apart(out, [Path(model), *recordings])
     named = read_recordings(recordings, columns)
     named, held = split_held_out(model, named, held_out or [])
-    with new_folder(out, mark="improvement.json", overwrite=overwrite) as partial:
+    made = ("improved.xml",)
+    with new_folder(out, mark="improvement.json", made=made, overwrite=overwrite) as partial:
         with progress("improvement") as show:
             result, better = run_improvement(
                 model,

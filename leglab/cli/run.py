@@ -49,7 +49,7 @@ def run(
     from leglab.report.figures import draw_run
     from leglab.runs.folder import default_folder, write_result
     from leglab.runs.interrupts import held
-    from leglab.runs.record import METRICS, RECORDING
+    from leglab.runs.record import METRICS, RECORDING, RUN_FOLDER
     from leglab.runs.run import record_scenario
 
     settings = options.settings_of(context)
@@ -57,7 +57,7 @@ def run(
     length = get_scenario(settings.scenario, duration=settings.duration).duration
     with (
         held(later=True) as hold,
-        new_folder(folder, mark=METRICS, overwrite=overwrite) as partial,
+        new_folder(folder, mark=METRICS, made=RUN_FOLDER, overwrite=overwrite) as partial,
         terminal.progress(f"{settings.scenario} · {settings.controller}", length) as show,
     ):
         result = record_scenario(settings, partial / RECORDING, lambda now: show(completed=now))

@@ -1,6 +1,5 @@
 """The commands `leglab tune`, `leglab replicate` and `leglab verify`: gains and fixed questions."""
 
-import tomllib
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -29,23 +28,31 @@ def tune(
         list[str] | None,
         typer.Option("--model", help="Repeatable; default: the shipped ones."),
     ] = None,
-    write: Annotated[bool, typer.Option(help="Write the gains file of the package.")] = False,
+    write: Annotated[
+        bool, typer.Option(help="Store the gains in the package; others stay.")
+    ] = False,
     as_json: Json = False,
     load: Load = None,
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
     load_plugins(load)
-    from leglab.commissioning.pd_gains import GAINS_FILE, TUNED_MODELS, gains_text
+    from leglab.commissioning.pd_gains import (
+        GAINS_FILE,
+        TUNED_MODELS,
+        gains_text,
+        store_gains,
+        tuned_rows,
+    )
 
     with progress("tuning") as show:
-        text = gains_text(models or list(TUNED_MODELS), lambda label: show(description=label))
+        tables = tuned_rows(models or list(TUNED_MODELS), lambda label: show(description=label))
     if write:
-        GAINS_FILE.write_text(text)
+        store_gains(tables)
         (errors if as_json else output).print(f"written to {GAINS_FILE}")
     if as_json:
-        print_json(tomllib.loads(text))
+        print_json(tables)
     elif not write:
-        typer.echo(text, nl=False)
+        typer.echo(gains_text(tables), nl=False)
 
 
 def replicate(

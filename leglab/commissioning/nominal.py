@@ -34,7 +34,7 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
         return np.array([sheet[name] for sheet in sheets])
 
     mass = _effective_masses(simulation)
-    position, lever, length = _lever_tables(simulation)
+    position, lever, length = simulation.lever_tables(_LEVER_POSITIONS)
     return NominalCylinders(
         area=np.array([Cylinder(sheet).native.areas() for sheet in sheets]).T,
         dead_volume=np.stack([row("dead_volume_a"), row("dead_volume_b")]),
@@ -76,24 +76,6 @@ def inertia_matrix(simulation: Simulation) -> np.ndarray:
     for i in range(model.nv):
         mujoco.mj_mulM(model, data, columns[i], unit[i])
     return columns
-
-
-def _lever_tables(simulation: Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, levers and actuator lengths over each joint's range, each (joints, p)."""
-    model, data = simulation.model, simulation.data
-    pose = data.qpos.copy()
-    low, high = simulation.joint_range().T
-    position = np.linspace(low, high, _LEVER_POSITIONS, axis=1)
-    lever, length = np.empty_like(position), np.empty_like(position)
-    for column in range(_LEVER_POSITIONS):
-        # Every cylinder spans one joint alone, so all of them move at once.
-        data.qpos[simulation.qpos_index] = position[:, column]
-        mujoco.mj_fwdPosition(model, data)
-        lever[:, column] = simulation.levers()
-        length[:, column] = data.actuator_length
-    data.qpos[:] = pose
-    mujoco.mj_forward(model, data)
-    return position, lever, length
 
 
 class NominalDynamics:

@@ -3,7 +3,9 @@
 Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes.
 """
 
+import json
 import math
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,11 +16,16 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.output import write_atomically
 from leglab.commissioning.calibration import directions, free_inertia, native_speed_limit
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
-from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
+from leglab.machine.sensors import (
+    SensorConfiguration,
+    in_whole_steps,
+    velocity_filter_coefficient,
+)
 from leglab.machine.simulation import Simulation, load_model
 
 if TYPE_CHECKING:
@@ -28,6 +35,16 @@ if TYPE_CHECKING:
 GAINS_FILE = Path(__file__).with_name("pd_gains.toml")
 CYLINDER_MODELS = ("knee_bench", "leg", "leg_rail")
 TUNED_MODELS = (*CYLINDER_MODELS, "leg_motor")
+
+# How the file has the timing of the loop and each figure of a joint.
+_TIMING = ("control_period", "latency", "velocity_cutoff")
+_FORMAT = {
+    "position": ".4g",
+    "velocity": ".4g",
+    "gain_margin_db": ".2f",
+    "phase_margin_deg": ".1f",
+    "crossover": ".2f",
+}
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
@@ -381,34 +398,60 @@ def _round_down(value: float) -> float:
     return float(f"{math.floor(value / scale) * scale:.3g}")
 
 
-def gains_text(models: Sequence[str], progress: Callable[[str], None]) -> str:
-    """Tunes models for the default sensors and formats the gains as TOML."""
-    sensors = SensorConfiguration()
+def tuned_rows(models: Sequence[str], progress: Callable[[str], None]) -> dict[str, dict]:
+    """Tunes models; the content of `GAINS_FILE` by model.
+
+    Args:
+        models: Names or paths.
+        progress: Called before each joint with its model and name.
+
+    Raises:
+        LeglabError: A model cannot be loaded.
+    """
+    machines = {model: Simulation(load_model(model)) for model in models}
+    found: dict[str, dict] = {}
+    for model, machine in machines.items():
+        sensors = in_whole_steps(SensorConfiguration(), machine.model.opt.timestep)
+        rows = {}
+        for i, joint in enumerate(machine.joints):
+            progress(f"{model} {joint}")
+            machine.reset()
+            gains = tune(machine, i, sensors=sensors)
+            rows[joint] = {k: float(f"{getattr(gains, k):{_FORMAT[k]}}") for k in _FORMAT}
+        timing = {name: getattr(sensors, name) for name in _TIMING}
+        found[model] = {**timing, "joints": rows}
+    return found
+
+
+def gains_text(tables: dict[str, dict]) -> str:
+    """Formats gains of `tuned_rows` as TOML."""
     lines = [
         "# PD gains by `leglab tune --write`: the greatest K_p that keeps "
         f"{GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees",
         "# at every pose and piston speed of the linearised plant. Not to be edited by hand.",
     ]
-    for model in models:
-        lines += [
-            "",
-            f"[{model}]",
-            f"control_period = {sensors.control_period!r}",
-            f"latency = {sensors.latency!r}",
-            f"velocity_cutoff = {sensors.velocity_cutoff!r}",
-        ]
-        simulation = Simulation(load_model(model))
-        for i, joint in enumerate(simulation.joints):
-            progress(f"{model} {joint}")
-            simulation.reset()
-            gains = tune(simulation, i, sensors=sensors)
-            lines.append(
-                f"joints.{joint} = {{ position = {gains.position:.4g}, "
-                f"velocity = {gains.velocity:.4g}, gain_margin_db = {gains.gain_margin_db:.2f}, "
-                f"phase_margin_deg = {gains.phase_margin_deg:.1f}, "
-                f"crossover = {gains.crossover:.2f} }}"
-            )
+    for model, table in tables.items():
+        lines += ["", f"[{_key(model)}]", *(f"{name} = {table[name]!r}" for name in _TIMING)]
+        for joint, row in table["joints"].items():
+            cells = ", ".join(f"{name} = {value:{_FORMAT[name]}}" for name, value in row.items())
+            lines.append(f"joints.{_key(joint)} = {{ {cells} }}")
     return "\n".join(lines) + "\n"
+
+
+def store_gains(tables: dict[str, dict]) -> None:
+    """Puts gains of `tuned_rows` into `GAINS_FILE`; those of other models stay.
+
+    Raises:
+        LeglabError: The file cannot be written.
+    """
+    stored = tomllib.loads(GAINS_FILE.read_text())
+    text = gains_text({**stored, **tables})
+    write_atomically(GAINS_FILE, lambda file: file.write(text.encode()))
+
+
+def _key(name: str) -> str:
+    """A name as a key of TOML."""
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
 
 
 def stored_gains(

@@ -18,7 +18,7 @@ from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.control.extended_state_observer import DisturbanceGains
 from leglab.control.iterative_learning import LearningFilter
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty, velocity_delay
-from leglab.machine.simulation import Simulation, load_model
+from leglab.machine.simulation import Simulation
 
 
 class CommissionedMachine(NominalMachine):
@@ -92,7 +92,7 @@ class CommissionedMachine(NominalMachine):
     @cached_property
     def _gains(self) -> list[tuple[float, float]]:
         stored = stored_gains(self._model, self._simulation, self._sensors)
-        return stored or _tuned(self._model, self._sensors)
+        return stored or _tuned(self._own(), self._sensors)
 
     def _own(self) -> Simulation:
         """A machine for calibration, which moves it through its whole range."""
@@ -121,12 +121,11 @@ _calibrations: dict[bytes, tuple[ValveMap, ...]] = {}
 _gains: dict[tuple[bytes, str], list[tuple[float, float]]] = {}
 
 
-def _tuned(model: str, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Gains of a model that has none stored; the same one is tuned once a process."""
-    simulation = Simulation(load_model(model))
-    key = model_digest(simulation), sensors.model_dump_json()
+def _tuned(machine: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
+    """Gains of a machine that has none stored; the same one is tuned once a process."""
+    key = model_digest(machine), sensors.model_dump_json()
     if key not in _gains:
-        _gains[key] = tuned_gains(simulation, sensors)
+        _gains[key] = tuned_gains(machine, sensors)
     return _gains[key]
 
 

@@ -8,7 +8,7 @@ from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
-from leglab.data.checks import Finding, inspect, to_recording
+from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.scene import Scene
@@ -92,13 +92,15 @@ def read_table(
     *,
     columns: ColumnMap | str | Path | None = None,
     partial: bool = False,
+    timed: bool = True,
 ) -> tuple[dict, dict]:
-    """Reads the columns of a file, `time` among them, without checking the values.
+    """Reads the columns of a file without checking the values.
 
     Args:
         path: The file.
         columns: See `read`.
         partial: See `read`.
+        timed: Whether a file without a column `time` is refused.
 
     Returns:
         Arrays of shape (n,) by column name, for `inspect`, and the metadata.
@@ -125,11 +127,13 @@ def read_table(
     if left_out:
         reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}
-    if "time" not in table and left_out and "time" in left_out:
+    if timed and "time" not in table and left_out and "time" in left_out:
         raise RecordingError(f"{path}: {metadata['unreadable']['time']}", given="time")
-    if "time" not in table:
+    if "time" not in table and timed:
         found = ", ".join(map(repr, table)) or "no column"
-        raise RecordingError(f"{path}: no column 'time', found {found}", given=tuple(table))
+        raise RecordingError(
+            f"{path}: no column 'time', found {found}; {MAP_HINT}", given=tuple(table)
+        )
     return table, metadata
 
 

@@ -13,8 +13,11 @@ from leglab.base.recording import Recording
 # lost) and 2 (one lost), with room for jitter on both sides.
 _GAP = 1.5
 
+MAP_HINT = "--columns FILE says what the columns are called here (docs/data_formats.md)"
+"""Where to go with columns that have other names."""
+
 # Kinds that leave no valid time axis: nothing can be computed before they are dealt with.
-_FATAL = frozenset({"empty", "missing_time", "repeated_time", "reversed_time"})
+_FATAL = frozenset({"empty", "no_time", "missing_time", "repeated_time", "reversed_time"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +25,8 @@ class Finding:
     """One thing that is wrong with a table.
 
     Attributes:
-        kind: "empty", "missing_time", "repeated_time", "repeated_row", "reversed_time", "gap",
-            "nan_run", "infinite" or "constant".
+        kind: "empty", "no_time", "missing_time", "repeated_time", "repeated_row",
+            "reversed_time", "gap", "nan_run", "infinite" or "constant".
         column: The column.
         row: The first row, from 0.
         count: How many rows it covers.
@@ -46,16 +49,20 @@ def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
     """Lists what is wrong with a table, in the order of columns and rows.
 
     Args:
-        table: A recording, or arrays of shape (n,) by column name, `time` among them.
+        table: A recording, or arrays of shape (n,) by column name.
 
     Returns:
         Findings; none for clean data.
     """
     if isinstance(table, Recording):
         table = {"time": table.time, **table.columns}
-    if table["time"].size == 0:
+    if not any(samples.size for samples in table.values()):
         return (_finding("empty", "time", 0, 0, "there is no sample"),)
-    findings = list(_inspect_time(table))
+    if "time" in table:
+        findings = list(_inspect_time(table))
+    else:
+        told = f"no column 'time'; {MAP_HINT}"
+        findings = [Finding(kind="no_time", column="time", row=0, count=0, message=told)]
     for name, samples in table.items():
         if name != "time":
             findings.extend(_inspect_column(name, samples))

@@ -78,10 +78,11 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     """Summarises a table.
 
     Args:
-        table: Arrays of shape (n,) by column name, `time` among them; see `leglab.data.read_table`.
+        table: Arrays of shape (n,) by column name; see `leglab.data.read_table`.
         metadata: Of the file.
     """
-    time = table["time"][np.isfinite(table["time"])]
+    time = table.get("time", np.empty(0))
+    time = time[np.isfinite(time)]
     forward = np.diff(time)
     forward = forward[forward > 0]
     period = float(np.median(forward)) if forward.size else None
@@ -94,7 +95,7 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
             missing = int(samples.size - finite.size)
             columns.append(ColumnSummary(name, unit_of(name, metadata), least, most, missing))
     return Summary(
-        samples=table["time"].size,
+        samples=max((samples.size for samples in table.values()), default=0),
         start=float(time[0]) if time.size else None,
         duration=float(time[-1] - time[0]) if time.size else None,
         period=period,

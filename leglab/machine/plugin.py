@@ -160,6 +160,8 @@ _UNKNOWN_ATTRIBUTE = re.compile(
     r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
 )
 _MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
+# Where shapes that are there to be seen only were left out; true, and no help with the error.
+_DISCARDED = re.compile(r"\s*The visual elements of the spec were discarded.*", re.DOTALL)
 _ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
 
@@ -176,6 +178,7 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
         that exist.
     """
     text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
+    text = _DISCARDED.sub("", text)
     element = _ELEMENT.search(text)
     if element:
         text = text[: element.start()]

@@ -10,6 +10,7 @@ import numpy as np
 import leglab.machine.plugin
 from leglab.base.errors import ModelError, SettingsError, SimulationError
 from leglab.machine.cylinder import Cylinder
+from leglab.machine.geometry import check_cylinder
 from leglab.machine.library import model_path
 from leglab.machine.native import NativeActuator, joint_range
 from leglab.machine.parameters import Parameter
@@ -91,7 +92,8 @@ class Simulation:
         varied: Whether the model is that of a specimen.
 
     Raises:
-        LeglabError: If an actuator is of another kind, moves no joint or several, or two move one.
+        LeglabError: If an actuator is of another kind, moves no joint or several, or two move one;
+            as `leglab.machine.geometry.check_cylinder`.
     """
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
@@ -126,6 +128,7 @@ class Simulation:
         self.dof_index = model.jnt_dofadr[self._joint_ids]
         self.reset(keyframe)
         self._rest = self.position().copy()
+        self._check_cylinders()
 
     def reset(self, keyframe: str | None = "home") -> None:
         """Resets everything, parameters included, to a keyframe of the model.
@@ -290,6 +293,32 @@ class Simulation:
         moments = actuator_moments(self.model, self.data)
         return moments[np.arange(len(self.actuators)), self.dof_index]
 
+    def lever_tables(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joint positions, lever arms [m/rad or 1] and actuator lengths [m] over the joint ranges.
+
+        A joint without a range stays where it is; the machine is left as it was.
+
+        Args:
+            count: Number of positions.
+
+        Returns:
+            Each (joints, count).
+        """
+        pose = self.data.qpos.copy()
+        low, high = self.joint_range().T
+        low, high = np.where(low == high, self.position(), (low, high))
+        position = np.linspace(low, high, count, axis=1)
+        lever, length = np.empty_like(position), np.empty_like(position)
+        for column in range(count):
+            # Every cylinder spans one joint alone, so all of them move at once.
+            self.data.qpos[self.qpos_index] = position[:, column]
+            mujoco.mj_fwdPosition(self.model, self.data)
+            lever[:, column] = self.levers()
+            length[:, column] = self.data.actuator_length
+        self.data.qpos[:] = pose
+        mujoco.mj_forward(self.model, self.data)
+        return position, lever, length
+
     def step(self, count: int = 1) -> None:
         """Advances by a number of time steps with the present `data.ctrl`."""
         mujoco.mj_step(self.model, self.data, count)
@@ -316,6 +345,19 @@ class Simulation:
             given=float(velocity[dof]),
             allowed=f"below {SPEED_LIMIT:g}",
         )
+
+    def _check_cylinders(self) -> None:
+        """Raises `ModelError` for a cylinder that does not fit the range of its joint."""
+        tables = zip(*self.lever_tables(9), strict=True) if self.cylinders else ()
+        for name, joint, table in zip(self.actuators, self.joints, tables, strict=False):
+            if name not in self.native:
+                check_cylinder(
+                    name,
+                    joint,
+                    self.cylinder_parameters(name),
+                    **dict(zip(("position", "lever", "length"), table, strict=True)),
+                    unit="m" if self.slides[joint] else "rad",
+                )
 
     def _supply_of(self, actuator: str) -> str:
         """Name of the supply that a cylinder draws from; empty where its pressure is its own."""

@@ -22,6 +22,7 @@ from leglab.runs.record import (
     METRICS,
     RECORDING,
     RUN_FILES,
+    RUN_FOLDER,
     PhaseMetrics,
     RunConfiguration,
     RunMetrics,
@@ -79,7 +80,7 @@ def write_run(run: Run, folder: Path, *, overwrite: bool = False) -> Path:
     Raises:
         LeglabError: If the folder exists or cannot be written, or another process writes it.
     """
-    with new_folder(folder, mark=METRICS, overwrite=overwrite) as partial:
+    with new_folder(folder, mark=METRICS, made=RUN_FOLDER, overwrite=overwrite) as partial:
         data.write(run.recording, partial / RECORDING)
         write_result(run, partial)
     return folder
@@ -378,7 +379,8 @@ def make_folder(given: dict[str, Any]) -> None:
         KeyboardInterrupt: The user interrupts.
     """
     settings = RunSettings(**given["settings"])
-    with new_folder(Path(given["folder"]), mark=METRICS, overwrite=True) as partial:
+    folder = Path(given["folder"])
+    with new_folder(folder, mark=METRICS, made=RUN_FOLDER, overwrite=True) as partial:
         run = record_scenario(settings, partial / RECORDING)
         if (run.record.failure or "").startswith("interrupted"):
             raise KeyboardInterrupt

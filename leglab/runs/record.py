@@ -15,6 +15,11 @@ from leglab.base.units import error_unit
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
+# All that commands write into the folder of a run.
+RUN_FOLDER = (
+    *RUN_FILES, "tracking.png", "tracking_change.png", "pressures.png", "commands.png",
+    "report.html", "report.mp4", "video.mp4",
+)  # fmt: skip
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 ByJoint = dict[str, FiniteFloat]

@@ -69,7 +69,7 @@ def test_of_two_runs_into_one_folder_the_second_is_told_by_whom(tmp_path):
 
 
 def test_the_owner_of_a_place_is_told_by_its_process(tmp_path):
-    with new_folder(tmp_path / "a", mark="run.json"):
+    with new_folder(tmp_path / "a", mark="run.json", made=()):
         done = start(*RUN, "--out", "a", cwd=tmp_path)
         assert f"error: a: process {os.getpid()} on " in done.communicate()[1]
         assert done.returncode == 2
@@ -77,9 +77,9 @@ def test_the_owner_of_a_place_is_told_by_its_process(tmp_path):
 
 def test_a_place_is_claimed_before_any_work_and_the_owner_is_named(tmp_path):
     with (
-        new_folder(tmp_path / "a", mark="m") as partial,
+        new_folder(tmp_path / "a", mark="m", made=()) as partial,
         pytest.raises(LeglabError, match=rf"a: process {os.getpid()} on .* is writing it; wait"),
-        new_folder(tmp_path / "a", mark="m"),
+        new_folder(tmp_path / "a", mark="m", made=()),
     ):
         pass
     assert not partial.exists()
@@ -136,18 +136,25 @@ def test_an_earlier_folder_stays_until_the_new_one_is_whole(tmp_path):
     folder = tmp_path / "a"
     folder.mkdir()
     (folder / "m").write_text("earlier")
-    with pytest.raises(KeyboardInterrupt), new_folder(folder, mark="m", overwrite=True):
+    (folder / "page.html").write_text("earlier")
+    (folder / "own" / "deep").mkdir(parents=True)
+    (folder / "own" / "deep" / "notes").write_text("kept")
+    kind = {"mark": "m", "made": ("page.html", "plot.png")}
+    with pytest.raises(KeyboardInterrupt), new_folder(folder, **kind, overwrite=True):
         raise KeyboardInterrupt
     assert (folder / "m").read_text() == "earlier"
     # A kill between the two renames.
     folder.rename(tmp_path / ".a.earlier")
-    with pytest.raises(LeglabError, match="exists"), new_folder(folder, mark="m"):
+    with pytest.raises(LeglabError, match="exists"), new_folder(folder, **kind):
         pass
     assert (folder / "m").read_text() == "earlier"
-    with new_folder(folder, mark="m", overwrite=True) as partial:
+    with new_folder(folder, **kind, overwrite=True) as partial:
         (partial / "m").write_text("new")
     assert (folder / "m").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    # What the user put beside the results stays; pages and plots of the earlier ones go.
+    assert sorted(path.name for path in folder.iterdir()) == ["m", "own"]
+    assert (folder / "own" / "deep" / "notes").read_text() == "kept"
 
 
 def test_a_path_that_ends_above_the_folder_does_not_empty_it(tmp_path, capsys):
@@ -159,6 +166,7 @@ def test_a_path_that_ends_above_the_folder_does_not_empty_it(tmp_path, capsys):
     )
     assert status == 0, told
     assert (tmp_path / "prev" / "recording.parquet").exists()
+    assert (tmp_path / "prev" / "notes").read_text() == "kept"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["prev"]
 
 

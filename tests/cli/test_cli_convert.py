@@ -88,6 +88,15 @@ def test_overwrite(capsys):
     assert leglab(*again, capsys=capsys)[0] == 0
 
 
+def test_what_cannot_be_written_replaces_no_layout(capsys, folder):
+    (folder / "layout.xml").write_text("earlier")
+    (folder / "x.csv").mkdir()
+    arguments = ("convert", "run.parquet", "x.csv", "--layout", "layout.xml", "--overwrite")
+    status, _, told = leglab(*arguments, capsys=capsys)
+    assert (status, told.count("\n")) == (2, 1)
+    assert (folder / "layout.xml").read_text() == "earlier"
+
+
 def test_inspect(capsys):
     status, printed, _ = leglab("inspect", "run.parquet", capsys=capsys)
     assert status == 0
@@ -125,6 +134,21 @@ def test_inspect_shows_what_cannot_be_read_as_a_recording(capsys, folder):
     status, printed, _ = leglab("inspect", "bad.csv", capsys=capsys)
     assert status == 0
     assert "error: column 'time', row 2: 1 s comes after 2 s" in printed
+
+
+def test_inspect_shows_columns_of_other_names_and_how_to_map_them(capsys, folder):
+    (folder / "theirs.csv").write_text("angle,t,note\n10,0,a\n12,0.1,b\n11,0.2,c\n")
+    status, printed, _ = leglab("inspect", "theirs.csv", capsys=capsys)
+    assert status == 0
+    assert printed.startswith("theirs.csv: 3 samples\n")
+    assert "error: no column 'time'; --columns FILE" in printed
+    assert "unreadable: note: column 'note', row 0: 'a' is not a number" in printed
+    start = printed.index("[columns]")
+    told = printed[start : printed.index("names here")]
+    (folder / "map.toml").write_text(told.replace("JOINT", "knee"))
+    arguments = ("inspect", "theirs.csv", "--columns", "map.toml", "--json")
+    found = json.loads(leglab(*arguments, capsys=capsys)[1])
+    assert (found["duration_s"], found["columns"][0]["name"]) == (0.2, "knee_position")
 
 
 EVIL = "\x1b]0;mine\x07\x1b[2J\x9b31m\u202e[/b]"

@@ -1,12 +1,17 @@
 """Every controller by name; the laws that can be checked in closed form."""
 
+import tomllib
+from pathlib import Path
+
 import control
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-import leglab.controllers  # noqa: F401
+import leglab.controllers
+import leglab.models
 from leglab import RunSettings, run_scenario
+from leglab.commissioning import pd_gains
 from leglab.commissioning.calibration import ValveMap
 from leglab.commissioning.pd_gains import SPEEDS, joint_plant, sampled_plant, stored_gains, tune
 from leglab.control import (
@@ -20,6 +25,7 @@ from leglab.control import (
 from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
+from leglab.runs.preparation import Preparation
 
 
 @pytest.mark.parametrize("name", controller_names())
@@ -118,6 +124,26 @@ def test_stored_gains_keep_their_margins(model):
         decibel, degree = stability(simulation, joint, kp, kv)
         assert decibel >= 5.99, simulation.joints[joint]
         assert degree >= 44.9, simulation.joints[joint]
+
+
+def test_gains_of_a_model_without_stored_ones_are_tuned_at_the_timestep_of_the_run(tmp_path):
+    text = (Path(leglab.models.__path__[0]) / "knee_bench.xml").read_text()
+    model = tmp_path / "coarse.xml"  # which MuJoCo does not load at its own timestep
+    model.write_text(text.replace('timestep="0.0005"', 'timestep="0.004"'))
+    settings = RunSettings(scenario="nominal", model=str(model), timestep=5e-4)
+    machine = Preparation(settings).controller_setup.machine
+    stored = stored_gains("knee_bench", Simulation(load_model("knee_bench")), SensorConfiguration())
+    assert list(zip(machine.position_gain, machine.velocity_gain, strict=True)) == stored
+
+
+def test_tuning_one_model_keeps_the_stored_gains_of_the_others(tmp_path, monkeypatch):
+    file = tmp_path / "gains.toml"
+    file.write_text(pd_gains.GAINS_FILE.read_text())
+    before = tomllib.loads(file.read_text())
+    monkeypatch.setattr(pd_gains, "GAINS_FILE", file)
+    pd_gains.store_gains({"own/arm.xml": {**before["knee_bench"]}})
+    after = tomllib.loads(file.read_text())
+    assert after == {**before, "own/arm.xml": before["knee_bench"]}
 
 
 def test_stored_gains_are_what_tuning_gives_and_more_would_break_a_margin():

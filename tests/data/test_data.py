@@ -126,7 +126,7 @@ def test_truncated_csv(tmp_path):
     [
         ("", "not a CSV file"),
         ("time,a\n", "no sample"),
-        ("t,a\n0,1\n", "no column 'time', found 't', 'a'"),
+        ("t,a\n0,1\n", "no column 'time', found 't', 'a'; --columns FILE says"),
         ("time,a,a\n0,1,2\n", "column 'a' is there 2 times"),
         ("time,a\n0,1\n1,broken\n2,3\n", "column 'a', row 1: 'broken' is not a number"),
         ("time,a\n0,true\n1,false\n", "column 'a', row 0: True is not a number"),

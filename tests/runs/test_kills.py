@@ -82,7 +82,7 @@ def test_a_diagnosis_that_is_killed_while_it_is_written_is_made_anew(tmp_path, m
     chance, out, result = random.Random(3), tmp_path / "out", diagnosis()
 
     def write():
-        with new_folder(out, mark="diagnosis.json", overwrite=True) as partial:
+        with new_folder(out, mark="diagnosis.json", made=(), overwrite=True) as partial:
             write_diagnosis(result, partial)
             write_page(result, partial, model="knee_bench")
 

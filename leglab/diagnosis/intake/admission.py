@@ -161,7 +161,7 @@ class _Entry:
             return (
                 f"no column {', '.join(map(repr, absent))}: the model needs {', '.join(needed)}; "
                 f"the recording has {', '.join(recording.columns)}. Measured under other names? "
-                "Give a column map"
+                "Give --columns FILE, a column map"
             )
         for column in needed:
             if np.isfinite(recording[column]).sum() < 2:

@@ -52,7 +52,7 @@ def channels(
         raise LeglabError(
             f"the recordings have no column {', '.join(map(repr, missing))}: the model needs "
             f"{', '.join(machine.columns)}; all recordings have {', '.join(sorted(shared))}. "
-            "Measured under other names? Give a column map"
+            "Measured under other names? Give --columns FILE, a column map"
         )
     period = common_period(recordings, thresholds)
     position = _filter(thresholds.position_filter, period)

@@ -45,11 +45,12 @@ class DrawnMachine:
 
     Args:
         model: Name or path, as `load_model` takes it.
+        timestep: Of the runs [s]; None for the model's own.
         size: Width and height of the picture [px].
     """
 
-    def __init__(self, model: str, size: tuple[int, int]) -> None:
-        self.model = load_model(model, edit=_light)
+    def __init__(self, model: str, timestep: float | None, size: tuple[int, int]) -> None:
+        self.model = load_model(model, timestep=timestep, edit=_light)
         self.simulation = Simulation(self.model)
         self.cylinders = _CylinderShapes(self.simulation)
         self.shadow = _FloorShadow(self.model)
@@ -63,7 +64,7 @@ class DrawnMachine:
             if self.model.tendon(i).name not in self.cylinders.tendons:
                 self.model.tendon_width[i] *= 2.0
                 self.model.tendon_rgba[i] = _SPRING
-        self._ghost = load_model(model)
+        self._ghost = load_model(model, timestep=timestep)
         _make_ghost(self._ghost)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         self._fixed_lights = not _lights_move(self.model)
