@@ -10,7 +10,7 @@ what it gives the joint [N m or N].
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -86,6 +86,16 @@ class Recording:
         if name not in self.columns:
             raise RecordingError.unknown("column", name, self.columns)
         return self.columns[name]
+
+    def __iter__(self) -> Iterator[tuple[float, ...]]:
+        """Yields the samples, each a named tuple of time and columns: `pandas.DataFrame` takes it.
+
+        `to_pandas` is faster, and has the time as index.
+        """
+        names = ("time", *self.columns)
+        # A column may be called as no attribute can be: a class made by `namedtuple` would refuse.
+        sample = type("Sample", (tuple,), {"_fields": names, "__slots__": ()})
+        yield from map(sample, zip(*(self[name].tolist() for name in names), strict=True))
 
     def __contains__(self, name: object) -> bool:
         return name in self.columns

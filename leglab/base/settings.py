@@ -3,9 +3,11 @@
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 
 from leglab.base.errors import SettingsError
 
@@ -62,6 +64,47 @@ def validate_configuration(
     raise SettingsError(where, given=problem["input"], allowed=reason)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A setting as listings show it.
+
+    Attributes:
+        name: As `--set` takes it after the section; that of a part after the part's and a dot.
+        default: As text; "required" without one.
+        allowed: Bounds or choices, "" where the type is all.
+        unit: "" without one.
+        meaning: From the docs of its class.
+    """
+
+    name: str
+    default: str
+    allowed: str
+    unit: str
+    meaning: str
+
+
+def documented_settings(model: type[Configuration]) -> tuple[Setting, ...]:
+    """Returns all settings of a configuration, those of its parts included."""
+    units, meanings = documented_units(model), _meanings(model)
+    found: list[Setting] = []
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if inspect.isclass(kind) and issubclass(kind, Configuration):
+            found += (replace(s, name=f"{name}.{s.name}") for s in documented_settings(kind))
+            continue
+        default = field.get_default(call_default_factory=True, validated_data={})
+        found.append(
+            Setting(
+                name=name,
+                default="required" if field.is_required() else _shown(default),
+                allowed=_allowed(field),
+                unit=units.get(name, ""),
+                meaning=meanings.get(name) or field.description or "",
+            )
+        )
+    return tuple(found)
+
+
 def documented_units(owner: type) -> dict[str, str]:
     """Returns the units of settings, which stand in brackets in the docs of their class.
 
@@ -72,12 +115,36 @@ def documented_units(owner: type) -> dict[str, str]:
         Units by name of the setting, without those that have none.
     """
     found: dict[str, str] = {}
-    for base in reversed(owner.__mro__):
-        if base.__module__.startswith("pydantic"):
-            continue
-        _, _, text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
-        for name, meaning in _SETTING.findall(text):
-            units = [unit for unit in _UNIT.findall(meaning) if unit != "1"]
-            if units:
-                found[name] = units[-1]
+    for name, meaning in _meanings(owner).items():
+        units = [unit for unit in _UNIT.findall(meaning) if unit != "1"]
+        if units:
+            found[name] = units[-1]
     return found
+
+
+def _meanings(owner: type) -> dict[str, str]:
+    """What the docs of a class and its bases say of each attribute, on one line."""
+    found: dict[str, str] = {}
+    for base in reversed(owner.__mro__):
+        if not base.__module__.startswith("pydantic"):
+            _, _, text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
+            found |= {name: " ".join(told.split()) for name, told in _SETTING.findall(text)}
+    return found
+
+
+def _allowed(field: FieldInfo) -> str:
+    """Bounds of a setting, or the words to choose from."""
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(map(str, get_args(field.annotation)))
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    rules = [(signs[name], rule, name) for rule in field.metadata for name in signs]
+    return ", ".join(f"{s} {getattr(r, n):g}" for s, r, n in rules if hasattr(r, n))
+
+
+def _shown(value: Any) -> str:
+    """A default as `--set` would take it."""
+    if value is None:
+        return "-"
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value).lower() if isinstance(value, bool) else f"{value}"

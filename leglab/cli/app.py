@@ -11,6 +11,7 @@ from leglab.cli.catalogue import list_names, parameters
 from leglab.cli.conventions import Commands, execute, exit_status, explain
 from leglab.cli.convert import convert, inspect
 from leglab.cli.diagnose import diagnose
+from leglab.cli.doctor import doctor
 from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
@@ -27,7 +28,7 @@ app = typer.Typer(
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
     compare, sweep, query, benchmark, diagnose, improve, convert, inspect, video, report,
-    index, view, run, list_names, tune, replicate, verify, parameters,
+    index, view, run, list_names, tune, replicate, verify, parameters, doctor,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command("list" if _command is list_names else None)(_command)

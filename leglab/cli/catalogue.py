@@ -9,6 +9,7 @@ from rich.table import Table
 
 from leglab.base import plugins
 from leglab.base.causes import CAUSES
+from leglab.cli.details import show_details
 from leglab.cli.options import Json, Load, load_plugins
 from leglab.cli.terminal import errors, output, print_json
 
@@ -19,9 +20,21 @@ _CAUSE_HEAD = ("scenario, live name", "effect of a diagnosis", "attributes", "si
 _SCENARIO_HEAD = " `--severity`: default | one joint alone: `--element` |"
 
 
-def list_names(as_json: Json = False, markdown: Markdown = False, load: Load = None) -> None:
-    """Shows scenarios, controllers, references and models, and the names of each cause."""
+def list_names(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Scenario, controller, reference, model or effect; default: all."),
+    ] = None,
+    model: Annotated[str, typer.Option(help="Machine on which an effect is shown.")] = "leg",
+    as_json: Json = False,
+    markdown: Markdown = False,
+    load: Load = None,
+) -> None:
+    """Shows what there is; of a NAME its settings, with defaults and units."""
     load_plugins(load)
+    if name is not None:
+        show_details(name, model, as_json=as_json)
+        return
     if markdown:
         typer.echo(catalogue_page(), nl=False)
         return

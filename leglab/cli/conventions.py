@@ -66,7 +66,11 @@ EXAMPLES = {
         "leglab convert run.parquet plot.csv --to plotjuggler",
     ),
     "inspect": ("leglab inspect log.mcap", "leglab inspect run.csv --json | jq .rate_hz"),
-    "list": ("leglab list", "leglab list --json | jq -r '.scenarios | keys[]'"),
+    "list": (
+        "leglab list",
+        "leglab list bsnn_arx",
+        "leglab list --json | jq -r '.scenarios | keys[]'",
+    ),
     "video": (
         "leglab video runs/seal_wear-pd-leg-0",
         "leglab video runs/seal_wear-*-leg-0 --start 8 --duration 6 --out film.mp4",
@@ -80,6 +84,7 @@ EXAMPLES = {
     "tune": ("leglab tune --model knee_bench", "leglab tune --write"),
     "replicate": ("leglab replicate", "leglab replicate --instances 10 --out out/quick"),
     "verify": ("leglab verify", "leglab verify --json > verification.json"),
+    "doctor": ("leglab doctor", "leglab doctor --json > doctor.json"),
     "parameters": (
         "leglab parameters leglab.cylinder",
         "leglab parameters --markdown > docs/reference/parameters.md",

@@ -293,3 +293,13 @@ def test_a_column_without_a_name_is_told_with_its_file(tmp_path):
     (tmp_path / "a.csv").write_text("time,,b\n0,1,2\n1,2,3\n")
     with pytest.raises(LeglabError, match=r"a\.csv: '' cannot name a column"):
         data.read(tmp_path / "a.csv")
+
+
+def test_a_recording_is_what_pandas_takes():
+    pandas = pytest.importorskip("pandas")
+    time = np.arange(3) * 0.1
+    recording = Recording(time=time, columns={"knee position": np.array([1.0, np.nan, 3.0])})
+    frame = pandas.DataFrame(recording)
+    assert list(frame.columns) == ["time", "knee position"]
+    np.testing.assert_array_equal(frame["time"], time)
+    np.testing.assert_array_equal(frame["knee position"], recording["knee position"])

@@ -1,0 +1,180 @@
+"""`leglab list NAME`: one scenario, controller, reference, model or effect with its settings."""
+
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from leglab.base.causes import CAUSES
+from leglab.base.errors import unknown_name
+from leglab.base.settings import documented_settings
+from leglab.cli.terminal import output, plain_table, print_json, print_wide, tell
+
+
+def show_details(name: str, model: str, *, as_json: bool) -> None:
+    """Prints all that has this name: several kinds may share one.
+
+    Args:
+        name: To look for.
+        model: Machine on which an effect is shown.
+        as_json: Whether to print JSON.
+
+    Raises:
+        LeglabError: Nothing has this name, or there is no such model.
+    """
+    kinds = _kinds()
+    found = {}
+    for kind, (names, details_of) in kinds.items():
+        if name in names():
+            found[kind] = details_of(name, model) if kind == "effect" else details_of(name)
+    if not found:
+        raise unknown_name("name", name, {n for names, _ in kinds.values() for n in names()})
+    if as_json:
+        print_json(found)
+        return
+    for number, (kind, details) in enumerate(found.items()):
+        if number:
+            typer.echo()
+        _print(kind, name, details)
+
+
+def _kinds() -> dict[str, tuple[Callable[[], Any], Callable[..., dict[str, Any]]]]:
+    """By kind: the function that lists its names, and that which describes one."""
+    import leglab.controllers
+    import leglab.scenarios  # noqa: F401  registers the scenarios
+    from leglab.base.scenario import scenario_names
+    from leglab.cli.options import names_of
+    from leglab.control import controller_names
+    from leglab.machine.library import model_names
+    from leglab.references import reference_names
+
+    return {
+        "scenario": (scenario_names, _scenario),
+        "controller": (controller_names, _controller),
+        "reference": (reference_names, _reference),
+        "model": (model_names, _model),
+        "effect": (lambda: names_of("effects"), _effect),
+    }
+
+
+def _scenario(name: str) -> dict[str, Any]:
+    from leglab.base.scenario import get_scenario, scenario_per_joint, scenario_severity
+
+    scenario, severity = get_scenario(name), scenario_severity(name)
+    options = [f"--duration {scenario.duration:g} [s]", f"--reference {scenario.reference}"]
+    if severity:
+        bounds = f"{severity.lowest:g} to {severity.highest:g}"
+        options.append(f"--severity {severity.default:g} ({severity.meaning}; {bounds})")
+    if scenario.changes:
+        options.append("--ramp 0 [s]")
+    if scenario_per_joint(name):
+        options.append("--element JOINT (default: all joints)")
+    changes = [
+        {
+            "parameter": change.parameter,
+            "elements": change.element,
+            "change": f"{'times' if change.kind == 'scale' else 'to'} {change.value:g}",
+            "from [s]": f"{change.start:g}",
+        }
+        for change in scenario.changes
+    ]
+    effects = [cause.effect for cause in CAUSES if cause.live == name]
+    return {
+        "summary": scenario.summary,
+        "options": options,
+        "effects": effects,
+        "rows": changes,
+    }
+
+
+def _settings(entry: Any, section: str) -> dict[str, Any]:
+    rows = [
+        {
+            "setting": setting.name,
+            "default": setting.default,
+            "allowed": setting.allowed,
+            "unit": setting.unit,
+            "meaning": setting.meaning,
+        }
+        for setting in documented_settings(entry.configuration)
+    ]
+    told = f"--set {section}.SETTING=VALUE" if rows else "no settings"
+    return {"summary": entry.summary, "options": [told], "rows": rows}
+
+
+def _controller(name: str) -> dict[str, Any]:
+    from leglab.control.contract import CONTROLLERS
+
+    return _settings(CONTROLLERS.get(name), "controller")
+
+
+def _reference(name: str) -> dict[str, Any]:
+    from leglab.references.base import REFERENCES
+
+    return _settings(REFERENCES.get(name), "reference")
+
+
+def _model(name: str) -> dict[str, Any]:
+    from leglab.machine.library import model_path, model_summary
+    from leglab.machine.simulation import Simulation, load_model
+
+    machine = Simulation(load_model(name, visual=False))
+    rows = []
+    for i, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        low, high = machine.joint_range()[i]
+        rows.append(
+            {
+                "joint": joint,
+                "unit": "m" if machine.slides[joint] else "rad",
+                "from": f"{low:.4g}",
+                "to": f"{high:.4g}",
+                "actuator": actuator,
+                "drive": "MuJoCo's own" if actuator in machine.native else "cylinder",
+            }
+        )
+    options = [f"file {model_path(name)}", f"timestep {machine.model.opt.timestep:g} s"]
+    return {"summary": model_summary(name), "options": options, "rows": rows}
+
+
+def _effect(name: str, model: str) -> dict[str, Any]:
+    from leglab.diagnosis.effects import all_effects
+    from leglab.diagnosis.plant.model import Machine
+
+    machine = Machine(model)
+    variants = [effect for effect in all_effects() if effect.name == name]
+    fitting = [(effect, effect.elements(machine)) for effect in variants]
+    effect, elements = next(((e, places) for e, places in fitting if places), (variants[0], ()))
+    rows = [
+        {
+            "parameter": p.name,
+            "unit": p.unit,
+            "nominal": f"{p.nominal:.4g}",
+            "lower": f"{p.lower:.4g}",
+            "upper": f"{p.upper:.4g}",
+        }
+        for p in (effect.parameters(machine, elements[0]) if elements else ())
+    ]
+    where = f"on {elements[0]} of {model}" if elements else f"{model} has nothing it can sit on"
+    live = [cause.live for cause in CAUSES if name in cause.effect.replace(" and ", " ").split()]
+    return {
+        "summary": " ".join(effect.physics.split()),
+        "options": [
+            f"source: {' '.join(effect.source.split())}",
+            f"shown by: {effect.excitation}",
+            *([f"as a scenario: {', '.join(live)}"] if live else []),
+            where,
+        ],
+        "rows": rows,
+    }
+
+
+def _print(kind: str, name: str, details: dict[str, Any]) -> None:
+    output.print(f"[bold]{name}[/bold], {kind}")
+    tell(details["summary"])
+    for line in details["options"]:
+        tell(f"  {line}")
+    if details.get("effects"):
+        tell(f"  in a diagnosis: {', '.join(details['effects'])}")
+    rows = details["rows"]
+    if rows:
+        print_wide(plain_table(list(rows[0]), [list(row.values()) for row in rows]))
