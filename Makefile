@@ -44,10 +44,10 @@ docs: $(STAMP)
 	@echo "open out/docs/index.html"
 
 # Hours: docs/data anew, then the tables of README.md and docs. Interrupted, the long ones go on.
-# Minutes of each: .venv/bin/python benchmarks/make_results.py --list
+# Minutes of each: .venv/bin/python -m benchmarks
 results: $(STAMP)
 	$(INSTALL) --group benchmarks
-	$(BIN)/python benchmarks/make_results.py
+	$(BIN)/python -m benchmarks results
 
 $(STAMP): $(PACKAGE)
 	$(INSTALL) --group dev

@@ -1,34 +1,78 @@
-"""All that measures leglab, by name: `python -m benchmarks NAME [OPTIONS]`."""
+"""All that measures leglab, by name: `python -m benchmarks NAME [OPTIONS]`.
 
-import ast
-import runpy
+Without a name it lists them; `results [NAME ...]` makes docs/data and the tables of README.md and
+docs anew, one benchmark after the other, so that times are not disturbed by each other. Needs the
+benchmarks group (`pip install --group benchmarks`) and the recordings in $LEGLAB_DATA.
+"""
+
+import subprocess
 import sys
-from pathlib import Path
+import time
 
-FOLDER = Path(__file__).parent
+from benchmarks import results
+from benchmarks.registry import BENCHMARKS, ROOT, Benchmark, benchmark
+from leglab.base.errors import LeglabError
+from leglab.cli.terminal import complain
 
 
-def scripts() -> dict[str, Path]:
-    """The scripts by name: those files of the folder that can be run."""
-    files = sorted(FOLDER.glob("*.py"))
-    return {f.stem: f for f in files if f.stem[0] != "_" and "__main__" in f.read_text()}
+def listing() -> str:
+    """A line a benchmark: name, minutes, file, what it measures."""
+    rows = [
+        (
+            one.name,
+            "" if one.minutes is None else f"{one.minutes:g} min",
+            one.file.relative_to(ROOT).as_posix() if one.kept else "",
+            one.measures(),
+        )
+        for one in BENCHMARKS.values()
+    ]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    return "\n".join(
+        "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[-1]])
+        for row in rows
+    )
+
+
+def make(one: Benchmark) -> bool:
+    """Makes a file of docs/data; says whether that ended well."""
+    print(f"{one.name}: about {one.minutes:g} min", flush=True)
+    began = time.monotonic()
+    command = [sys.executable, "-m", "benchmarks", one.name, "--write", one.file]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+    spent = (time.monotonic() - began) / 60
+    print(f"{one.name}: {'made' if done.returncode == 0 else 'FAILED'} in {spent:.1f} min")
+    return done.returncode == 0
+
+
+def make_results(names: list[str]) -> None:
+    """Makes all of docs/data, or those named, then the tables; everything is tried if one fails.
+
+    Raises:
+        LeglabError: A name is not of a benchmark that docs/data keeps; or some could not be made.
+    """
+    kept = [one for one in BENCHMARKS.values() if one.kept]
+    if unknown := [name for name in names if not benchmark(name).kept]:
+        raise LeglabError(f"docs/data keeps no {', '.join(unknown)}")
+    failed = [one.name for one in kept if one.name in (names or BENCHMARKS) and not make(one)]
+    print("tables of README.md and docs", flush=True)
+    tables = subprocess.run([sys.executable, "-m", "tests.tables", "--write"], cwd=ROOT)
+    if failed or tables.returncode:
+        raise LeglabError(f"not made: {', '.join(failed) or 'tables'}")
 
 
 def main() -> None:
-    """Runs the script of that name; without one, lists them."""
-    known = scripts()
-    if len(sys.argv) < 2 or sys.argv[1] in ("-h", "--help"):
-        for name, file in known.items():
-            told = ast.get_docstring(ast.parse(file.read_text())) or ""
-            line = told.partition("\n")[0].partition(": `")[0].rstrip(".")
-            print(f"{name:24} {line}")
-        return
-    name = sys.argv[1]
-    if name not in known:
-        raise SystemExit(f"error: no benchmark {name!r}; allowed: {', '.join(known)}")
-    sys.argv = [str(known[name]), *sys.argv[2:]]
-    sys.path.insert(0, str(FOLDER))
-    runpy.run_path(str(known[name]), run_name="__main__")
+    """Runs what is named, or lists all; errors are one line."""
+    name, *words = sys.argv[1:] or ["--help"]
+    try:
+        if name in ("-h", "--help"):
+            print(f"{__doc__}\n{listing()}")
+        elif name == "results":
+            make_results(words)
+        else:
+            results.run(benchmark(name), words)
+    except LeglabError as error:
+        complain(str(error))
+        raise SystemExit(2) from error
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from leglab.cli.terminal import (
 
 def bench(
     part: Annotated[
-        list[str] | None, typer.Option(help="Script of benchmarks/; repeatable; default: all.")
+        list[str] | None, typer.Option(help="Benchmark; repeatable; default: all.")
     ] = None,
     repeat: Annotated[int, typer.Option(help="Times that each is run.")] = 3,
     quick: Annotated[

@@ -1,6 +1,6 @@
 """Time per sample of the identification core, all of it measured in one run.
 
-    python benchmarks/bsnn_arx_speed.py [--out DIR]
+    python -m benchmarks bsnn_arx_speed [--out DIR]
 
 Prints the paper's model in the core, through `run` and through single `update` calls from Python
 beside a bare C++ loop of the same arithmetic and padasip's recursive least squares step. With
@@ -20,8 +20,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import padasip
-import results
 
+from benchmarks import results
 from leglab.identification import BsnnArx, BsnnArxSettings
 
 HERE = Path(__file__).parent
@@ -142,13 +142,6 @@ def tables(found: dict[str, Any]) -> str:
     return text
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="folder for cost.png")
     parser.add_argument("--passes", type=int, default=40, help="of which the fastest counts")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""A correction by name where the machine shares no code: `python benchmarks/correction_bench.py`.
+"""A correction by name where the machine shares no code.
 
 The bench of `rigs/csrc/rough_bench.h`, exact and rough specimens, becomes another one while it
 walks: by what the bank of faults has, and by what it has not. RMS error of `bsnn_arx_bank`, with
@@ -10,9 +10,9 @@ import argparse
 from typing import Any
 
 import numpy as np
-import results
 from joblib import Parallel, delayed
 
+from benchmarks import results
 from leglab.control.feedforward.fault_bank import UNKNOWN as UNNAMED
 from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.fault_simulation import kind
@@ -178,13 +178,6 @@ def _ratios(found: list[dict[str, Any]], label: str) -> np.ndarray:
     return np.column_stack([own / base, [case[label]["any"] for case in found]])
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--specimens", type=int, default=2, help="how many, exact and rough")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()
+    parser.add_argument("--jobs", type=int, default=2, help="processes at a time")

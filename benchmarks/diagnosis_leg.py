@@ -1,6 +1,6 @@
 """Single faults on one joint of leglab's own leg: named first, at the right joint?
 
-`python benchmarks/diagnosis_leg.py --cases 22 --nothing 5 --out runs/diagnosis_leg` goes on where
+`python -m benchmarks diagnosis_leg --cases 22 --nothing 5 --out runs/diagnosis_leg` goes on where
 it was interrupted. A case has five recordings of 8 s at 500 Hz, three of strides and two of random
 strides, by the leg's own model at a tenth of its step; fault, joint and size are drawn.
 """
@@ -12,10 +12,10 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import results
 from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
+from benchmarks import results
 from benchmarks.self_test.outcomes import run_missing
 from leglab import RunSettings, run_scenario
 from leglab.base.recording import Recording
@@ -247,16 +247,9 @@ def tables(kept: Any) -> str:
     return results.table(HEAD, told) + "\n" + results.table(CASE_HEAD, shown)
 
 
-def main() -> None:
-    """Runs the cases, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=22, help="with a single fault")
     parser.add_argument("--nothing", type=int, default=5, help="without any")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2, help="cases at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/diagnosis_leg"))
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

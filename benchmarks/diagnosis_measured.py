@@ -1,21 +1,23 @@
-"""Measured machines that nobody built the diagnosis for: `python benchmarks/diagnosis_measured.py`.
+"""Recordings that are not of leglab: measured machines, and the simulated benches of shared data.
 
-Each case of `data/measured` goes through `leglab diagnose` as a user calls it, within a time; page
-and verdict of each are kept below `--out`. The recordings are looked for in $LEGLAB_DATA and
-../shared/data.
+Each case of `data/measured`, `data/knee_bench` and `data/rough_bench` goes through
+`leglab diagnose` as a user calls it, within a time; page and verdict of each are kept below
+`--out`. The recordings are looked for in $LEGLAB_DATA and ../shared/data.
 """
 
 import argparse
 import json
 import subprocess
 import sys
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import results
-
+from benchmarks import results
+from benchmarks.registry import ROOT
+from leglab.base.errors import LeglabError
 from leglab.studies.shared_data import shared_data
 
 HEAD = ("machine", "known", "said", "names and sets", "judged", "s")
@@ -25,21 +27,25 @@ SURE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A measured machine.
+    """A machine.
 
     Attributes:
         name: What it is.
-        model: File below `data/measured`.
-        recordings: Pattern of their files, and how many of them.
-        healthy: The same of recordings before it changed; None for none.
+        folder: Of its recordings, below `data`.
+        model: File in the folder, or name of a model.
+        recordings: Pattern of their files.
+        most: How many of them.
+        healthy: Pattern of recordings before it changed; empty for none.
         known: What is known to be missing, in words.
         causes: Effects that are right, each with the elements where; none for nothing.
     """
 
     name: str
-    model: str
-    recordings: tuple[str, int]
-    healthy: tuple[str, int] | None
+    folder: str
+    model: str = "knee_bench"
+    recordings: str = "*"
+    most: int = 99
+    healthy: str = ""
     known: str
     causes: dict[str, tuple[str, ...]]
 
@@ -54,89 +60,95 @@ _LEG = {
     "command_delay": ("hip", *_JOINTS),
 }
 _ARM = {"command_delay": ("",), "command_bandwidth": ("",), "sensor_delay": ("",)}
-CASES = (
-    Case(
-        name="damper, 1 A",
-        model="mr_damper/resists.xml",
-        recordings=("sine_*_1A", 99),
-        healthy=("sine_*_0A", 99),
-        known="Coulomb friction six to nine times, viscous friction",
-        causes=_RESISTS,
-    ),
-    Case(
-        name="damper, 0.5 A",
-        model="mr_damper/resists.xml",
-        recordings=("sine_*_0x5A", 99),
-        healthy=("sine_*_0A", 99),
-        known="Coulomb friction four to six times, viscous friction",
-        causes=_RESISTS,
-    ),
-    Case(
-        name="damper, 1 A, no healthy recordings",
-        model="mr_damper/resists.xml",
-        recordings=("sine_*_1A", 99),
-        healthy=None,
-        known="Coulomb and viscous friction",
-        causes=_RESISTS,
-    ),
-    Case(
-        name="robot dog, front left leg",
-        model="robot_dog/FL.xml",
-        recordings=("FL_*", 99),
-        healthy=None,
+
+
+def _damper(name: str, recordings: str, known: str, healthy: str = "sine_*_0A") -> Case:
+    return Case(
+        name=f"damper, {name}", folder="measured/mr_damper", model="resists.xml",
+        recordings=recordings, healthy=healthy, known=known, causes=_RESISTS,
+    )  # fmt: skip
+
+
+def _dog(leg: str, name: str) -> Case:
+    return Case(
+        name=f"robot dog, {name} leg", folder="measured/robot_dog", model=f"{leg}.xml",
+        recordings=f"{leg}_*", causes=_LEG,
         known="less damping, more armature, friction of the calf, a delay",
-        causes=_LEG,
+    )  # fmt: skip
+
+
+def _rotary(name: str, recordings: str, healthy: str, known: str, *causes: str) -> Case:
+    return Case(
+        name=f"rotary actuator, {name}", folder="measured/rotary", model="rotary.xml",
+        recordings=recordings, most=6, healthy=healthy, known=known,
+        causes=dict.fromkeys(causes, ("",)),
+    )  # fmt: skip
+
+
+def _bench(folder: str, name: str, healthy: str = "") -> Case | None:
+    """A simulated bench, with what its file says of it; None where the data are not there."""
+    try:
+        truth = tomllib.loads((shared_data(folder) / "truth.toml").read_text())
+    except LeglabError:
+        return None
+    told = [f"{key} {value}" for key, value in truth.items() if key != "effects"]
+    return Case(
+        name=name, folder=folder, healthy=healthy, known=truth.get("description", ", ".join(told) or "nothing"),
+        causes=dict.fromkeys(truth["effects"], ("",)),
+    )  # fmt: skip
+
+
+_BENCHES = (
+    *(
+        _bench(f"knee_bench/{n}", f"bench {n}")
+        for n in ("nominal", *(f"d{i}" for i in range(1, 8)))
     ),
-    Case(
-        name="robot dog, rear right leg",
-        model="robot_dog/RR.xml",
-        recordings=("RR_*", 99),
-        healthy=None,
-        known="less damping, more armature, friction of the calf, a delay",
-        causes=_LEG,
-    ),
-    Case(
-        name="six-servo arm",
-        model="servo_arm/so101.xml",
-        recordings=("*", 99),
-        healthy=None,
-        known="delay of 0.06 to 0.14 s or a lag, on all joints; sag",
-        causes=_ARM,
-    ),
-    Case(
-        name="rotary actuator, bad seal",
-        model="rotary/rotary.xml",
-        recordings=("butterfly_seal_*", 6),
-        healthy=("butterfly_healthy_*", 6),
-        known="less resistance, other specimen",
-        causes={
-            "viscous_friction": ("",),
-            "coulomb_friction": ("",),
-        },
-    ),
-    Case(
-        name="rotary actuator, unchanged",
-        model="rotary/rotary.xml",
-        recordings=("free_healthy_b_*", 6),
-        healthy=("free_healthy_a_*", 6),
-        known="nothing changed",
-        causes={},
+    *(
+        _bench(f"rough_bench/e{i}", f"rough bench e{i}{told}", healthy)
+        for told, healthy in (("", "healthy/*"), (", no healthy recordings", ""))
+        for i in range(7)
     ),
 )
+CASES = (
+    _damper("1 A", "sine_*_1A", "Coulomb friction six to nine times, viscous friction"),
+    _damper("0.5 A", "sine_*_0x5A", "Coulomb friction four to six times, viscous friction"),
+    _damper("1 A, no healthy recordings", "sine_*_1A", "Coulomb and viscous friction", healthy=""),
+    _dog("FL", "front left"),
+    _dog("RR", "rear right"),
+    Case(
+        name="six-servo arm", folder="measured/servo_arm", model="so101.xml", causes=_ARM,
+        known="delay of 0.06 to 0.14 s or a lag, on all joints; sag",
+    ),
+    _rotary(
+        "bad seal", "butterfly_seal_*", "butterfly_healthy_*", "less resistance, other specimen",
+        "viscous_friction", "coulomb_friction",
+    ),
+    _rotary("unchanged", "free_healthy_b_*", "free_healthy_a_*", "nothing changed"),
+    *(case for case in _BENCHES if case),
+)  # fmt: skip
 
 
-def files(case: Case, pattern: tuple[str, int]) -> list[str]:
+def files(case: Case, pattern: str) -> list[str]:
     """Recordings of a pattern."""
-    folder = shared_data(f"measured/{Path(case.model).parent}")
-    return [str(p) for p in sorted(folder.glob(f"{pattern[0]}.parquet"))[: pattern[1]]]
+    return [
+        str(p) for p in sorted(shared_data(case.folder).glob(f"{pattern}.parquet"))[: case.most]
+    ]
 
 
 def run(case: Case, out: Path, patience: float) -> dict[str, Any]:
     """One row: what the command said, within a time [s]."""
     folder = out / case.name.replace(",", "").replace(" ", "_")
-    model = str(shared_data(f"measured/{case.model}"))
+    model = str(shared_data(case.folder) / case.model) if ".xml" in case.model else case.model
     healthy = [f"--healthy={f}" for f in files(case, case.healthy)] if case.healthy else []
-    command = ["leglab", "diagnose", model, *files(case, case.recordings), *healthy]
+    command = [
+        sys.executable,
+        "-m",
+        "leglab",
+        "diagnose",
+        model,
+        *files(case, case.recordings),
+        *healthy,
+    ]
     began = perf_counter()
     try:
         subprocess.run(
@@ -189,18 +201,13 @@ def tables(rows: list[dict[str, Any]]) -> str:
     return results.table(HEAD, shown)
 
 
-def main() -> None:
-    """Runs the cases given, or all, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("cases", nargs="*", type=int, default=[*range(len(CASES))])
-    parser.add_argument("--out", type=Path, default=results.ROOT / "runs" / "diagnosis_measured")
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The cases given, or all."""
+    return [run(CASES[i], options.out, options.patience) for i in options.cases]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    told = ", ".join(f"{i} {case.name}" for i, case in enumerate(CASES))
+    parser.add_argument("cases", nargs="*", type=int, default=[*range(len(CASES))], help=told)
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "diagnosis_measured")
     parser.add_argument("--patience", type=float, default=900.0, help="time of a case [s]")
-    results.main(
-        parser,
-        lambda options: [run(CASES[i], options.out, options.patience) for i in options.cases],
-        tables,
-    )
-
-
-if __name__ == "__main__":
-    main()

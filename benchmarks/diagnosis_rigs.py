@@ -1,4 +1,4 @@
-"""Blind cases on the two rigs without hydraulics: `python -m benchmarks.diagnosis_rigs`.
+"""Blind cases on the two rigs without hydraulics: `python -m benchmarks diagnosis_rigs`.
 
 Sizes are random; recordings come from rigs, which knows nothing of leglab's effects. Prints
 one line a case and how many were named.
@@ -55,7 +55,3 @@ def main():
             flush=True,
         )
     print(f"{right} of {total} right")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Replays a second of the diagnosis and of mujoco.sysid: `python benchmarks/diagnosis_rollouts.py`.
+"""Replays a second of the diagnosis and of mujoco.sysid.
 
 Measuring needs the benchmarks group (mujoco[sysid]). The same model at the same time step, the same
 four recordings of 12 s, the same threads, taking turns; one replay is all recordings once with
@@ -15,13 +15,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.replay.starts import measure, start_states
+from leglab.diagnosis.replay.starts import start_states
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.studies.shared_data import shared_data
 
@@ -101,7 +101,7 @@ def peer(problem: Problem, threads: int, *, windows: bool):
     return at_once
 
 
-def replays(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Seconds of a replay, by tool."""
     from absl import logging
 
@@ -153,13 +153,6 @@ def tables(found: dict[str, Any]) -> str:
     return f"{results.table(head, rows)}\n{found['setting']}"
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=15)
-    results.main(parser, replays, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Motors and machines unlike their models: `python benchmarks/diagnosis_rough_motors.py`.
+"""Motors and machines unlike their models.
 
 A rotor, a servo with a link and an arm of two joints (rigs/rough.py) draw their masses,
 friction laws, lags, gears' teeth and encoders. Hidden in each is a fault, one in either end joint,
@@ -6,19 +6,15 @@ two in either end joint, more inertia with more drag, which a weak drive imitate
 """
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from rigs.rough import RIGS, RoughRig, faults_of, hide, machine, record_rough
 
 HEAD = ("machine", "hidden", "verdict", "named, confidence", "explained", "noise levels", "s")
@@ -76,6 +72,12 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
         "after": result.gap.after,
         "wall_s": result.seconds,
     }
+
+
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """All cases of all machines."""
+    cases = [(name, n, options.seed) for n in range(options.cases) for name in RIGS]
+    return results.resumed(run, cases, folder=options.out, jobs=options.jobs)
 
 
 def _elements(rig: RoughRig, joint: int) -> list[str]:
@@ -159,24 +161,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def main() -> None:
-    """Runs the cases, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=14, help="of each machine")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2, help="cases at a time")
     parser.add_argument("--out", type=Path, help="keeps each case; an interrupted run goes on")
-    results.main(
-        parser,
-        lambda options: results.resumed(
-            run,
-            [(name, n, options.seed) for n in range(options.cases) for name in RIGS],
-            folder=options.out,
-            jobs=options.jobs,
-        ),
-        tables,
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""One hinge at a tenth and a hundred times its inertia: `python benchmarks/diagnosis_scales.py`.
+"""One hinge at a tenth and a hundred times its inertia.
 
 The machine is the pendulum of rigs, an arm on a geared motor with an encoder, and its copies
 are of other density: lengths, times and angles stay; masses, inertias, damping, motor torque, the
@@ -25,17 +25,14 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import results
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
+from benchmarks import results
 from leglab.base.output import write_atomically
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.report.style import DARK_GREY, LIGHT_GREY, SERIES, VERMILION, style
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from rigs import PENDULUM
 from rigs.hinge import record_hinge
 from rigs.rough import FAULTS, SERVO_LINK
@@ -229,16 +226,9 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
     return drawn
 
 
-def main() -> None:
-    """Runs the cases, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 0.1, 100.0])
     parser.add_argument("--effects", nargs="+", choices=EFFECTS, default=list(EFFECTS))
     parser.add_argument("--out", type=Path, default=Path("runs/diagnosis_scales/cases.jsonl"))
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--figure", type=Path, help="PNG; default: beside the cases")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

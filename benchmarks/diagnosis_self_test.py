@@ -1,4 +1,4 @@
-"""Blind cases of the diagnosis, scored: `python -m benchmarks diagnosis_self_test`.
+"""Blind cases of the diagnosis, scored.
 
 Goes on where a call with the same `--out` was interrupted. With `--rough` on specimens that differ
 from their model everywhere a little, with recordings from before the fault; figures are written
@@ -9,14 +9,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import results
-
+from benchmarks import results
 from benchmarks.self_test import exact, rough
 from benchmarks.self_test.figures import save_figures
 from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import check_jobs
-from leglab.cli.terminal import complain, progress
+from leglab.cli.terminal import progress
 from rigs.rough_bench import SIZES
 
 
@@ -64,9 +63,7 @@ def tables(kept: Any) -> str:
     return "\n".join(parts)
 
 
-def main() -> None:
-    """Runs, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=100, help="with a single effect")
     parser.add_argument("--out", type=Path, default=Path("runs/self_test"))
     parser.add_argument("--rough", action="store_true", help="rough specimens")
@@ -77,12 +74,3 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the cases")
     parser.add_argument("--jobs", type=int, default=-1, help="cases at a time; -1: one a core")
     parser.add_argument("--scheduler", help="Dask scheduler whose workers do the work")
-    try:
-        results.main(parser, measure, tables)
-    except LeglabError as error:
-        complain(str(error))
-        raise SystemExit(2) from error
-
-
-if __name__ == "__main__":
-    main()

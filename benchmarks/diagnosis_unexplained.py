@@ -1,6 +1,6 @@
 """Machines whose cause has no name: is improved.xml a better model, in plain MuJoCo as well?
 
-`python benchmarks/diagnosis_unexplained.py [CASE...]`, in a checkout, with $LEGLAB_DATA for the two
+`python -m benchmarks diagnosis_unexplained [CASE...]`, in a checkout, with $LEGLAB_DATA for the two
 measured cases. Each is diagnosed by the command, with the effects that would name the cause left
 out. The written model then runs in `leglab run`, and in MuJoCo alone with the plugin's library: a
 held-out recording from end to end, its commands corrected by a slow position loop.
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab import data
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
@@ -27,14 +27,12 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.plugin import library_path, to_xml
 from leglab.studies.shared_data import shared_data
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from diagnosis_remainder import EXCLUDED, bench, pendulum
-
 from rigs import PENDULUM, Truth, record
+from rigs.bench import FaultyBench, references
 from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
+# Effects that would name a torque of position, so that nothing that is looked for describes it.
+EXCLUDED = ("position_torque", "harmonic_torque", "cogging", "torque_ripple")
 HEAD = (
     "machine",
     "hidden",
@@ -108,6 +106,13 @@ def known(name: str) -> str:
     return name
 
 
+def drawn(span: float, low: float, high: float) -> tuple[float, float, float]:
+    """A torque of position: amplitude [N m], period [rad], phase."""
+    rng = np.random.default_rng(7)
+    amplitude = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return amplitude, span * float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.0, 2.0 * np.pi))
+
+
 def case(name: str) -> Case:
     """One of `CASES`."""
     if name == "e0":
@@ -116,9 +121,14 @@ def case(name: str) -> Case:
         hidden = "its own laws and parameters, no fault; no healthy recordings"
         return _knee(logs, held, hidden, ())
     if name == "torque":
-        logs, drawn = bench(np.random.default_rng(7))
+        rng, plant = np.random.default_rng(7), FaultyBench()
+        motions = references(rng, duration=8.0)
+        span = max(m.max() for m in motions.values()) - min(m.min() for m in motions.values())
+        force, period, phase = drawn(float(span), 1.5, 10.0)
+        plant.fields.append(lambda q: force * np.sin(2.0 * np.pi * q / period + phase))
+        logs = {name: plant.record(motion, rng) for name, motion in motions.items()}
         logs, (held, *_) = split_held_out("knee_bench", logs, [])
-        hidden = f"{drawn.amplitude:.1f} N m every {drawn.period:.2f} rad, not looked for"
+        hidden = f"{force:.1f} N m every {period:.2f} rad, not looked for"
         return _knee(logs, held, hidden, EXCLUDED)
     if name == "EMPS":
         return Case(
@@ -133,8 +143,10 @@ def case(name: str) -> Case:
             unit=(1e3, "mm"),
         )
     if name == "ripple":
-        logs, drawn = pendulum(np.random.default_rng(7))
-        hidden = f"{drawn.amplitude:.2f} N m every {drawn.period:.2f} rad, not looked for"
+        ripple = drawn(1.8, 0.15, 1.0)
+        kinds = enumerate(("multisine", "fast", "slow", "stairs"))
+        logs = {k: record(PENDULUM, k, Truth(ripple=ripple), seed=i) for i, k in kinds}
+        hidden = f"{ripple[0]:.2f} N m every {ripple[1]:.2f} rad, not looked for"
         return _pendulum(logs, hidden, EXCLUDED)
     logs = {
         kind: record(PENDULUM, kind, Truth(), seed=i, seconds=4.0)
@@ -271,12 +283,10 @@ def tables(rows: list[dict[str, Any]]) -> str:
     return results.table(HEAD, shown)
 
 
-def main() -> None:
-    """Runs the cases given, or all, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The cases given, or all."""
+    return [run(name) for name in options.cases]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", type=known, default=CASES)
-    results.main(parser, lambda options: [run(name) for name in options.cases], tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""What environments cost beside bare physics: `python benchmarks/environment_speed.py`.
+"""What environments cost beside bare physics.
 
 On one core: bare stepping of a model, and environments in one process. On all cores: bare stepping
 in a process a core, the batch in threads, and what Gymnasium and dm_control offer, in processes.
@@ -17,9 +17,9 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
-import results
 
 import leglab.environment
+from benchmarks import results
 from leglab.machine.plugin import headless
 from leglab.machine.simulation import load_model
 
@@ -219,16 +219,9 @@ def tables(found: dict[str, Any]) -> str:
     )
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bursts", type=int, default=20, help=f"of {PERIODS} periods")
     parser.add_argument(
         "--rounds", type=int, default=100, help="bursts on all cores, some hundredths of a second"
     )
     parser.add_argument("--machines", type=int, default=64, help="in a batch")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

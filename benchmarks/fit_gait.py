@@ -1,6 +1,6 @@
 """Prints the Fourier coefficients in leglab/references/gait.py.
 
-Usage: python benchmarks/fit_gait.py normal.mot
+Usage: python -m benchmarks fit_gait normal.mot
 
 `normal.mot` is the averaged normal gait of OpenSim's introductory tutorial, in the repository
 opensim-org/opensim-models under Tutorials/Intro_to_Musculoskeletal_Modeling. It is not ours to
@@ -62,7 +62,3 @@ def main() -> None:
     turns = PchipInterpolator(np.concatenate([phase - 1, phase, phase + 1]), np.tile(angle, 3))
     dense = np.arange(100) / 100
     show("ankle_roll", *fit(dense, -turns(dense), INVERSION_HARMONICS))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""How slow wear is followed and named: `python benchmarks/health.py`.
+"""How slow wear is followed and named.
 
 Walking leg, specimens of tolerance 0.1, `bsnn_arx_bank`. A part wears on a straight line from 40 s
 on, so fast that it has its severity after 600 s; the run ends before. What is said is held against
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab import RunSettings
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
@@ -167,16 +167,9 @@ def _span(last: dict[str, Any], *names: str) -> str:
     return f"{_n(value)} ({_n(low)} to {'no end' if high is None else _n(high)})"
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--specimens", type=int, default=2, help="how many")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--specimens", type=int, default=1, help="how many")
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--cases", default="", help="only these, separated by commas")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
     parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

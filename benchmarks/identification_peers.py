@@ -19,10 +19,10 @@ from importlib import metadata
 from multiprocessing import get_context
 
 import numpy as np
-import results
 import scipy.linalg
 import scipy.signal
 
+from benchmarks import results
 from leglab.identification import BsnnArx, SplineNarx
 from leglab.studies.replication import deployed, paper, real_data
 from leglab.studies.replication.online import OnlineSettings
@@ -320,12 +320,5 @@ def tables(found: dict[str, dict[str, dict[str, float]]]) -> str:
     return "\n".join(grids)
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples", type=int, default=20_000, help="of Silverbox; 0 leaves it out")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Tables of docs/concepts/identification.md: `python benchmarks/identification_tables.py NAME`.
+"""Tables of docs/concepts/identification.md: `python -m benchmarks identification_tables NAME`.
 
 `free_runs` and `recovery` compute what the deployed identifier does on the paper's plant; `asked`
 does so as well and takes the rest from docs/data.
@@ -7,8 +7,8 @@ does so as well and takes the rest from docs/data.
 import sys
 
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab.studies.replication import deployed, paper
 from leglab.studies.replication.page import free_run_table, recovery_table
 from leglab.studies.replication.run import CHANGE_SEEDS, REALISATIONS
@@ -116,7 +116,3 @@ def main() -> None:
     if len(sys.argv) != 2 or sys.argv[1] not in known:
         raise SystemExit(f"usage: identification_tables.py {'|'.join(known)}")
     print(known[sys.argv[1]](), end="")
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,7 @@ first plugin does: force from the old pressures, pressures by explicit Euler wit
 Without air the continuous model lets oil under tension where the scheme lets it boil; where the
 motion touches that, the two keep a difference that no step removes. Times are of the processor.
 
-Run: python benchmarks/integration_accuracy.py
+Run: python -m benchmarks integration_accuracy
 """
 
 import argparse
@@ -16,9 +16,9 @@ import time
 from typing import Any
 
 import numpy as np
-import results
 from scipy.integrate import solve_ivp
 
+from benchmarks import results
 from leglab.machine.cylinder import Cylinder
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}
@@ -156,12 +156,3 @@ def grid(title: str, rows: list[dict[str, Any]]) -> str:
 def fixed(value: float | None, decimals: int) -> str:
     """So many decimals; nothing for None."""
     return "" if value is None else f"{value:.{decimals}f}"
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""What six cylinders cost: `python benchmarks/leg_speed.py`. Ratios of one run on one core.
+"""What six cylinders cost. Ratios of one run on one core.
 
 The step of leg.xml against the same leg with native motors on the same tendons, and the closed
 loop against real time, with PD and with six adaptive identifiers. Measurements alternate and each
@@ -14,8 +14,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab import RunSettings, run_scenario
 from leglab.machine.simulation import load_model
 
@@ -111,14 +111,7 @@ def tables(found: dict[str, Any]) -> str:
     )
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bursts", type=int, default=200, help=f"of {STEPS} steps")
     parser.add_argument("--rounds", type=int, default=12, help="runs of each controller")
     parser.add_argument("--duration", type=float, default=20.0, help="of a run [s]")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

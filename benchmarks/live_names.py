@@ -1,4 +1,4 @@
-"""What naming a fault first gains: `python benchmarks/live_names.py`.
+"""What naming a fault first gains.
 
 Walking leg, specimens of tolerance 0.1, one fault each, of all cylinders or of one; its size is
 drawn between the bank's smallest and largest, its time within a stride, the machine, the phase of
@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
@@ -465,19 +465,12 @@ def _peace(said: list[list[Any]], found: list[dict[str, Any]]) -> str:
     return results.table(["where nothing breaks", "minutes", "false alarms", "said"], rows)
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--specimens", type=int, default=10, help="how many")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
     parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
     parser.add_argument(
         "--elsewhere",
         default="",
         help=f"faults that come and go and these conditions instead: {', '.join(ELSEWHERE)}",
     )
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Adaptation that never stops: `python benchmarks/long_run.py [--minutes 30]`.
+"""Adaptation that never stops: `python -m benchmarks long_run [--minutes 30]`.
 
 A specimen of the leg walks on, and nothing changes. Gains that stay open too far, or directions
 that are forgotten and never excited, would show as errors that grow or burst. RMS errors in mrad.
@@ -7,9 +7,9 @@ that are forgotten and never excited, would show as errors that grow or burst. R
 import argparse
 
 import numpy as np
-import results
-from specimens import run_specimen
 
+from benchmarks import results
+from benchmarks.specimens import run_specimen
 from leglab.runs.metrics import sliding_rms
 
 START, WINDOW = 5.0, 2.0  # s
@@ -43,12 +43,5 @@ def tables(kept: dict[str, list[float]]) -> str:
     )
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=30.0, help="of simulated time")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Cycles of `bsnn_arx_bank` on a Cortex-M7: `python benchmarks/microcontroller.py`.
+"""Cycles of `bsnn_arx_bank` on a Cortex-M7.
 
 Builds the controller of the whole leg with the monitor that names faults
 (`tests/identification/microcontroller/leg.cc`: the same C++ core that the simulation runs, in
@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 
+from benchmarks import results
+from benchmarks.registry import ROOT
 from leglab._native.monitor import Monitor
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.fault_monitor import MonitorConfiguration
@@ -183,8 +184,8 @@ def build(folder: Path) -> Path:
     if shutil.which(COMPILER) is None:
         raise SystemExit(f"needs {COMPILER} (gcc-arm-none-eabi, libstdc++-arm-none-eabi-newlib)")
     elf = folder / "leg.elf"
-    source = results.ROOT / "tests" / "identification" / "microcontroller" / "leg.cc"
-    include = f"-I{results.ROOT / 'leglab' / 'csrc'}"
+    source = ROOT / "tests" / "identification" / "microcontroller" / "leg.cc"
+    include = f"-I{ROOT / 'leglab' / 'csrc'}"
     done = subprocess.run(
         [COMPILER, *FLAGS, include, str(source), "-o", str(elf)],
         capture_output=True,
@@ -466,13 +467,3 @@ def tables(kept: dict[str, Any]) -> str:
     counted = results.table(head, [*rows, cost])
     monitored = results.table(part_head, parts)
     return "\n".join([counted, monitored, results.table(["memory", "KiB"], memory), learned])
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Faults put into the code one by one, and the tests that notice: `python benchmarks/mutation.py`.
+"""Faults put into the code one by one, and the tests that notice.
 
 A mutant has one operator, number or comparison of a module changed. Each runs in a process of its
 own, forked when packages are loaded, with the tests named here, until the first one fails or some
@@ -22,7 +22,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
-import results
+
+from benchmarks import results
 
 ROOT = Path(__file__).parents[1]
 _VERDICT = ("tests/diagnosis/test_parts.py", "tests/diagnosis/test_verdicts.py")
@@ -336,9 +337,7 @@ def tables(kept: dict[str, dict]) -> str:
     )
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("modules", nargs="*", help="allowed: " + ", ".join(MODULES))
     parser.add_argument("--most", type=int, default=10_000, help="mutants of a module, by chance")
     parser.add_argument("--quick", action="store_true", help="by the tests of `make test` alone")
@@ -349,8 +348,3 @@ def main() -> None:
         metavar="FAULT",
         help="put in the faults of judging, all or some",
     )
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

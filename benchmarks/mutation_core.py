@@ -1,4 +1,4 @@
-"""Faults put into the compiled core one by one: `python benchmarks/mutation_core.py --most 40`.
+"""Faults put into the compiled core one by one: `python -m benchmarks mutation_core --most 40`.
 
 As `mutation.py` does for Python. A mutant has one operator, comparison or number of a header of
 `leglab/csrc` changed in its text; the module of Python that is made of the header is compiled with
@@ -20,8 +20,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import mutation
-import results
+from benchmarks import mutation
 
 SOURCES = mutation.ROOT / "leglab" / "csrc"
 
@@ -210,14 +209,10 @@ def _part(part: Part, compiler: _Compiler, options: argparse.Namespace) -> dict:
     return {"all": len(every), "tried": tried, "survived": left}
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+tables = mutation.tables
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("parts", nargs="*", help="allowed: " + ", ".join(PARTS))
     parser.add_argument("--most", type=int, default=10_000, help="mutants of a part, by chance")
     parser.add_argument("--again", type=Path, metavar="LOG", help="only mutants that it names")
-    results.main(parser, measure, mutation.tables)
-
-
-if __name__ == "__main__":
-    main()

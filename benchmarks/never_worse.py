@@ -1,4 +1,4 @@
-"""What the slow map beside the learned one is for: `python benchmarks/never_worse.py`.
+"""What the slow map beside the learned one is for.
 
 Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, of the bank's largest size
 and of one drawn below it. `bsnn_arx` stands beside itself without the slow map. Over any two
@@ -10,9 +10,9 @@ import argparse
 from typing import Any
 
 import numpy as np
-import results
-from specimens import first_change, run_specimen
 
+from benchmarks import results
+from benchmarks.specimens import first_change, run_specimen
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.metrics import sliding_rms
@@ -120,12 +120,5 @@ def _t90(found: list[dict[str, Any]], label: str) -> list[str]:
     return [median, str(int(np.isinf(times).sum())), str(len(times))]
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--specimens", type=int, default=3, help="how many")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--specimens", type=int, default=2, help="how many")

@@ -1,4 +1,4 @@
-"""The newcomer's way, timed: `python benchmarks/newcomer.py`.
+"""The newcomer's way, timed.
 
 Takes the commands of docs/start/first_hour.md from the page, section by section, and runs them as
 one typed them: in one shell, in an empty folder, with a clone of the commit that is checked out
@@ -10,18 +10,16 @@ import itertools
 import os
 import re
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import results
-
-sys.path.insert(0, str(results.ROOT))  # for the reader of pages, which the tests use as well
+from benchmarks import results
+from benchmarks.registry import ROOT
 from tests.helpers.pages import Block, blocks
 
-PAGE = results.ROOT / "docs" / "start" / "first_hour.md"
+PAGE = ROOT / "docs" / "start" / "first_hour.md"
 _HEAD = re.compile(r"^## (\d+\. .+)$", re.MULTILINE)
 _ADDRESS = "URL-OF-THIS-REPOSITORY"
 # Of the own environment, what the shell of a newcomer has as well; his home is empty.
@@ -94,7 +92,7 @@ def run(parts: list[Section], folder: Path) -> list[float]:
     began = time.time()
     with log.open("w") as printed:
         done = subprocess.run(
-            ["bash", "-c", f"exec 3>&{write}; {script(parts, results.ROOT)}"],
+            ["bash", "-c", f"exec 3>&{write}; {script(parts, ROOT)}"],
             cwd=folder,
             env=environment,
             stdout=printed,
@@ -133,12 +131,3 @@ def tables(found: list[dict]) -> str:
 
 def _told(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

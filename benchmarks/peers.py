@@ -1,12 +1,12 @@
-"""Peers of the adaptive feed-forward on one specimen: `python benchmarks/peers.py`."""
+"""Peers of the adaptive feed-forward on one specimen."""
 
 import argparse
 from typing import Any
 
 import numpy as np
-import results
 from joblib import Parallel, delayed
 
+from benchmarks import results
 from leglab import RunSettings
 from leglab.runs.loop import Loop
 
@@ -58,7 +58,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return dict(Parallel(n_jobs=options.jobs)(delayed(judged)(task) for task in tasks))
 
 
-def table(kept: dict[str, Any]) -> str:
+def tables(kept: dict[str, Any]) -> str:
     """Errors before / in the first and second stride / 2.4-4.8 s / from 4.8 s on."""
     head = ["model", "reference", "scenario", *(f"`{name}`" for name in CONTROLLERS)]
     rows = []
@@ -68,12 +68,5 @@ def table(kept: dict[str, Any]) -> str:
     return results.table(head, rows)
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
-    results.main(parser, measure, table)
-
-
-if __name__ == "__main__":
-    main()

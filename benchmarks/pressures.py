@@ -1,4 +1,4 @@
-"""What measured pressures gain: `python benchmarks/pressures.py`.
+"""What measured pressures gain.
 
 Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, sizes and times drawn as
 in `live_names.py`. `bsnn_arx_pressure` stands beside `bsnn_arx` and `bsnn_arx_bank`, with positions
@@ -12,10 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import live_names
 import numpy as np
-import results
 
+from benchmarks import live_names, results
 from leglab import RunSettings
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.control.feedforward.fault_bank import ALL
@@ -182,17 +181,10 @@ def _by_fault(found: list[dict[str, Any]], shown: list[str]) -> str:
     return results.table(head, rows)
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--specimens", type=int, default=10, help="how many")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--specimens", type=int, default=3, help="how many")
     parser.add_argument("--first", type=int, default=live_names.FIRST_SEED, help="first seed")
     parser.add_argument("--faults", default="", help="only these, separated by commas")
     parser.add_argument("--controllers", default=",".join(ADAPTIVE), help="separated by commas")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
     parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

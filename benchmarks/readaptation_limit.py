@@ -1,4 +1,4 @@
-"""What limits re-adaptation: `python benchmarks/readaptation_limit.py`.
+"""What limits re-adaptation.
 
 Learning is stopped some time after the change; the error of the last strides tells how much of the
 changed machine had been seen by then. A stride takes 1.2 s: what a joint does in the rest of it has
@@ -10,8 +10,9 @@ in mrad, over specimens.
 import argparse
 
 import numpy as np
-import results
-from specimens import FEW, first_change, run_specimen
+
+from benchmarks import results
+from benchmarks.specimens import FEW, first_change, run_specimen
 
 SEEN = (0.3, 0.6, 1.2, 2.4, 4.8, 7.2, None)  # s of the changed machine
 CASES = ("seal_wear", "cold_oil", "hot_oil", "valve_wear", "supply_droop")
@@ -49,12 +50,3 @@ def tables(errors: dict[str, list[float]]) -> str:
     return results.table(
         head, [(name, *(results.number(x, 2) for x in row)) for name, row in errors.items()]
     )
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

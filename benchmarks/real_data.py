@@ -1,7 +1,7 @@
 """Every model of this project on the measured benchmarks, next to the published rows.
 
-python benchmarks/real_data.py            # the table
-python benchmarks/real_data.py --select   # how the structures were chosen (minutes)
+python -m benchmarks real_data            # the table
+python -m benchmarks real_data --select   # how the structures were chosen (minutes)
 """
 
 import argparse
@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 from matplotlib.figure import Figure
 
+from benchmarks import results
 from leglab.identification import (
     Basis,
     BsnnArx,
@@ -171,14 +171,7 @@ def shown(error: float | None) -> str:
     return f"{error:.3g}" if error is not None and error < DIVERGED else "diverges"
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--select", action="store_true", help="choose the structures again")
     parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
     parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Table 1 of the paper, as `leglab replicate` finds it: `python benchmarks/replication.py`.
+"""Table 1 of the paper, as `leglab replicate` finds it.
 
 Below it what the learning constant that the paper prints does to the order of its models.
 
@@ -9,8 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import results
-
+from benchmarks import results
 from leglab.studies.replication import paper, replicate
 from leglab.studies.replication.experiments import Order
 from leglab.studies.replication.page import order_table
@@ -42,13 +41,6 @@ def tables(found: dict[str, Any]) -> str:
     return f"{table_1}\n{order_table([Order(**row) for row in found['orders']], REALISATIONS)}"
 
 
-def main() -> None:
-    """Replicates, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--instances", type=int, default=paper.INSTANCES)
     parser.add_argument("--out", type=Path, default=Path("docs/results/replication"))
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

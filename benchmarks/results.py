@@ -3,9 +3,6 @@
 For benchmarks that take long, depend on the machine's speed, or need data or packages that a test
 has not: `--write FILE` keeps what was measured with where it comes from, `--render` prints its
 tables from there without measuring, which is how a test keeps page and data together.
-
-A benchmark with a `main` of its own keeps the same record: `origin_of` before it measures, `kept`
-afterwards, `origin_line` below its tables.
 """
 
 import argparse
@@ -24,11 +21,10 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from benchmarks.registry import DATA, ROOT, Benchmark
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
 
-ROOT = Path(__file__).parent.parent
-DATA = ROOT / "docs" / "data"
 # What a file of docs/data says of itself, beside its results.
 RECORD = ("command", "date", "commit", "versions", "machine")
 # Folders whose changes can change a result.
@@ -37,42 +33,58 @@ _WIDTH = 800  # longest line of a file; most cases of a benchmark are one
 _DIGITS = 6  # significant; tables show at most four
 
 
-def main(
-    parser: argparse.ArgumentParser,
-    measure: Callable[[argparse.Namespace], Any],
-    tables: Callable[[Any], str],
-) -> None:
+def run(benchmark: Benchmark, words: list[str]) -> None:
     """Measures and prints, or prints what is kept.
 
     Args:
-        parser: Of the benchmark's own options.
-        measure: Gives the results, as JSON holds them, from the options; None if it shows nothing.
-        tables: The Markdown tables of results that went through JSON.
+        benchmark: Which one.
+        words: Of the command line, after its name.
+
+    Raises:
+        SystemExit: The benchmark fails.
     """
-    script = Path(sys.argv[0])
+    module, fixed = benchmark.module(), shlex.split(benchmark.options)
+    sys.argv = [benchmark.command, *fixed, *words]
+    if hasattr(module, "main"):
+        module.main()
+        return
+    parser = argparse.ArgumentParser(prog=benchmark.command, description=module.__doc__)
+    if hasattr(module, "add_options"):
+        module.add_options(parser)
     parser.add_argument("--write", type=Path, metavar="FILE", help="keep the results, as JSON")
     parser.add_argument(
         "--render",
         type=Path,
         metavar="FILE",
         nargs="?",
-        const=DATA / f"{script.stem}.json",
-        help=f"print the tables of kept results; default: docs/data/{script.stem}.json",
+        const=benchmark.file,
+        help=f"print the tables of kept results; default: docs/data/{benchmark.name}.json",
     )
-    options = parser.parse_args()
+    options = parser.parse_args(sys.argv[1:])
     if options.render:
         record = json.loads(options.render.read_text())
     else:
-        origin = origin_of(command(script.name))
-        results = measure(options)
+        origin = origin_of(command(benchmark, words))
+        results = module.measure(options)
         if results is None:
             return
         record = json.loads(json.dumps(kept(origin, results), allow_nan=False))
-    print(f"{tables(record['results']).rstrip()}\n\n{origin_line(record)}")
+    print(f"{module.tables(record['results']).rstrip()}\n\n{origin_line(record)}")
     if options.write:
         text = _lines(record) + "\n"
         options.write.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(options.write, lambda file: file.write(text.encode()))
+    if not options.render and hasattr(module, "wrong") and module.wrong(record["results"]):
+        raise SystemExit(1)
+
+
+def command(benchmark: Benchmark, words: list[str]) -> str:
+    """The command that makes results, without where it writes them to."""
+    words = [word for word in words if not word.startswith("--write=")]
+    if "--write" in words:
+        at = words.index("--write")
+        del words[at : at + 2]
+    return shlex.join([*benchmark.command.split(), *words])
 
 
 def _lines(value: Any, indent: str = "") -> str:
@@ -97,13 +109,13 @@ def resumed(
         make: Gives the result of an item, as JSON holds it.
         items: Whose `repr` tells them apart.
         folder: Where results are kept, by item and code of leglab; None for
-            `runs/benchmarks/NAME` after the script.
+            `runs/benchmarks/NAME` after the script of `make`.
         jobs: Processes at a time.
 
     Returns:
         Results in the order of the items.
     """
-    place = folder or ROOT / "runs" / "benchmarks" / Path(sys.argv[0]).stem
+    place = folder or ROOT / "runs" / "benchmarks" / Path(make.__code__.co_filename).stem
     place.mkdir(parents=True, exist_ok=True)
     files = {repr(item): place / f"{_digest(make, item)}.json" for item in items}
 
@@ -195,9 +207,15 @@ def commit(root: Path = ROOT) -> str:
         return "unknown"
 
 
+def record(name: str) -> dict[str, Any]:
+    """What docs/data keeps under this name: results and where they come from."""
+    found: dict[str, Any] = json.loads((DATA / f"{name}.json").read_text())
+    return found
+
+
 def load(name: str) -> Any:
     """Results that docs/data keeps under this name."""
-    return json.loads((DATA / f"{name}.json").read_text())["results"]
+    return record(name)["results"]
 
 
 def rounded(value: Any) -> Any:
@@ -223,12 +241,3 @@ def number(value: float | None, digits: int = 3) -> str:
     if value is None:
         return ""
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
-
-
-def command(script: str) -> str:
-    """The command of this process, without where it writes to."""
-    words = [word for word in sys.argv[1:] if not word.startswith("--write=")]
-    if "--write" in words:
-        at = words.index("--write")
-        del words[at : at + 2]
-    return shlex.join(["python", f"benchmarks/{script}", *words])

@@ -1,4 +1,4 @@
-"""Days of walking with faults and repairs: `python benchmarks/soak.py [--minutes 1440]`.
+"""Days of walking with faults and repairs: `python -m benchmarks soak [--minutes 1440]`.
 
 A specimen of the leg walks under `bsnn_arx_bank`. Every half minute something breaks, drawn with
 its element and size from the bank's faults, or what is broken is repaired; nothing is kept of a run
@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
-from specimens import specimen
 
+from benchmarks import results
+from benchmarks.specimens import specimen
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.machine.plugin import headless
@@ -191,22 +191,7 @@ def tables(kept: dict[str, Any]) -> str:
     return results.table(["", ""], rows)
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=1440.0, help="simulated, 3 or more")
     parser.add_argument("--model", default="leg")
     parser.add_argument("--seed", type=int, default=0)
-    made: list[dict[str, Any]] = []
-
-    def measured(options: argparse.Namespace) -> dict[str, Any]:
-        made.append(measure(options))
-        return made[0]
-
-    results.main(parser, measured, tables)
-    if made and wrong(made[0]):
-        sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()

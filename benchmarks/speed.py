@@ -5,7 +5,7 @@ friction, leakage) in a row, without parameters, guards, error estimate, hystere
 temperature and the books of energy. Compiled here with the flags of the core, it says what the
 structure of the core costs. Both run the same motion and must end in the same state.
 
-Run: python benchmarks/speed.py
+Run: python -m benchmarks speed
 """
 
 import argparse
@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import results
 
+from benchmarks import results
 from leglab.machine.cylinder import Cylinder
 
 # Two seconds: longer, and the leaking null would creep into the end stops.
@@ -85,12 +85,3 @@ def tables(found: dict[str, Any]) -> str:
         return loops
     rows = [(n, *(f"{ns:.0f}" for ns in row)) for n, row in found["substeps"].items()]
     return f"{loops}\n{results.table(('sub-steps', 'ns with air', 'ns without air'), rows)}"
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""What limits adaptation in the squat: `python benchmarks/squat_limits.py`.
+"""What limits adaptation in the squat.
 
 First table: the map learned online against the one fitted offline on the changed machine
 (`oracle`), the longer the squat goes on after the change. Second table: seals wear further and
@@ -10,9 +10,9 @@ import argparse
 from typing import Any
 
 import numpy as np
-import results
-from specimens import FEW, first_change, run_specimen
 
+from benchmarks import results
+from benchmarks.specimens import FEW, first_change, run_specimen
 from leglab import Run
 
 DURATION = 80.0  # s
@@ -92,12 +92,3 @@ def tables(measured: dict[str, Any]) -> str:
     ]
     second = ["leakage over new", *MAPS, "ratio", "a valve open, % of the time"]
     return results.table(head, rows) + "\n" + results.table(second, leakage)
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""What a sweep costs beside its runs: `python benchmarks/sweeps.py`. Two processes on two cores.
+"""What a sweep costs beside its runs. Two processes on two cores.
 
 One-second runs of the knee bench, and runs of about a second of wall time on the leg, by
 one process, by two, and by two workers of a Dask cluster on this machine (a scheduler and two
@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-import results
 
+from benchmarks import results
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.engine import run_sweep
 from leglab.runs.sweeps.plan import SweepPlan
@@ -223,14 +223,7 @@ def million(found: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--short", type=int, default=1000, help="runs of the knee bench")
-    parser.add_argument("--long", type=int, default=12, help="runs of the leg")
-    parser.add_argument("--rows", type=int, default=100_000, help="rows of the books alone")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()
+    parser.add_argument("--long", type=int, default=6, help="runs of the leg")
+    parser.add_argument("--rows", type=int, default=20_000, help="rows of the books alone")

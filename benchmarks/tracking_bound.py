@@ -1,4 +1,4 @@
-"""What sensors and valves leave to any controller: `python benchmarks/tracking_bound.py`.
+"""What sensors and valves leave to any controller.
 
 `exact_inverse` plays the commands that the very machine of the run needs, beside PD with the run's
 sensors. The learned map (`bsnn_arx`) and the same map identified offline (`oracle`) stand beside
@@ -9,10 +9,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import results
 from rich.progress import Progress
-from specimens import specimen
 
+from benchmarks import results
+from benchmarks.specimens import specimen
 from leglab.base.scenario import scenario_names
 from leglab.runs.comparison import run_all
 
@@ -59,12 +59,5 @@ def tables(errors: dict[str, list[float]]) -> str:
     )
 
 
-def main() -> None:
-    """Measures, or prints what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/bound"), help="where runs are kept")
-    results.main(parser, measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,9 @@
-"""Trains the residual policy of examples/train_residual.py and tells how it ended.
+"""The residual policies of examples/, trained: by evolution, or with `--ppo` by PPO.
 
-`python benchmarks/train_residual.py --write docs/data/train_residual.json`; the learning curve goes
-to docs/images/train_residual.webp with `--figure`, from kept results with `--render`. Interrupted,
-the training goes on in runs/train_residual.
+PPO trains the network of examples/train_residual_ppo.py and needs the extra `ppo`.
+
+`--figure` draws the learning curve of kept results to docs/images. Interrupted, the training goes
+on in runs/train_residual.
 """
 
 import argparse
@@ -11,75 +12,77 @@ import subprocess
 import sys
 from typing import Any
 
-import results
+from benchmarks import results
+from benchmarks.registry import ROOT
 
-FOLDER = results.ROOT / "runs" / "train_residual"
-FIGURE = results.ROOT / "docs" / "images" / "train_residual.webp"
 SHOWN = (1, 5, 10, 20, 40)  # generations of the table, beside the last
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Trains, with the example's own settings."""
-    del options
-    script = results.ROOT / "examples" / "train_residual.py"
-    subprocess.run([sys.executable, str(script), "--out", str(FOLDER)], check=True)
-    return json.loads((FOLDER / "result.json").read_text())
+def measure(options: argparse.Namespace) -> dict[str, Any] | None:
+    """Trains, with the example's own settings; with `--figure` draws only."""
+    name = "train_residual_ppo" if options.ppo else "train_residual"
+    if options.figure:
+        _draw(name)
+        return None
+    script, folder = ROOT / "examples" / f"{name}.py", ROOT / "runs" / name
+    subprocess.run([sys.executable, str(script), "--out", str(folder)], check=True)
+    return json.loads((folder / "result.json").read_text())
 
 
 def tables(found: dict[str, Any]) -> str:
-    """The curve, and the judgement."""
+    """The curve, and errors on machines that training did not see."""
+    if "curve_s_steps_reward" in found:
+        return _judgement(found, f"with a network trained for {found['seconds']:.0f} s")
     curve = found["curve_median_best_mrad"]
     shown = [n for n in SHOWN if n < len(curve)] + [len(curve)]
     rows = [(str(n), *(f"{value:.2f}" for value in curve[n - 1])) for n in shown]
     head = ["generation", "median candidate, mrad", "best candidate, mrad"]
-    return results.table(head, rows) + "\n" + judgement(found, "with the trained residual")
+    return results.table(head, rows) + "\n" + _judgement(found, "with the trained residual")
 
 
-def judgement(found: dict[str, Any], name: str) -> str:
+def _judgement(found: dict[str, Any], name: str) -> str:
     """Errors on machines that training did not see, without and with a policy of this name."""
     alone, policy = found["static_feedforward_mrad"], found["policy_mrad"]
     better = sum(p < a for a, p in zip(alone, policy, strict=True))
     rows = [
-        ("`static_feedforward`", f"{sum(alone) / len(alone):.2f}", f"{max(alone):.2f}", ""),
-        (
-            name,
-            f"{sum(policy) / len(policy):.2f}",
-            f"{max(policy):.2f}",
-            f"{better} of {len(alone)}",
-        ),
+        (label, f"{sum(errors) / len(errors):.2f}", f"{max(errors):.2f}", of)
+        for label, errors, of in (
+            ("`static_feedforward`", alone, ""),
+            (name, policy, f"{better} of {len(alone)}"),
+        )
     ]
     head = ["machines that training did not see", "mean, mrad", "worst, mrad", "better on"]
     return results.table(head, rows)
 
 
-def draw() -> None:
+def _draw(name: str) -> None:
     """Draws the learning curve from the kept results."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    record = json.loads((results.DATA / "train_residual.json").read_text())
-    found = record["results"]
-    median, best = zip(*found["curve_median_best_mrad"], strict=True)
-    alone = found["static_feedforward_mrad"]
-    figure, axis = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
-    generations = range(1, len(median) + 1)
-    axis.semilogy(generations, median, color="0.6", label="median candidate")
-    axis.semilogy(generations, best, color="tab:blue", label="best candidate")
-    axis.axhline(sum(alone) / len(alone), color="k", linestyle="--", label="static_feedforward")
-    axis.set(xlabel="generation", ylabel="RMS error with worn seals [mrad]")
-    axis.legend()
-    figure.savefig(FIGURE, dpi=90)
+    found, ppo = results.load(name), name.endswith("ppo")
+    figure, axis = plt.subplots(figsize=(6.4, 3.0 if ppo else 3.2), layout="constrained")
+    if ppo:
+        _, steps, reward = zip(*found["curve_s_steps_reward"], strict=True)
+        axis.plot([step / 1000 for step in steps], [-value for value in reward])
+        axis.set(
+            xlabel="steps of 2 ms of all machines together [1000]",
+            ylabel="cost a step: mean of\nsqrt(error / 10 mrad)",
+            ylim=(0, None),
+        )
+    else:
+        median, best = zip(*found["curve_median_best_mrad"], strict=True)
+        alone, generations = found["static_feedforward_mrad"], range(1, len(median) + 1)
+        axis.semilogy(generations, median, color="0.6", label="median candidate")
+        axis.semilogy(generations, best, color="tab:blue", label="best candidate")
+        axis.axhline(sum(alone) / len(alone), color="k", linestyle="--", label="static_feedforward")
+        axis.set(xlabel="generation", ylabel="RMS error with worn seals [mrad]")
+        axis.legend()
+    figure.savefig(ROOT / "docs" / "images" / f"{name}.webp", dpi=90)
 
 
-def main() -> None:
-    """Trains, prints what is kept, or draws it."""
-    if sys.argv[1:] == ["--figure"]:
-        draw()
-        return
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ppo", action="store_true", help="the network of train_residual_ppo.py")
+    parser.add_argument("--figure", action="store_true", help="draw the curve of kept results")

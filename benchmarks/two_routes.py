@@ -1,4 +1,4 @@
-"""Inverse or forward model for the feed-forward: `python benchmarks/two_routes.py`.
+"""Inverse or forward model for the feed-forward.
 
 Both learn the same features online; one says what flow a motion takes, the other what speed a flow
 gives, which is then solved for the flow (docs/concepts/identification.md). RMS tracking errors in
@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import results
-from specimens import FEW, first_change, run_specimen
+
+from benchmarks import results
+from benchmarks.specimens import FEW, first_change, run_specimen
 
 CASES = (
     ("leg", None, "seal_wear"),
@@ -82,12 +83,3 @@ def tables(found: list[dict[str, Any]]) -> str:
 def shown(values: Iterable[float]) -> str:
     """Values of the parts."""
     return " / ".join(f"{value:.2f}" for value in values)
-
-
-def main() -> None:
-    """Measures, or prints what is kept."""
-    results.main(argparse.ArgumentParser(description=__doc__.partition("\n")[0]), measure, tables)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,24 +1,25 @@
-"""What the benchmark runs, and the ratios that are drawn from it.
+"""The ratios that are drawn from benchmarks which measure leglab and its peers in one process.
 
-The parts are the scripts in `benchmarks/` of a checkout, each of which measures leglab and its
-peers in one process, taking turns. They run one after the other, each in a process of its own.
+They run one after the other, each in a process of its own.
 """
 
 import importlib.util
 import json
 import os
 import platform
-import re
+import shlex
 import statistics
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+from benchmarks import results
+from benchmarks.registry import BENCHMARKS, ROOT, Benchmark, shown
 from leglab.base.errors import LeglabError, unknown_name
 from leglab.base.input import read_json
 from leglab.jobs.engine import Progress
@@ -27,42 +28,11 @@ PACKAGES = (
     "leglab", "mujoco", "numpy", "scipy", "padasip", "river", "sysidentpy", "dm-control",
     "gymnasium", "distributed",
 )  # fmt: skip
-_RECORD = ("command", "date", "commit", "versions", "machine", "results")
+_RECORD = (*results.RECORD, "results")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """A script of `benchmarks/`.
-
-    Attributes:
-        name: Its stem.
-        options: With which its results are kept in docs/data.
-        quick: With which it takes a few seconds.
-    """
-
-    name: str
-    options: tuple[str, ...] = ()
-    quick: tuple[str, ...] = ()
-
-
-PARTS = (
-    Part(name="speed"),
-    Part(name="leg_speed", quick=("--bursts", "20", "--rounds", "3", "--duration", "3")),
-    Part(
-        name="environment_speed",
-        options=("--rounds", "100"),
-        quick=("--bursts", "3", "--rounds", "5"),
-    ),
-    Part(name="identification_peers", quick=("--samples", "2000")),
-    Part(name="bsnn_arx_speed", quick=("--passes", "4")),
-    Part(name="integration_accuracy"),
-    Part(name="diagnosis_rollouts", quick=("--rounds", "3")),
-    Part(
-        name="sweeps",
-        options=("--short", "1000", "--long", "6", "--rows", "20000"),
-        quick=("--short", "100", "--long", "2", "--rows", "2000"),
-    ),
-)
+# What the suite runs: all that measures leglab beside peers in one process, in turns.
+PARTS = tuple(one for one in BENCHMARKS.values() if one.quick is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,9 +340,6 @@ RATIOS = (
 )
 
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
 def machine() -> dict[str, Any]:
     """What the benchmark runs on; JSON can hold it."""
     names = [
@@ -415,7 +382,7 @@ class Measured:
     problem: str = ""
 
 
-def chosen_parts(names: Sequence[str] | None) -> list[Part]:
+def chosen_parts(names: Sequence[str] | None) -> list[Benchmark]:
     """Parts by name; None for all.
 
     Raises:
@@ -429,7 +396,7 @@ def chosen_parts(names: Sequence[str] | None) -> list[Part]:
 
 
 def measure(
-    parts: Sequence[Part],
+    parts: Sequence[Benchmark],
     folder: Path,
     *,
     repeat: int,
@@ -452,8 +419,7 @@ def measure(
     Raises:
         KeyboardInterrupt: The user interrupts; finished calls are kept.
     """
-    root, found = ROOT, []
-    commit = _commit(root)
+    found, commit = [], results.commit()
     calls = [(part, number) for number in range(repeat) for part in parts]
     for done, (part, number) in enumerate(calls):
         if progress:
@@ -461,7 +427,7 @@ def measure(
         file = folder / f"{part.name}-{'quick-' if quick else ''}{number}.json"
         kept = None if overwrite else _kept(part.name, file)
         if kept is None or kept.record["commit"] != commit or "+" in commit:
-            kept = _call(root, part, part.quick if quick else part.options, file)
+            kept = _call(part, shlex.split(part.quick or "") if quick else [], file)
         found.append(kept)
     if progress:
         progress(len(calls), len(calls), "")
@@ -478,11 +444,10 @@ def _kept(part: str, file: Path) -> Measured | None:
     return Measured(part=part, record=record, tables=_text(file.with_suffix(".md")))
 
 
-def _call(root: Path, part: Part, options: Sequence[str], file: Path) -> Measured:
-    """Runs a script once."""
-    script = f"benchmarks/{part.name}.py"
-    command = [sys.executable, script, *options, "--write", str(file.resolve())]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+def _call(part: Benchmark, options: Sequence[str], file: Path) -> Measured:
+    """Runs a benchmark once."""
+    command = [sys.executable, *part.command.split()[1:], *options, "--write", str(file.resolve())]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         problem = lines[-1].strip() if lines else f"it ended with status {done.returncode}"
@@ -494,43 +459,22 @@ def _call(root: Path, part: Part, options: Sequence[str], file: Path) -> Measure
     return found
 
 
-def _commit(root: Path) -> str:
-    """Commit of the checkout as the scripts record it."""
-    code = "import results; print(results.commit())"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=root / "benchmarks", capture_output=True, text=True
-    )
-    return done.stdout.strip() or "unknown"
-
-
-def stored(parts: Sequence[Part]) -> list[Measured]:
+def stored(parts: Sequence[Benchmark]) -> list[Measured]:
     """What docs/data keeps of the parts, with their tables."""
-    root, shown, found = ROOT, kept_tables(), []
+    tables, found = kept_tables(), []
     for part in parts:
-        file = root / "docs" / "data" / f"{part.name}.json"
-        kept = _kept(part.name, file) if file.is_file() else None
+        kept = _kept(part.name, part.file) if part.file.is_file() else None
         if kept is None:
             problem = "docs/data keeps no results of it"
             found.append(Measured(part=part.name, record={}, tables="", problem=problem))
         else:
-            tables = shown.get(part.name, "")
-            found.append(Measured(part=part.name, record=kept.record, tables=tables))
+            found.append(replace(kept, tables=tables.get(part.name, "")))
     return found
 
 
-# A block of a page of docs, and the script and file of docs/data that make it.
-_BLOCK = re.compile(
-    r"^<!-- made by: python benchmarks/(\w+)\.py --render(?: docs/data/(\w+)\.json)? -->\n"
-    r"(.*?)^<!-- end -->$",
-    re.MULTILINE | re.DOTALL,
-)
-
-
 def kept_tables() -> dict[str, str]:
-    """Tables that the pages of docs show of docs/data, by the stem of the file; Markdown."""
-    pages = sorted((ROOT / "docs").rglob("*.md"))
-    blocks = [block for page in pages for block in _BLOCK.findall(page.read_text())]
-    return {file or script: text for script, file, text in blocks}
+    """Tables that pages show of docs/data, by benchmark; Markdown."""
+    return {name: "\n".join(pages.values()) for name, pages in shown().items()}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,13 @@ writes the pages alone, which a test compares with what is there.
 
 import argparse
 import io
-import sys
 import tempfile
 from pathlib import Path
 
 from PIL import Image
 
+from benchmarks import results
+from benchmarks.adaptation_tables import RIG, SHOWN, by_rig, end, text
 from leglab import RunSettings, run_scenario, scenario_names
 from leglab.base.scenario import get_scenario, scenario_summary
 from leglab.cli.catalogue import severity_text
@@ -24,9 +25,6 @@ from leglab.runs.folder import read_runs, write_run
 from leglab.runs.metrics import sliding_rms
 
 DOCS = Path(__file__).parents[1]
-sys.path.insert(0, str(DOCS.parent / "benchmarks"))
-from adaptation_data import read  # noqa: E402
-from adaptation_summary import RIG, SHOWN, end, text  # noqa: E402
 
 CONTROLLERS = ("static_feedforward", "bsnn_arx")
 CLIP_SIZE, CLIP_RATE, CLIP_LENGTH = (480, 270), 5, 3.0  # px, frames a second, s
@@ -191,7 +189,7 @@ def write_plot(folders: list[Path], out: Path) -> None:
 def write_pages(folder: Path) -> None:
     """Writes all pages into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    _, rigs = read()
+    rigs = by_rig(results.load("adaptation_results"))
     for name in scenario_names():
         cells = [text(end(rigs[RIG], name, controller)) for controller in SHOWN]
         (folder / f"{name}.md").write_text(page(name, cells))

@@ -3,11 +3,11 @@
 import json
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main
 from benchmarks.self_test import rough as rough_selftest
 from benchmarks.self_test.figures import confusion_figure, reliability_figure, save_figures
 from benchmarks.self_test.outcomes import run_missing
@@ -426,9 +426,6 @@ def test_a_case_goes_through_the_diagnosis(monkeypatch):
     ],
 )
 def test_the_command_line_runs_it(monkeypatch, tmp_path, capsys, options, settings):
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    from benchmarks.diagnosis_self_test import main
-
     asked = []
 
     def fake(folder, count, settings, *, processes, scheduler, progress):
@@ -436,8 +433,8 @@ def test_the_command_line_runs_it(monkeypatch, tmp_path, capsys, options, settin
         return [outcome("single", ("payload",), [("payload", 0.9)])]
 
     monkeypatch.setattr(rough_selftest, "rough_self_test", fake)
-    words = ["diagnosis_self_test.py", "--cases", "3", "--seed", "4", "--out", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", [*words, "--jobs", "1", *options])
+    words = ["diagnosis_self_test", "--cases", "3", "--seed", "4", "--out", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["benchmarks", *words, "--jobs", "1", *options])
     main()
     assert asked == [(tmp_path, 3, settings, 1, None)]
     assert "| confidence | names | right |" in capsys.readouterr().out
@@ -449,10 +446,8 @@ def test_the_command_line_runs_it(monkeypatch, tmp_path, capsys, options, settin
     [(["--cases", "-5"], "cases is -5; allowed: 1 or more"), (["--jobs", "0"], "jobs is 0")],
 )
 def test_the_command_line_refuses_what_cannot_be(monkeypatch, tmp_path, capsys, options, reason):
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    from benchmarks.diagnosis_self_test import main
-
-    monkeypatch.setattr("sys.argv", ["self_test", "--out", str(tmp_path / "out"), *options])
+    words = ["diagnosis_self_test", "--out", str(tmp_path / "out"), *options]
+    monkeypatch.setattr("sys.argv", ["benchmarks", *words])
     with pytest.raises(SystemExit, match="2"):
         main()
     assert reason in capsys.readouterr().err

@@ -10,6 +10,7 @@ import sys
 import pytest
 import typer
 
+from benchmarks.newcomer import PAGE, sections
 from leglab import RunSettings, data, run_scenario, scenario_names
 from leglab.cli.app import app
 from leglab.runs.folder import default_folder
@@ -81,11 +82,8 @@ def test_the_formats_page_does_what_it_says(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_every_step_of_the_newcomer_is_run(monkeypatch):
+def test_every_step_of_the_newcomer_is_run():
     """Here, on another page, or, what takes minutes, in the benchmark that timed this very page."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    from newcomer import PAGE, sections
-
     parts = sections(PAGE.read_text())
     kept = json.loads((ROOT / "docs/data/newcomer.json").read_text())["results"]
     assert [step["commands"] for step in kept] == [part.commands for part in parts]

@@ -7,7 +7,6 @@ is looked at; `--write` makes the present figures the new bands, where it is wan
 import argparse
 import json
 import platform
-import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from benchmarks.results import commit
 from leglab import RunSettings, run_scenario
 from leglab.base.output import write_atomically
 from leglab.report.page.shell import Table
@@ -164,14 +164,6 @@ def review_page(measured: dict[str, dict[str, float]], commit: str) -> str:
     return tables_page("bench", "Tracking bands: before and now", headline, sections)
 
 
-def present_commit() -> str:
-    """The commit of the checkout, with "+" where code was changed."""
-    sys.path.insert(0, str(BANDS.parents[2] / "benchmarks"))
-    from results import commit
-
-    return commit()
-
-
 def main() -> None:
     """Shows the difference and, if asked, writes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -189,13 +181,13 @@ def main() -> None:
             old = before.get(part)
             change = f"{value / old - 1:+.2%}" if old else "new"
             print(f"{case:28s}{part:8s}{old or float('nan'):10.4f} -> {value:10.4f}  {change}")
-    commit = present_commit()
+    now = commit()
     if options.review:
-        page = review_page(measured, commit)
+        page = review_page(measured, now)
         write_atomically(options.review, lambda stream: stream.write(page.encode()))
         print(f"written to {options.review}")
     if options.write:
-        text = bands_text(measured, commit)
+        text = bands_text(measured, now)
         write_atomically(BANDS, lambda stream: stream.write(text.encode()))
         print(f"written to {BANDS}")
 

@@ -29,7 +29,7 @@ def test_the_whole_leg_builds_and_learns_on_a_cortex_m7():
     """Runs in an emulator where there is one; a period of six joints has 800,000 cycles."""
     pytest.importorskip("unicorn")
     done = subprocess.run(
-        [sys.executable, "benchmarks/microcontroller.py"],
+        [sys.executable, "-m", "benchmarks", "microcontroller"],
         capture_output=True, text=True, check=False, cwd=SCRIPT.parent.parent.parent,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

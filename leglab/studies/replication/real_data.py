@@ -2,7 +2,7 @@
 
 Every model learns in one online pass over the training part and then runs free. The structure of
 the deployed identifier is the first of its grid, ranked on the training part alone
-(`python benchmarks/real_data.py --select` shows the ranking). The recordings are other people's and
+(`python -m benchmarks real_data --select` shows the ranking). The recordings are other people's and
 are not part of this project: `shared_data` says where they are looked for.
 """
 
