@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import results
 from benchmarks.registry import ROOT
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, unknown_name
 from leglab.studies.shared_data import shared_data
 
 HEAD = ("machine", "known", "said", "names and sets", "judged", "s")
@@ -93,7 +93,8 @@ def _bench(folder: str, name: str, healthy: str = "") -> Case | None:
         return None
     told = [f"{key} {value}" for key, value in truth.items() if key != "effects"]
     return Case(
-        name=name, folder=folder, healthy=healthy, known=truth.get("description", ", ".join(told) or "nothing"),
+        name=name, folder=folder, healthy=healthy,
+        known=truth.get("description", ", ".join(told) or "nothing"),
         causes=dict.fromkeys(truth["effects"], ("",)),
     )  # fmt: skip
 
@@ -203,11 +204,16 @@ def tables(rows: list[dict[str, Any]]) -> str:
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """The cases given, or all."""
-    return [run(CASES[i], options.out, options.patience) for i in options.cases]
+    cases = {case.name: case for case in CASES}
+    for name in options.cases:
+        if name not in cases:
+            raise unknown_name("case", name, cases)
+    chosen = [cases[name] for name in options.cases] or CASES
+    return [run(case, options.out, options.patience) for case in chosen]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    told = ", ".join(f"{i} {case.name}" for i, case in enumerate(CASES))
-    parser.add_argument("cases", nargs="*", type=int, default=[*range(len(CASES))], help=told)
+    told = f"default: {'; '.join(case.name for case in CASES)}"
+    parser.add_argument("cases", nargs="*", help=told)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "diagnosis_measured")
     parser.add_argument("--patience", type=float, default=900.0, help="time of a case [s]")
