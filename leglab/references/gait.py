@@ -1,6 +1,6 @@
 """Joint angles of a walking adult over one stride, as Fourier series.
 
-`benchmarks/fit_gait.py` prints these numbers. Source of all but ankle_roll: `normal.mot`, the
+`python -m benchmarks fit_gait` prints these numbers. Source of all but ankle_roll: `normal.mot`, the
 averaged normal gait of OpenSim's introductory tutorial (opensim-org/opensim-models), whose curves
 have the form and size of those in Winter, Biomechanics and Motor Control of Human Movement, 4th
 ed. 2009, and Perry and Burnfield, Gait Analysis, 2nd ed. 2010. Six harmonics hold nearly all of
