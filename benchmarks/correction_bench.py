@@ -13,6 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks import results
+from benchmarks.specimens import window_rms
 from leglab.control.feedforward.fault_bank import UNKNOWN as UNNAMED
 from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.fault_simulation import kind
@@ -95,10 +96,9 @@ def judged(case: tuple[str, str, bool, int]) -> dict[str, Any]:
         history = loop.run()
         assert not history.failure, (case, label, history.failure)
         after = history.time - CHANGE
-        parts = [history.error[(after >= a) & (after < b)] for a, b in WINDOWS]
         any_two[label] = sliding_rms(history.time, history.error, 2.0)[after >= 2.0]
         found[label] = {
-            "rms": [float(f"{np.sqrt(np.mean(part**2)):.4g}") for part in parts],
+            "rms": [float(f"{window_rms(history.error, after, *w):.4g}") for w in WINDOWS],
             "any": float(f"{(any_two[label] / any_two[BEFORE]).max():.4g}"),
         }
         if label == BANK:

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from leglab.base.scale import rms
+
 HARMONICS = 6
 
 # leglab's joint, OpenSim's coordinate, and the sign between them: OpenSim counts internal rotation
@@ -40,7 +42,7 @@ def fit(phase: np.ndarray, angle: np.ndarray, harmonics: int) -> tuple[np.ndarra
     waves = np.stack([np.cos(turns), np.sin(turns)], axis=-1).reshape(len(phase), -1)
     basis = np.column_stack([np.ones_like(phase), waves])
     coefficients = np.linalg.lstsq(basis, angle, rcond=None)[0]
-    return coefficients, float(np.sqrt(np.mean((basis @ coefficients - angle) ** 2)))
+    return coefficients, float(rms(basis @ coefficients - angle))
 
 
 def show(joint: str, coefficients: np.ndarray, residual: float) -> None:

@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks import results
+from benchmarks.specimens import window_rms
 from leglab import RunSettings
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
 from leglab.control.feedforward.health import HealthMonitor, Trend
@@ -76,8 +75,8 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
         return found | {"last": last and vars(last)}
     rate = (WEAR[label][2] - _healthy(scenario)) / RAMP
     first = health.trends[0]
-    at_naming = _rms(history.time, history.error, first.time - 2 * STRIDE, first.time)
-    before = _rms(history.time, history.error, START - 10 * STRIDE, START)
+    at_naming = window_rms(history.error, history.time, first.time - 2 * STRIDE, first.time)
+    before = window_rms(history.error, history.time, START - 10 * STRIDE, START)
     return found | _judged(last, scenario, element, rate) | {
         "named_s": first.time - START,
         "named_size": _healthy(scenario) + rate * (first.time - START),
@@ -112,10 +111,6 @@ def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dic
 def _healthy(scenario: str) -> float:
     """Severity that changes nothing."""
     return FAULTS[scenario][0].healthy
-
-
-def _rms(time: np.ndarray, error: np.ndarray, start: float, end: float) -> float:
-    return float(np.sqrt(np.mean(error[(time >= start) & (time < end)] ** 2)))
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ import scipy.linalg
 import scipy.signal
 
 from benchmarks import results
+from leglab.base.scale import rms
 from leglab.identification import BsnnArx, SplineNarx
 from leglab.studies.replication import deployed, paper, real_data
 from leglab.studies.replication.online import OnlineSettings
@@ -79,7 +80,7 @@ class Problem:
         """RMSE behind the given samples, in the unit of the data."""
         factor = self.data.unit[1] * (self.data.ranges[1] if scaled else 1.0)
         with np.errstate(over="ignore", invalid="ignore"):
-            error = float(np.sqrt(np.mean(residual[self.data.given :] ** 2))) * factor
+            error = float(rms(residual[self.data.given :])) * factor
         return error if np.isfinite(error) else float("inf")
 
     def linear(self, nanoseconds: float, theta: np.ndarray) -> Result:

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks import results
+from leglab.base.scale import rms
 from leglab.machine.cylinder import Cylinder
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}
@@ -98,9 +99,9 @@ def errors(got: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
     x = (got[:, 0] - wanted[:, 0]) * 1e3
     p = (got[:, 1:] - wanted[:, 1:]) / 1e5
     return {
-        "x_rms_mm": np.sqrt(np.mean(x**2)),
+        "x_rms_mm": rms(x),
         "x_max_mm": np.abs(x).max(),
-        "p_rms_bar": np.sqrt(np.mean(p**2)),
+        "p_rms_bar": rms(p),
     }
 
 

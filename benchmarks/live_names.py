@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
+from benchmarks.specimens import window_rms
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
@@ -111,14 +112,14 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
         history = loop.run()
         assert not history.failure, (case, history.failure)
         after = history.time - change
-        error = [_rms(history.error, after, *window) for window in WINDOWS]
+        error = [window_rms(history.error, after, *window) for window in WINDOWS]
         sliding = sliding_rms(history.time, history.error, 2.0)[after >= 0.0]
         if label == STATIC:
             calibrated = sliding
             continue
         if label == FROZEN:
             base, twin = np.array(error), history.error
-            found["before_mrad"] = 1e3 * _rms(history.error, after, -2.4, 0.0)
+            found["before_mrad"] = 1e3 * window_rms(history.error, after, -2.4, 0.0)
             found["frozen_mrad"] = [1e3 * value for value in error]
             continue
         clock = adaptation(
@@ -134,10 +135,6 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
             row |= _told(loop.controller.events, fault, element, change)  # type: ignore[union-attr]
         found[label] = row
     return found
-
-
-def _rms(error: np.ndarray, after: np.ndarray, start: float, end: float) -> float:
-    return float(np.sqrt(np.mean(error[(after >= start) & (after < end)] ** 2)))
 
 
 def _told(events: list[Event], fault: str, element: str, change: float) -> dict[str, Any]:
@@ -242,7 +239,7 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
         assert not history.failure, (task, history.failure)
         after = history.time - change
         windows = [w for w in WINDOWS if change + w[1] <= DURATION]
-        error = np.array([_rms(history.error, after, *window) for window in windows])
+        error = np.array([window_rms(history.error, after, *window) for window in windows])
         if controller == FROZEN:
             base = error
             found["frozen_mrad"] = (1e3 * error).tolist()

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.specimens import run_specimen
+from leglab.base.scale import rms
 from leglab.runs.metrics import sliding_rms
 
 START, WINDOW = 5.0, 2.0  # s
@@ -25,7 +26,7 @@ def measured(controller: str, minutes: float) -> list[float]:
     times, errors = run.time[after], run.error[after]
     windows = sliding_rms(times, errors, WINDOW)
     ends = (errors[times <= START + 60.0], errors[times >= times[-1] - 60.0])
-    parts = [np.sqrt(np.mean(part**2)) for part in ends]
+    parts = [rms(part) for part in ends]
     return [float(1e3 * part) for part in (*parts, np.nanmin(windows), np.nanmax(windows))]
 
 

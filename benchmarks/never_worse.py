@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.specimens import first_change, run_specimen
+from leglab.base.scale import rms
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.metrics import sliding_rms
@@ -52,15 +53,11 @@ def judged(case: tuple[str, float, int]) -> dict[str, Any]:
         parts = [(after >= start) & (after < end) for start, end in WINDOWS]
         found[label] = {
             "worst": float((worst / calibrated)[counted].max()),
-            "ratio": [_rms(history.error[p]) / _rms(frozen.error[p]) for p in parts],
+            "ratio": [rms(history.error[p]) / rms(frozen.error[p]) for p in parts],
             "t90": clock.t90_s,
             "clocked": clock.level_rad is not None,
         }
     return found
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -3,10 +3,10 @@
 import argparse
 from typing import Any
 
-import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks import results
+from benchmarks.specimens import window_rms
 from leglab import RunSettings
 from leglab.runs.loop import Loop
 
@@ -46,10 +46,7 @@ def judged(task: tuple[str, str, str, str]) -> tuple[str, list[float]]:
     history, change = loop.run(), min(loop.scenario.breakpoints)
     assert not history.failure, history.failure
     after = history.time - change
-    return " ".join(task), [
-        1e3 * float(np.sqrt(np.mean(history.error[(after >= start) & (after < end)] ** 2)))
-        for start, end in PARTS
-    ]
+    return " ".join(task), [1e3 * window_rms(history.error, after, *part) for part in PARTS]
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

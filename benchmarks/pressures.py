@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import live_names, results
+from benchmarks.specimens import window_rms
 from leglab import RunSettings
+from leglab.base.scale import rms
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.control.feedforward.fault_bank import ALL
 from leglab.runs.clock import adaptation
@@ -81,7 +83,7 @@ def judged(task: tuple[Case, tuple[str, ...]]) -> dict[str, Any]:
             "t90": clock.t90_s,
             "clocked": clock.level_rad is not None,
             "before": 1e3 * clock.before_rad["all"] if clock.before_rad else None,
-            "end": 1e3 * float(np.sqrt(np.mean(history.error[last] ** 2))),
+            "end": 1e3 * float(rms(history.error[last])),
             "travel": float(np.abs(np.diff(history.command, axis=0)).sum()),
             "wall": history.wall_time,
         }
@@ -91,8 +93,8 @@ def judged(task: tuple[Case, tuple[str, ...]]) -> dict[str, Any]:
 def _errors(history: History, change: float) -> np.ndarray:
     """RMS errors [mrad] in the windows of `live_names.py`."""
     after = history.time - change
-    parts = [history.error[(after >= a) & (after < b)] for a, b in live_names.WINDOWS]
-    return np.array([1e3 * np.sqrt(np.mean(part**2)) for part in parts])
+    windows = live_names.WINDOWS
+    return np.array([1e3 * window_rms(history.error, after, *window) for window in windows])
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:

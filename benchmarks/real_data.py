@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import results
+from leglab.base.scale import rms
 from leglab.identification import (
     Basis,
     BsnnArx,
@@ -97,7 +98,7 @@ def network_rows(data: Dataset) -> list[tuple]:
         for part in data.tests.values():
             run = network.free_run(data.u[part], data.y[part][:LAGS])
             residual = (run - data.y[part])[data.given :]
-            errors.append(float(np.sqrt(np.mean(residual**2))) * data.unit[1])
+            errors.append(float(rms(residual)) * data.unit[1])
         rows.append((name, len(network.weights), *errors))
     return rows
 

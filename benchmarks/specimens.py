@@ -2,7 +2,10 @@
 
 from typing import Any
 
+import numpy as np
+
 from leglab import Run, RunSettings, run_scenario
+from leglab.base.scale import rms
 
 # Standard deviation of the logarithm of every parameter about the drawing.
 TOLERANCE = 0.1
@@ -19,6 +22,11 @@ def specimen(seed: int, **settings: Any) -> RunSettings:
 def run_specimen(seed: int, **settings: Any) -> Run:
     """The run of these settings."""
     return run_scenario(specimen(seed, **settings))
+
+
+def window_rms(error: np.ndarray, time: np.ndarray, start: float, end: float) -> float:
+    """RMS over joints of errors (n, joints) from one time until before another."""
+    return float(rms(error[(time >= start) & (time < end)]))
 
 
 def first_change(run: Run) -> float:

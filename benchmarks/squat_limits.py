@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
-from benchmarks.specimens import FEW, first_change, run_specimen
+from benchmarks.specimens import FEW, first_change, run_specimen, window_rms
 from leglab import Run
 
 DURATION = 80.0  # s
@@ -40,8 +40,7 @@ def squat(
 def error(run: Run, start: float, end: float) -> float:
     """RMS over joints and a time span after the change [mrad]."""
     after = run.history.time - first_change(run)
-    inside = (after >= start) & (after < end)
-    return float(1e3 * np.sqrt(np.mean(run.history.error[inside] ** 2)))
+    return 1e3 * window_rms(run.history.error, after, start, end)
 
 
 def longer(scenario: str) -> list[list[float]]:

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.base.scale import rms
 
 _STEPS = 50  # of the model in a sample of 1 ms
 
@@ -26,4 +27,4 @@ def open_loop_error(
         off.append(measured - data.qpos)
         data.ctrl[:] = command
         mujoco.mj_step(bare, data, _STEPS)
-    return float(np.sqrt(np.mean(np.square(off))))
+    return float(rms(off))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leglab.commissioning.calibration import directions, valve_maps
+from leglab.commissioning.calibration import drive_signs, valve_maps
 from leglab.commissioning.pd_gains import (
     CYLINDER_MODELS,
     GAIN_MARGIN_DB,
@@ -57,7 +57,7 @@ def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
 
 def speeds_per_command(simulation: Simulation) -> np.ndarray:
     """Speed per command of the calibrated joints at half of their valves' range, (joints,)."""
-    table = ValveTable.of(valve_maps(simulation), directions(simulation))
+    table = ValveTable.of(valve_maps(simulation), drive_signs(simulation))
     return table.full_speed / table.command_per_share()
 
 

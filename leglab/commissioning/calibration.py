@@ -33,7 +33,7 @@ class ValveMap:
     command: np.ndarray
 
 
-def directions(simulation: Simulation) -> np.ndarray:
+def drive_signs(simulation: Simulation) -> np.ndarray:
     """Sign of the joint velocity that a positive command gives, (joints,)."""
     signs = np.sign(simulation.levers())
     for drive in simulation.native.values():

@@ -17,7 +17,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.base.output import write_atomically
-from leglab.commissioning.calibration import directions, free_inertia, native_speed_limit
+from leglab.commissioning.calibration import drive_signs, free_inertia, native_speed_limit
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
@@ -261,7 +261,7 @@ def sampled_plants(
     for pose in poses:
         data.qpos[:], data.qvel[:] = pose, 0.0
         mujoco.mj_forward(simulation.model, data)
-        direction = float(directions(simulation)[joint])
+        direction = float(drive_signs(simulation)[joint])
         for plant in _plants(simulation, joint, held=held):
             plants.append(sampled_plant(direction * plant, period, latency))
     return plants

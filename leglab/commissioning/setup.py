@@ -9,7 +9,7 @@ import numpy as np
 
 from leglab.commissioning.adrc_gains import adrc_gains
 from leglab.commissioning.backstepping_gains import backstepping_gains
-from leglab.commissioning.calibration import ValveMap, directions, valve_maps
+from leglab.commissioning.calibration import ValveMap, drive_signs, valve_maps
 from leglab.commissioning.ilc_gains import ilc_gains
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
@@ -32,7 +32,7 @@ class CommissionedMachine(NominalMachine):
 
     def __init__(self, simulation: Simulation, model: str, sensors: SensorConfiguration) -> None:
         super().__init__(
-            direction=directions(simulation),
+            direction=drive_signs(simulation),
             latency=sensors.latency,
             velocity_delay=velocity_delay(sensors.control_period, sensors.velocity_cutoff),
             position_noise=position_uncertainty(sensors),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.recording import Recording
+from leglab.base.scale import rms
 from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
@@ -20,7 +21,7 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import NamedEffect, closed, rms
+from leglab.diagnosis.result import NamedEffect, closed, root_mean
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
@@ -218,7 +219,7 @@ def improve(
         words=words,
         effects={" at ".join(key): problem.library.sites[key].named(final[key]) for key in sure},
         remainder=remainder.to_json() if remainder else None,
-        closed_fraction=closed(*(rms(s[held]) for s in squares)) or 0.0,
+        closed_fraction=closed(*(root_mean(s[held]) for s in squares)) or 0.0,
         horizon=problem.replay.window,
         recordings=_errors(pairs, squares),
         units={c.column: "Pa" if c.chamber else unit(c.joint) for c in problem.channels},
@@ -248,7 +249,7 @@ def _errors(
         own = problem.replay.recording == i
         if not own.any():
             continue
-        before, after = (rms(s[own]) for s in squares)
+        before, after = (root_mean(s[own]) for s in squares)
         ends = zip(*(_at_ends(e[own]) for e in errors), strict=True)
         out.append(
             ReplayError(
@@ -263,4 +264,4 @@ def _errors(
 
 def _at_ends(errors: np.ndarray) -> list[float]:
     """RMS by channel at the end of windows, of errors (windows, channels, bins)."""
-    return np.sqrt(np.mean(errors[:, :, -1] ** 2, axis=0)).tolist()
+    return rms(errors[:, :, -1], axis=0).tolist()

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from leglab.base.notebook import data_frame, html_table, panels
+from leglab.base.scale import rms
 from leglab.diagnosis.thresholds import ONSET_WIDE, ROOM
 
 Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
@@ -276,10 +277,10 @@ class WholeRecording:
             "recording": self.recording,
             "joint": self.joint,
             "unit": self.unit,
-            "before": rms((self.before - self.measured) ** 2),
-            "after": rms((self.after - self.measured) ** 2),
-            "correction_before": rms(self.correction_before**2),
-            "correction_after": rms(self.correction_after**2),
+            "before": float(rms(self.before - self.measured)),
+            "after": float(rms(self.after - self.measured)),
+            "correction_before": float(rms(self.correction_before)),
+            "correction_after": float(rms(self.correction_after)),
         }
 
 
@@ -455,7 +456,7 @@ class Diagnosis:
         return {key: _plain(value) for key, value in content.items()}
 
 
-def rms(squares: np.ndarray) -> float:
+def root_mean(squares: np.ndarray) -> float:
     """Root of the mean of squares; NaN of none."""
     return float(np.sqrt(squares.mean())) if squares.size else math.nan
 

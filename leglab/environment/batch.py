@@ -42,7 +42,7 @@ _View = tuple[tuple[np.ndarray, np.ndarray], tuple[Any, ...], ReferencePoint]
 
 
 @dataclass(slots=True)
-class Machine:
+class BatchMachine:
     """One machine of a batch: what it runs on, and its present episode."""
 
     simulation: Simulation
@@ -95,7 +95,7 @@ class Batch:
     ) -> None:
         self._preparation, self._scale, self._reward = preparation, residual_scale, reward
         self._error_limit = error_limit
-        self._machines = [Machine(preparation.machine(), each) for each in episodes]
+        self._machines = [BatchMachine(preparation.machine(), each) for each in episodes]
         for machine in self._machines:  # their outputs are not looked at
             machine.simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         sensors, nominal = preparation.sensors, preparation.nominal

@@ -26,7 +26,7 @@ MAX_PARAMETERS = 4096
 
 
 @dataclass(frozen=True)
-class Block:
+class ParameterBlock:
     """A feature as the core reads it: signals by number, knots scaled."""
 
     feature: str
@@ -136,7 +136,7 @@ class SplineNarxSettings(checks.Settings):
         return [signal.name for signal in self.signals]
 
     @cached_property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[ParameterBlock, ...]:
         """Features as the core reads them."""
         return tuple(self._block(feature) for feature in self.features)
 
@@ -151,24 +151,26 @@ class SplineNarxSettings(checks.Settings):
             raise unknown_name("signal", name, self.names)
         return self.names.index(name)
 
-    def _block(self, feature: Feature) -> Block:
+    def _block(self, feature: Feature) -> ParameterBlock:
         if isinstance(feature, Constant):
-            return Block("constant")
+            return ParameterBlock("constant")
         index = self._index(feature.signal)
         if isinstance(feature, Lags):
-            return Block("lags", index, feature.first, feature.count)
+            return ParameterBlock("lags", index, feature.first, feature.count)
         signal = self.signals[index]
         knots = [(k - signal.centre) / signal.half_range for k in feature.basis.knots]
         basis = replace(feature.basis, knots=tuple(knots))
         if isinstance(feature, Hammerstein):
             mu = feature.learning_constant
-            return Block("hammerstein", index, feature.first, feature.count, basis, -1, 0, mu)
+            return ParameterBlock(
+                "hammerstein", index, feature.first, feature.count, basis, -1, 0, mu
+            )
         if feature.times is None:
-            return Block("spline", index, feature.lag, 1, basis)
+            return ParameterBlock("spline", index, feature.lag, 1, basis)
         factor, lag = feature.times
-        return Block("spline", index, feature.lag, 1, basis, self._index(factor), lag)
+        return ParameterBlock("spline", index, feature.lag, 1, basis, self._index(factor), lag)
 
-    def _check(self, block: Block) -> None:
+    def _check(self, block: ParameterBlock) -> None:
         least = 1 if block.signal == 0 and block.feature != "constant" else 0
         name = self.output.name
         if block.lag < least or (block.factor_signal == 0 and block.factor_lag < 1):

@@ -1,13 +1,12 @@
 """Joint angles of a walking adult over one stride, as Fourier series.
 
-`python -m benchmarks fit_gait` prints these numbers. Source of all but ankle_roll: `normal.mot`, the
-averaged normal gait of OpenSim's introductory tutorial (opensim-org/opensim-models), whose curves
-have the form and size of those in Winter, Biomechanics and Motor Control of Human Movement, 4th
-ed. 2009, and Perry and Burnfield, Gait Analysis, 2nd ed. 2010. Six harmonics hold nearly all of
+`python -m benchmarks fit_gait` prints these numbers. Source of all but ankle_roll: `normal.mot`,
+the averaged normal gait of OpenSim's introductory tutorial (opensim-org/opensim-models), whose
+curves have the form and size of those in Winter, Biomechanics and Motor Control of Human Movement,
+4th ed. 2009, and Perry and Burnfield, Gait Analysis, 2nd ed. 2010. Six harmonics hold nearly all of
 the power of natural gait (Winter et al. 1974, J. Biomechanics 7(6)); the comments give the RMS
-residual. ankle_roll goes through key points after Perry and Burnfield's description of the
-subtalar joint. Signs are those of leg.xml. Phase 0 is heel contact, the toe leaves the ground near
-0.6.
+residual. ankle_roll goes through key points after Perry and Burnfield's description of the subtalar
+joint. Signs are those of leg.xml. Phase 0 is heel contact, the toe leaves the ground near 0.6.
 """
 
 from dataclasses import dataclass

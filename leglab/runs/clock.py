@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.scenario import Scenario
-from leglab.runs.metrics import rms, settling_time, sliding_rms
+from leglab.runs.metrics import joint_rms, settling_time, sliding_rms
 from leglab.runs.record import AdaptationMetrics
 
 # Errors before the change and at the end are taken over the whole strides in this share of the run.
@@ -65,8 +65,8 @@ def adaptation(
     def error_of(values: np.ndarray, start: float, end: float) -> dict[str, float]:
         first, last = np.searchsorted(time, [start - _ROUNDING, end - _ROUNDING])
         part = values[first:last]
-        by_joint = dict(zip(joints, rms(part).tolist(), strict=True))
-        return {**by_joint, "all": float(rms(part.reshape(-1, 1))[0])}
+        by_joint = dict(zip(joints, joint_rms(part).tolist(), strict=True))
+        return {**by_joint, "all": float(joint_rms(part.reshape(-1, 1))[0])}
 
     if failure:
         figures["reason"] = f"the run stopped early: {failure}"

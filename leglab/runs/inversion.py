@@ -14,6 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from leglab.base.scale import rms
+
 # Low pass of errors and corrections, and of the random commands [Hz]; their RMS.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
 # Share of the correction that is taken; trials in all; trials without a gain of this share that
@@ -65,7 +67,7 @@ def exact_commands(
     commands = best = start
     least, waited = np.inf, 0
     for _ in range(_TRIALS):
-        found = float(np.sqrt(np.mean(error**2)))
+        found = float(rms(error))
         waited = 0 if found < (1 - _LEAST_GAIN) * least else waited + 1
         if found < least:
             best, least = commands, found
@@ -77,7 +79,7 @@ def exact_commands(
             step[part] += slope[part] * np.einsum("dnj,dji->ni", missing[:, part], inverse)
         commands = np.clip(commands + _GAIN * step, -1.0, 1.0)
         error, feedback = try_out(commands)
-    return commands if np.sqrt(np.mean(error**2)) < least else best
+    return commands if rms(error) < least else best
 
 
 def valve_slopes(
@@ -127,7 +129,7 @@ def _fit(motion: np.ndarray, slope: np.ndarray, command: np.ndarray) -> np.ndarr
     features = np.moveaxis(motion, 1, 0).reshape(len(command), -1)
     for i in range(joints):
         weighted = features * slope[:, [i]]
-        scale = np.sqrt(np.mean(weighted**2, axis=0))
+        scale = rms(weighted, axis=0)
         scale[scale == 0] = 1.0
         solved = np.linalg.lstsq(weighted / scale, command[:, i], rcond=1e-6)[0] / scale
         inverse[:, :, i] = solved.reshape(orders, joints)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.scale import rms
 from leglab.base.scenario import Phase
 
 # Share of a sampling period by which time stamps may be off through rounding.
@@ -16,25 +17,18 @@ _ROUNDING = 1e-6
 _BLOCK = 65536
 
 
-def rms(error: np.ndarray) -> np.ndarray:
-    """Returns the root mean square over the samples.
-
-    Args:
-        error: Tracking error. Shape (n, joints).
-
-    Returns:
-        Shape (joints,), in the error's unit.
-    """
-    return np.sqrt(np.mean(np.square(_samples(error)), axis=0))
+def joint_rms(error: np.ndarray) -> np.ndarray:
+    """Returns the root mean square over the samples, (joints,), of errors (n, joints)."""
+    return np.asarray(rms(_samples(error), axis=0))
 
 
 def peak(error: np.ndarray) -> np.ndarray:
-    """Returns the largest magnitude over the samples. Shapes as in `rms`."""
+    """Returns the largest magnitude over the samples. Shapes as in `joint_rms`."""
     return np.max(np.abs(_samples(error)), axis=0)
 
 
 def percentile(error: np.ndarray, percent: float) -> np.ndarray:
-    """Returns the magnitude that this percentage of samples does not exceed, as in `rms`.
+    """Returns the magnitude that this percentage of samples does not exceed, as in `joint_rms`.
 
     Raises:
         LeglabError: The percentage is outside [0, 100].
@@ -45,7 +39,7 @@ def percentile(error: np.ndarray, percent: float) -> np.ndarray:
 
 
 _FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "rms_rad": rms,
+    "rms_rad": joint_rms,
     "peak_rad": peak,
     "p95_rad": partial(percentile, percent=95),
 }
@@ -122,11 +116,11 @@ def usage_table(
             rates /= np.diff(time[start - 1 : part.stop])[:, None]
         drawn = energy[part.stop - 1] - energy[start - 1]
         row = {
-            "effort": dict(zip(joints, rms(command[part]).tolist(), strict=True)),
-            "valve_activity_per_s": dict(zip(joints, rms(rates).tolist(), strict=True)),
+            "effort": dict(zip(joints, joint_rms(command[part]).tolist(), strict=True)),
+            "valve_activity_per_s": dict(zip(joints, joint_rms(rates).tolist(), strict=True)),
         }
-        row["effort"]["all"] = float(rms(command[part].reshape(-1, 1))[0])
-        row["valve_activity_per_s"]["all"] = float(rms(rates.reshape(-1, 1))[0])
+        row["effort"]["all"] = float(joint_rms(command[part].reshape(-1, 1))[0])
+        row["valve_activity_per_s"]["all"] = float(joint_rms(rates.reshape(-1, 1))[0])
         spent = {j: e for j, e in zip(joints, drawn.tolist(), strict=True) if not np.isnan(e)}
         if spent:
             row["energy_j"] = {**spent, "all": float(sum(spent.values()))}

@@ -19,7 +19,7 @@ from leglab.runs.clock import adaptation
 from leglab.runs.history import Ending, History, Rows
 from leglab.runs.interrupts import held
 from leglab.runs.loop import Loop, Progress
-from leglab.runs.metrics import excess_error_area, phase_table, rms, usage_table
+from leglab.runs.metrics import excess_error_area, joint_rms, phase_table, usage_table
 from leglab.runs.preparation import Preparation, RunSettings, reference_config
 from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_json
 from leglab.runs.recorder import Recorder
@@ -265,7 +265,7 @@ def _metrics(
         values = recording.stack(joints, "model_error")[kept]
         for row in errors:
             part = (time >= row["start"]) & (time <= row["end"])
-            row["model_error"] = dict(zip(joints, rms(values[part]).tolist(), strict=True))
+            row["model_error"] = dict(zip(joints, joint_rms(values[part]).tolist(), strict=True))
     slides = [joint for joint in joints if loop.simulation.slides[joint]]
     return {
         **({"slides": slides} if slides else {}),

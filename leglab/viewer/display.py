@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.scale import rms
 from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
@@ -143,7 +144,7 @@ class Display:
         now = moments[0].time
         ages = np.array([moment.time - now for moment in moments])
         errors = 1e3 * np.array([moment.error for moment in moments])
-        rms = np.sqrt(np.mean(errors**2, axis=1))
+        tracking = rms(errors, axis=1)
         worst = int(np.argmax(np.abs(errors).mean(axis=0)))
         command = np.array([moment.command[worst] for moment in moments])
         feedforward = np.array([moment.feedforward[worst] for moment in moments])
@@ -157,7 +158,7 @@ class Display:
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
         error_figure = _figure(
-            f"RMS error [{self._session.unit}], last 10 s", {"error": (ages, rms)}
+            f"RMS error [{self._session.unit}], last 10 s", {"error": (ages, tracking)}
         )
         return [(upper, error_figure), (lower, _figure(f"command of {joint}", lines))]
 
@@ -172,8 +173,8 @@ class Display:
             rows[name.replace("_", " ")] = f"{slider.present():.3g} {slider.unit}"
         recent = list(session.moments)[-round(session.window / session.period) :]
         if recent:
-            rms = np.sqrt(np.mean([moment.error**2 for moment in recent]))
-            rows["RMS error"] = f"{1e3 * rms:.1f} {session.unit} over {session.window:.2g} s"
+            size = rms([moment.error for moment in recent])
+            rows["RMS error"] = f"{1e3 * size:.1f} {session.unit} over {session.window:.2g} s"
         if paused:
             rows["paused"] = "Space goes on"
         if session.failure:

@@ -20,8 +20,8 @@ from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder import learn_remainder
 from leglab.diagnosis.remainder.forms import choose_form
 from leglab.diagnosis.remainder.learning import pays
-from leglab.diagnosis.remainder.part import Part, Period
-from leglab.diagnosis.remainder.splines import Spline, basis, clamped, nearest, roughness
+from leglab.diagnosis.remainder.part import Part, Periodicity
+from leglab.diagnosis.remainder.splines import CubicSpline, basis, clamped, nearest, roughness
 from leglab.diagnosis.remainder.words import describe
 from leglab.diagnosis.result import closed
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
@@ -144,7 +144,7 @@ def test_what_does_not_repeat_is_not_called_periodic(force):
 def test_splines_are_scipys_and_lines_cost_no_roughness():
     knots = np.array([-1.0, -0.2, 0.1, 0.5, 2.0])
     weights = np.arange(7.0) ** 1.5
-    spline = Spline(knots=knots, coefficients=weights)
+    spline = CubicSpline(knots=knots, coefficients=weights)
     x = np.linspace(-3.0, 4.0, 50)
     wanted = BSpline(clamped(knots), weights, 3)(np.clip(x, -1.0, 2.0))
     np.testing.assert_allclose(spline(x), wanted, rtol=1e-12)
@@ -163,7 +163,7 @@ def test_splines_are_scipys_and_lines_cost_no_roughness():
 def told(function, variable="velocity", low=-2.0, high=2.0, unit="rad", oil=False, period=None):
     knots = np.linspace(low, high, 60)
     grid = np.linspace(low, high, 2000)
-    spline = Spline(knots=knots, coefficients=nearest(knots, grid, function(grid)))
+    spline = CubicSpline(knots=knots, coefficients=nearest(knots, grid, function(grid)))
     part = Part(
         element="valve" if oil else "knee",
         joint="knee",
@@ -176,7 +176,7 @@ def told(function, variable="velocity", low=-2.0, high=2.0, unit="rad", oil=Fals
 
 
 def test_a_period_is_told_in_the_words_of_a_rig():
-    period = Period(length=0.4486, interval=(0.448, 0.449), amplitudes=(6.02,))
+    period = Periodicity(length=0.4486, interval=(0.448, 0.449), amplitudes=(6.02,))
     wave = told(lambda x: 6.0 * np.sin(2 * np.pi * x / 0.4486), "position", period=period)
     assert wave.text == "a torque that repeats every 0.449 rad of the knee, 6 N m"
     one = told(lambda x: np.sin(x), "position", -0.25, 0.25, period=period)
@@ -242,7 +242,7 @@ def test_a_part_is_the_same_in_python_and_in_a_model():
     rng = np.random.default_rng(5)
     ranges = {"position": 0.8, "velocity": 3.0, "load": 4.0, "command": 2.0}
     terms = {
-        name: Spline(knots=np.linspace(-x, x, 5), coefficients=rng.normal(0.0, 1.0, 7))
+        name: CubicSpline(knots=np.linspace(-x, x, 5), coefficients=rng.normal(0.0, 1.0, 7))
         for name, x in ranges.items()
     }
     part = Part(element="hinge", joint="hinge", actuator="drive", oil=False, terms=terms, bound=2.0)

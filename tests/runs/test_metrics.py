@@ -10,10 +10,10 @@ from leglab.base.errors import LeglabError
 from leglab.base.scenario import Phase
 from leglab.runs.metrics import (
     excess_error_area,
+    joint_rms,
     peak,
     percentile,
     phase_table,
-    rms,
     settling_time,
     sliding_rms,
     usage_table,
@@ -40,7 +40,7 @@ def windows_by_brute_force(time, error, window):
 def test_figures_follow_their_definition(error):
     for joint in range(error.shape[1]):
         samples = error[:, joint]
-        assert rms(error)[joint] == pytest.approx(np.sqrt(sum(samples**2) / len(samples)))
+        assert joint_rms(error)[joint] == pytest.approx(np.sqrt(sum(samples**2) / len(samples)))
         assert peak(error)[joint] == max(abs(samples))
         assert percentile(error, 100)[joint] == max(abs(samples))
         assert percentile(error, 50)[joint] == pytest.approx(np.median(abs(samples)))
@@ -49,7 +49,7 @@ def test_figures_follow_their_definition(error):
 def test_rms_of_a_sine():
     time = np.arange(1000) / 1000
     error = 0.3 * np.sin(2 * np.pi * time)[:, None]
-    assert rms(error) == pytest.approx(0.3 / np.sqrt(2))
+    assert joint_rms(error) == pytest.approx(0.3 / np.sqrt(2))
 
 
 def test_phases_split_the_run_without_overlap():

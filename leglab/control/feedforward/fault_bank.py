@@ -85,7 +85,7 @@ class FaultCurve:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class SizeEstimate:
     """The best size of each curve of a bank by weighted least squares.
 
     Attributes:
@@ -181,7 +181,7 @@ class FaultBank:
             self.group.tolist(),
         )
 
-    def fit(self, moments: Moments, weight: np.ndarray) -> Fit:
+    def fit(self, moments: Moments, weight: np.ndarray) -> SizeEstimate:
         """Finds the size of every curve that fits samples best.
 
         Args:
@@ -191,4 +191,4 @@ class FaultBank:
         found = np.empty((3, len(self.curves)))
         without = self.core.fit(moments, weight, found)
         size, spread, cost = found
-        return Fit(size=size, spread=spread, cost=cost, without=without)
+        return SizeEstimate(size=size, spread=spread, cost=cost, without=without)

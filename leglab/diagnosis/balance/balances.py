@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import CHAMBERS, Change, ForceLeft, Measured
 from leglab.diagnosis.plant.moments import plugin_offset
@@ -108,7 +109,7 @@ def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Itera
     }
     for joint in problem.balanced:
         dof, v = int(model.joint(joint).dofadr[0]), measured.velocity[joint]
-        slow = limits.resting_speed * float(np.sqrt(np.mean(v**2)))
+        slow = limits.resting_speed * float(rms(v))
         drive = next((a for a in machine.actuators if joint in machine.driven[a]), "")
         inputs = {
             "position": measured.position[joint][rows],

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.balance.regions import worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.effects.joints import unit_of
+from leglab.diagnosis.effects.joints import joint_unit
 from leglab.diagnosis.replay.residual import Problem, inverse_roots, whitened
 from leglab.diagnosis.result import Where
 
@@ -31,7 +32,7 @@ def _of_balance(problem: Problem, balance: Balance) -> Where:
     rest = balance.lacking
     noise = float(np.median(np.abs(np.diff(rest, 2, axis=1)))) / np.sqrt(6.0)
     length = "m" if balance.oil else problem.machine.unit(balance.joint)
-    force = "N" if balance.oil else unit_of(problem.machine, balance.joint, "{force}")
+    force = "N" if balance.oil else joint_unit(problem.machine, balance.joint, "{force}")
     units = {"position": length, "velocity": f"{length}/s", "load": force, "command": ""}
     states = {name: (values.ravel(), units[name]) for name, values in balance.inputs.items()}
     return Where(
@@ -60,7 +61,7 @@ def _motion(problem: Problem) -> list[Where]:
         block = slice(k * replay.bins, (k + 1) * replay.bins)
         roots = inverse_roots(problem.noise.covariance(every, block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
-        level = float(np.sqrt(np.mean(white**2)))
+        level = float(rms(white))
         found.append(Where(residual="motion", element=channel.joint, level=level, region=region))
     return found
 

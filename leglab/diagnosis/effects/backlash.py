@@ -30,12 +30,15 @@ _HISTORY = 0.4  # s
 def _motor_inertia(machine: Machine, joint: str) -> EffectParameter:
     own = joints.native(machine, joint, "armature")
     motor = own or _MOTOR_SHARE * joints.inertia(machine, joint)
-    unit = joints.unit_of(machine, joint, "{inertia}")
+    unit = joints.joint_unit(machine, joint, "{inertia}")
     return EffectParameter.shape("motor_inertia", unit, motor, 0.1 * motor, own or 10.0 * motor)
 
 
 def _compliance(machine: Machine, joint: str) -> EffectParameter:
-    own, unit = joints.inertia(machine, joint), joints.unit_of(machine, joint, "{length}/({force})")
+    own, unit = (
+        joints.inertia(machine, joint),
+        joints.joint_unit(machine, joint, "{length}/({force})"),
+    )
     softness = [1.0 / (own * (2.0 * math.pi * f) ** 2) for f in (*_TRIALS_HZ, _SOFTEST_HZ)]
     return EffectParameter("compliance", unit, upper=softness[-1], trials=tuple(softness[:-1]))
 

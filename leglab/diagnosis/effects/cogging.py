@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from leglab.base.robust import deviation
+from leglab.base.scale import deviation
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow

@@ -64,7 +64,7 @@ class JointCoulombFriction(FrictionEffect):
 
 def _stribeck_velocity(machine: Machine, joint: str) -> EffectParameter:
     limits = (0.05, 0.005, 1.0) if machine.unit(joint) == "rad" else (0.01, 0.001, 0.2)
-    unit = joints.unit_of(machine, joint, "{length}/s")
+    unit = joints.joint_unit(machine, joint, "{length}/s")
     return EffectParameter.shape("stribeck_velocity", unit, *limits)
 
 

@@ -19,7 +19,7 @@ _TOLERANCE = 0.1
 Size = Callable[[Machine, str], float]
 
 
-def unit_of(machine: Machine, joint: str, pattern: str) -> str:
+def joint_unit(machine: Machine, joint: str, pattern: str) -> str:
     """Unit with "{force}", "{inertia}" and "{length}" replaced by those of a hinge or slide."""
     if machine.unit(joint) == "rad":
         return pattern.format(force="N m", inertia="kg m^2", length="rad")
@@ -120,7 +120,7 @@ class SizedRow:
 
     Attributes:
         name: As in `EffectParameter`.
-        unit: As in `EffectParameter`; of a joint a pattern of `unit_of`.
+        unit: As in `EffectParameter`; of a joint a pattern of `joint_unit`.
         trials: To screen; shares of the size, added to the own value.
         lower: Smallest value in sizes, absolute.
         upper: Largest value in sizes, added to the own value.
@@ -148,7 +148,7 @@ class SizedRow:
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
         return EffectParameter(
             self.name,
-            unit_of(machine, element, self.unit) if "{" in self.unit else self.unit,
+            joint_unit(machine, element, self.unit) if "{" in self.unit else self.unit,
             nominal=own,
             lower=self.lower * size,
             upper=own + self.upper * size,

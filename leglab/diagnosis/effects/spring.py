@@ -65,7 +65,7 @@ class SpringStiffness(JointEffect):
         return (
             EffectParameter(
                 "stiffness",
-                joints.unit_of(machine, element, "{force}/{length}"),
+                joints.joint_unit(machine, element, "{force}/{length}"),
                 nominal=own,
                 upper=4.0 * own + 20.0 * size,
                 trials=(0.5 * own, 0.85 * own, 1.3 * own) if own > 0 else (0.05 * size, 0.5 * size),
@@ -97,7 +97,7 @@ class SpringHardening(JointEffect):
         return (
             EffectParameter(
                 "k2" if machine.spring_of(element) else "k3",
-                joints.unit_of(machine, element, "{force}/{length}^3"),
+                joints.joint_unit(machine, element, "{force}/{length}^3"),
                 nominal=own,
                 lower=min(0.0, own) - (0.0 if own else 5.0 * size),
                 upper=10.0 * own + 50.0 * size,

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from leglab.base.recording import Recording
-from leglab.base.robust import deviation
+from leglab.base.scale import deviation, rms
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 # Stamps this near to the grid, in periods, are on it.
@@ -147,7 +147,7 @@ def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
     passed = np.diff(stamps) / period
     whole = np.maximum(np.rint(passed), 1.0)
     close = whole < 5
-    jitter = float(np.sqrt(np.mean((passed - whole)[close] ** 2))) if close.any() else 0.0
+    jitter = float(rms((passed - whole)[close])) if close.any() else 0.0
     lost = max(0, round(float(stamps[-1] - stamps[0]) / period) + 1 - stamps.size)
     return jitter, np.append(0.0, np.cumsum(whole)), lost
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
@@ -272,7 +273,7 @@ def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
 
 def _size(pushed: np.ndarray) -> np.ndarray:
     """Root mean square over windows and blocks, (joints,)."""
-    return np.asarray(np.sqrt(np.mean(np.clip(pushed, -BLOWN, BLOWN) ** 2, axis=(0, 2))))
+    return np.asarray(rms(np.clip(pushed, -BLOWN, BLOWN), axis=(0, 2)))
 
 
 def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:

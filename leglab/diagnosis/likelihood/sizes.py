@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.base import EffectParameter
 from leglab.diagnosis.effects.command import position_servos
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
@@ -146,7 +147,7 @@ def change_time(parts: Sequence[np.ndarray], period: float) -> float:
     """Time in which a command changes by its own size, rms u / rms du/dt over recordings [s]."""
     size = np.concatenate([u - u.mean() for u in parts])
     rate = np.concatenate([np.diff(u) / period for u in parts])
-    return float(np.std(size) / np.sqrt(np.mean(rate**2))) if rate.any() else 0.0
+    return float(np.std(size) / rms(rate)) if rate.any() else 0.0
 
 
 def correlation_time(x: np.ndarray, period: float) -> float:

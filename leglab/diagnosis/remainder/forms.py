@@ -7,10 +7,10 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
-from leglab.base.robust import deviation
+from leglab.base.scale import deviation
 from leglab.diagnosis.balance.balances import Balance
-from leglab.diagnosis.remainder.part import Part, Period
-from leglab.diagnosis.remainder.splines import Spline, basis, nearest, roughness
+from leglab.diagnosis.remainder.part import Part, Periodicity
+from leglab.diagnosis.remainder.splines import CubicSpline, basis, nearest, roughness
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
@@ -87,10 +87,10 @@ class Form:
         pieces = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
         for term, own in zip(self.terms, pieces, strict=True):
             coefficients = own if term.shape is None else term.shape @ own
-            splines[term.variable] = Spline(knots=term.knots, coefficients=coefficients)
+            splines[term.variable] = CubicSpline(knots=term.knots, coefficients=coefficients)
         if self.period is not None:
             length, half = self.period + values[-1], 1.96 * np.sqrt(self.covariance[-1, -1])
-            period = Period(
+            period = Periodicity(
                 length=float(length),
                 interval=(float(length - half), float(length + half)),
                 amplitudes=tuple(np.hypot(*pieces[-1][1:-1].reshape(-1, 2).T).tolist()),

@@ -15,7 +15,7 @@ from leglab.diagnosis.remainder.forms import Form, choose_form, worthwhile
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part
 from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight, thinned
-from leglab.diagnosis.result import closed, rms
+from leglab.diagnosis.result import closed, root_mean
 from leglab.diagnosis.thresholds import ALIKE, Thresholds
 
 # What is said where the rest is large and no static function of the moment.
@@ -141,7 +141,7 @@ def _proved(
         alone = joined(others).noise_levels(beside)
         if not pays(alone[held], after[held], limits):
             learned, after = others, alone
-    levels = rms(before[held]), rms(after[held])
+    levels = root_mean(before[held]), root_mean(after[held])
     if not pays(before[held], after[held], limits) or levels[1] >= levels[0]:
         return None
     final, unit = joined(learned).about(beside), problem.machine.unit
@@ -177,7 +177,7 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     return alike > ALIKE and all(form.gain < share for form in find_forms(problem, hypothesis))
 
 
-def directions(form: Form, most: int) -> np.ndarray:
+def open_directions(form: Form, most: int) -> np.ndarray:
     """Where a balance leaves unknowns most open, in standard deviations, (unknowns, directions)."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
@@ -209,7 +209,7 @@ def refine(
     problem, limits = copy(problem), problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)
     each = max(3, limits.learned_directions // len(forms))
-    along = [directions(form, each) for form in forms]
+    along = [open_directions(form, each) for form in forms]
     ends = np.cumsum([one.shape[1] for one in along])
     u = Unknowns.of(problem.library)
     # What differs between good machines follows.

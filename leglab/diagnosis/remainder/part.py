@@ -11,14 +11,14 @@ from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.effects.joints import insert
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import commands_at, forces_at, states_at
-from leglab.diagnosis.remainder.splines import Spline
+from leglab.diagnosis.remainder.splines import CubicSpline
 from leglab.machine.parameters import RESIDUAL, RESIDUAL_VARIABLES
 
 _NO_BOUND = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Period:
+class Periodicity:
     """A repetition over the position.
 
     Attributes:
@@ -49,8 +49,8 @@ class Part:
     joint: str
     actuator: str
     oil: bool
-    terms: Mapping[str, Spline]
-    period: Period | None = None
+    terms: Mapping[str, CubicSpline]
+    period: Periodicity | None = None
     bound: float = _NO_BOUND
 
     @property

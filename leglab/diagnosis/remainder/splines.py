@@ -9,7 +9,7 @@ DEGREE = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Spline:
+class CubicSpline:
     """A cubic B-spline of one variable, constant beyond its knots.
 
     Attributes:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from leglab.diagnosis.remainder.part import Part, Period
+from leglab.diagnosis.remainder.part import Part, Periodicity
 from leglab.diagnosis.thresholds import DEFAULT
 
 Parity = Literal["odd", "even", "mixed"]
@@ -38,7 +38,7 @@ class Shape:
     one_sided: Side | None
     saturating: bool
     rising: bool
-    period: Period | None
+    period: Periodicity | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from scipy.signal import savgol_coeffs
 
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.base.robust import deviation
+from leglab.base.scale import deviation
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.model import CHAMBERS, Machine

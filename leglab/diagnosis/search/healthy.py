@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.likelihood.columns import Errors
@@ -73,7 +74,7 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     """How far and how fast a recording goes: logarithms of spreads and rates, (2 columns,)."""
     values = np.stack([series.columns[column] for column in columns])
     spread = np.std(values, axis=1)
-    rate = np.sqrt(np.mean(np.diff(values, axis=1) ** 2, axis=1)) / series.period
+    rate = rms(np.diff(values, axis=1), axis=1) / series.period
     return np.log(np.concatenate([spread, rate]) + 1e-9)
 
 

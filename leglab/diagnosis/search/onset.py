@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
@@ -128,7 +129,7 @@ def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: f
     near = windows[(start + length > onset - length) & (start < onset + length)]
     if not healthy.size:
         return onset
-    level = np.sqrt(np.mean(errors[healthy] ** 2, axis=0)) + 1e-12
+    level = rms(errors[healthy], axis=0) + 1e-12
     for window in near:
         out = (np.abs(errors[window]) > problem.thresholds.still_noise * level).any(axis=0)
         lasting = out[:-1] & out[1:]

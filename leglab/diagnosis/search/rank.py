@@ -35,7 +35,7 @@ class Ranked:
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class Candidate:
     """A set to fit.
 
     Attributes:
@@ -127,12 +127,12 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     return list(best.values())
 
 
-def proposal(
+def next_candidate(
     fitter: Fitter,
     ranks: Sequence[Ranked],
     tried: set[frozenset[int]],
     removed: dict[tuple[Fit, Key], Columns | None],
-) -> Proposal | None:
+) -> Candidate | None:
     """The next set to fit; None where nothing promises to come near the best one.
 
     What says the same of both directions; then what adds a member to a good set, or leaves one out
@@ -161,7 +161,7 @@ def proposal(
             x, fit = row.fit.columns.x, row.fit
             start = {q: -float(x[q]) for q in fit.members if q not in simpler}
             start |= {q: value - float(x[q]) for q, value in simpler.items()}
-            return Proposal(tuple(simpler), start, fit.columns, fit.spread, fit.weight)
+            return Candidate(tuple(simpler), start, fit.columns, fit.spread, fit.weight)
     found: list[tuple[float, tuple[int, ...], Fit, Evidence]] = []
 
     def add(evidence: Evidence, members: Sequence[int], fit: Fit, least: float = -np.inf) -> None:
@@ -200,7 +200,7 @@ def proposal(
     promise, members, fit, evidence = max(found, key=lambda entry: entry[0])
     score = evidence.score([(q, None) for q in members])
     start = evidence.departures(score)
-    return Proposal(members, start, evidence.columns, fit.spread, fit.weight, promise)
+    return Candidate(members, start, evidence.columns, fit.spread, fit.weight, promise)
 
 
 def both_ways(

@@ -13,7 +13,7 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import Compared, Proposal, Ranked, proposal, rank
+from leglab.diagnosis.search.rank import Candidate, Compared, Ranked, next_candidate, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
 from leglab.diagnosis.search.settle import Fit, Fitter
 from leglab.diagnosis.thresholds import (
@@ -98,7 +98,7 @@ def search(
     evidence, ranked, kappa = _annealed(fitter, fits[0].columns if clear else first, kappa)
     wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
 
-    def begins(one: Proposal) -> float:
+    def begins(one: Candidate) -> float:
         return fitter.level(at.at(u.moved(one.columns.base, one.start)))
 
     log("balance of forces")
@@ -117,7 +117,7 @@ def search(
             # A set that both propose begins where a replay is nearer.
             wanted[names] = replace(seed, promise=wanted[names].promise)
 
-    def run(new: Proposal, *, beside: bool = False, renewals: int = 0) -> Fit:
+    def run(new: Candidate, *, beside: bool = False, renewals: int = 0) -> Fit:
         lowest = min((f.level for f in fits), default=np.inf)
         fit = fitter.fit(
             new.columns,
@@ -215,13 +215,13 @@ def search(
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
             again.add((late.keys, point.keys))
-            there = Proposal(late.members, {}, point.columns, point.spread, point.weight)
+            there = Candidate(late.members, {}, point.columns, point.spread, point.weight)
             run(there, beside=True, renewals=RENEWALS)
             continue
         # What was proposed last is a rival now, or was in vain.
         vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
         done = vain > FRUITLESS or more >= FURTHER_FITS
-        then = None if done else proposal(fitter, ranks, tried, removed)
+        then = None if done else next_candidate(fitter, ranks, tried, removed)
         if then is None:
             best = ranks[0].fit
             # What does without an effect of the best set is fitted from there.
@@ -234,7 +234,7 @@ def search(
             columns = removed[best, out]
             if columns is not None:
                 rest = tuple(q for q in best.members if u.keys[q] != out)
-                run(Proposal(rest, {}, columns, best.spread, best.weight), beside=True)
+                run(Candidate(rest, {}, columns, best.spread, best.weight), beside=True)
             continue
         more += 1
         last = _names(u, then)
@@ -262,7 +262,7 @@ def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, l
     return evidence, ranked, kappa
 
 
-def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
+def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
     """Sets to fit by the first linearisation, the most promising first."""
     u = evidence.unknowns
     picked: dict[frozenset[Key], Score] = {}
@@ -290,13 +290,13 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
     return [_of(evidence, score) for names, score in picked.items() if names]
 
 
-def _names(u: Unknowns, one: Proposal) -> frozenset[Key]:
+def _names(u: Unknowns, one: Candidate) -> frozenset[Key]:
     return frozenset(u.keys[q] for q in one.members)
 
 
-def _of(evidence: Evidence, score: Score) -> Proposal:
+def _of(evidence: Evidence, score: Score) -> Candidate:
     """A set to fit from the first linearisation."""
-    return Proposal(
+    return Candidate(
         score.unknowns,
         evidence.departures(score),
         evidence.columns,
@@ -306,7 +306,7 @@ def _of(evidence: Evidence, score: Score) -> Proposal:
     )
 
 
-def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposal]:
+def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candidate]:
     """Sets to fit by the balances of forces: each joint's best, and all joints' together."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
@@ -322,17 +322,17 @@ def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Proposa
             seeds.setdefault(frozenset(start), start)
     columns, spread, weight = evidence.columns, evidence.spread, evidence.weight
     return [
-        Proposal(tuple(start), start, columns, spread, weight, -np.inf) for start in seeds.values()
+        Candidate(tuple(start), start, columns, spread, weight, -np.inf) for start in seeds.values()
     ]
 
 
-def _from(fitter: Fitter, fit: Fit, point: Fit, kappa: float) -> Proposal:
+def _from(fitter: Fitter, fit: Fit, point: Fit, kappa: float) -> Candidate:
     """A fitted set once more, from where the tangents at another one's point have it."""
     start: dict[int, float] = {}
     if fit is not point:
         evidence = fitter.evidence(point.columns, point.spread, point.weight, kappa)
         start = evidence.departures(evidence.score([(q, None) for q in fit.members]))
-    return Proposal(fit.members, start, point.columns, point.spread, point.weight)
+    return Candidate(fit.members, start, point.columns, point.spread, point.weight)
 
 
 def told(u: Unknowns, score: Score) -> str:

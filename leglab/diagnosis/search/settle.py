@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors, change
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
@@ -117,7 +118,7 @@ class Fitter:
 
     def rms(self, errors: np.ndarray) -> float:
         """Root mean square of errors in noise levels of the sensors: few windows may show it."""
-        return float(np.sqrt(np.mean(self._white(errors) ** 2)))
+        return float(rms(self._white(errors)))
 
     def explains(self, fit: Fit) -> bool:
         """Whether noise, or errors as the healthy specimen has them, are left."""

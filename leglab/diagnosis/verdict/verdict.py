@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from leglab.base.recording import Recording
+from leglab.base.scale import rms
 from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
@@ -30,7 +31,7 @@ from leglab.diagnosis.result import (
     ResidualTrace,
     Rivals,
     Verdict,
-    rms,
+    root_mean,
 )
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
@@ -98,7 +99,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
     if not problem.held.any():
         return False
     with_it, without = (problem.noise_levels(h) for h in (outcome.final, outcome.unnamed))
-    after, before = (rms(squares[problem.held]) for squares in (with_it, without))
+    after, before = (root_mean(squares[problem.held]) for squares in (with_it, without))
     return not lessens(before, after) and noise_alone(without, problem.replay.recording)
 
 
@@ -121,7 +122,7 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     squares = {name: problem.noise_levels(h) for name, h in models.items()}
 
     def levels(windows: np.ndarray) -> dict[str, Any]:
-        return {name: rms(square[windows]) for name, square in squares.items()}
+        return {name: root_mean(square[windows]) for name, square in squares.items()}
 
     owners = [problem.replay.recording == i for i in range(len(problem.series))]
     recordings = tuple(
@@ -132,7 +133,7 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
     held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
-        unnamed = rms(problem.noise_levels(outcome.unnamed)[held])
+        unnamed = root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
@@ -141,12 +142,12 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
                 "the held-out recordings hardly show what is named: the share explained is that "
                 "over all recordings"
             )
-        compared = rms(without[shown]), rms(with_it[shown]), 1.0
+        compared = root_mean(without[shown]), root_mean(with_it[shown]), 1.0
     gap = Gap(
         held_out=tuple(r.name for r in recordings if r.held_out),
         unnamed=unnamed,
         compared=compared,
-        healthy=rms(floors[held]) if outcome.specimen else None,
+        healthy=root_mean(floors[held]) if outcome.specimen else None,
         **levels(held),
     )
     verdict, effects, smaller = _effects(outcome, gap, shown)
@@ -179,7 +180,7 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
     may be on another day.
     """
     problem = outcome.about
-    if outcome.specimen and rms(without[problem.judged]) <= math.exp(DAY_FACTOR):
+    if outcome.specimen and root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
         return True
     change = problem.raw_errors(outcome.unnamed) - problem.raw_errors(outcome.final)
     square = np.mean(whitened(problem.noise.whitening, change) ** 2, axis=1)
@@ -207,7 +208,7 @@ def _effects(
         told = key if key in (*judged.named, *judged.confusion) else (key[0], EVERY)
         one = judged.effects[told]
         gone = final.without(key)
-        without = rms(outcome.compared.noise_levels(gone)[shown])
+        without = root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
         # Of a set that is not told apart none is surer than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
@@ -232,7 +233,7 @@ def _effects(
                 indistinguishable_from=tuple(
                     dict.fromkeys(k[0] for k in judged.confusion if k not in (key, told))
                 ),
-                without=rms(problem.noise_levels(gone)[problem.judged]),
+                without=root_mean(problem.noise_levels(gone)[problem.judged]),
             )
         )
     effects.sort(key=lambda e: -e.contribution)
@@ -310,8 +311,8 @@ def _remaining(problem: Problem, final: Hypothesis) -> tuple[Remaining, ...]:
             channel=channel.column,
             unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
             horizon=problem.replay.window,
-            before=rms(before[:, k] ** 2),
-            after=rms(after[:, k] ** 2),
+            before=float(rms(before[:, k])),
+            after=float(rms(after[:, k])),
             noise=float(noise[k]),
         )
         for k, channel in enumerate(problem.channels)

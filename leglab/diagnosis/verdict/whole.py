@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.moments import STATE
 from leglab.diagnosis.replay.replay import Course
@@ -38,7 +39,7 @@ class Followed:
     def deviation(self, joint: str) -> float:
         """RMS of simulated less measured; infinite where the simulation blew up."""
         error = self.simulated[joint] - self.measured[joint]
-        return float(np.sqrt(np.mean(error**2))) if np.isfinite(error).all() else float("inf")
+        return float(rms(error)) if np.isfinite(error).all() else float("inf")
 
 
 def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:

@@ -17,7 +17,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from leglab.diagnosis.balance.regions import equally_filled
 from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
-from leglab.report.diagnosis.words import after_words, joint_of, main_channels, rms, set_words
+from leglab.report.diagnosis.words import (
+    after_words,
+    finite_rms,
+    joint_of,
+    main_channels,
+    set_words,
+)
 from leglab.report.figures import add_head
 from leglab.report.page.shell import printable
 from leglab.report.page.wording import number, readable, shortened
@@ -461,7 +467,7 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
 
 
 def _gain(traces: Sequence[ResidualTrace]) -> float:
-    before, after = map(rms, _errors(traces))
+    before, after = map(finite_rms, _errors(traces))
     return before / after if after > 0.0 else math.inf
 
 
@@ -514,7 +520,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
 def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> CaptionedFigure:
     """Errors over time, a row a recording."""
     factor, unit = shown_unit(traces[0].unit)
-    shown = sorted(traces, key=lambda t: (t.recording not in held, -rms([t.before])))
+    shown = sorted(traces, key=lambda t: (t.recording not in held, -finite_rms([t.before])))
     shown = shown[:_MOST_ROWS]
     before, after = (factor * np.concatenate(errors) for errors in _errors(shown))
     limits = _limits(before, after, 1.0)
@@ -592,7 +598,7 @@ def _finish(
     unit: str,
 ) -> str:
     """Writes the titles of the figure and of the axes before and after; returns its alt text."""
-    before, after = (f"{number(rms([values]))} {unit}" for values in errors)
+    before, after = (f"{number(finite_rms([values]))} {unit}" for values in errors)
     (_, high), (_, low) = (axes.get_ylim() for axes in pair)
     finer = f", scale {number(high / low, 2)} times finer" if high > low else ""
     pair[0].set_title(f"before: {before} RMS", color=VERMILION, fontsize=9)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.base.causes import live_of
+from leglab.base.scale import rms
 from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
@@ -44,11 +45,11 @@ def percent(share: float) -> str:
     return "over 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
 
 
-def rms(arrays: Sequence[np.ndarray]) -> float:
+def finite_rms(arrays: Sequence[np.ndarray]) -> float:
     """Root mean square of all finite values; NaN where there is none."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+    return float(rms(values))
 
 
 def headline(result: Diagnosis) -> str:
@@ -225,7 +226,7 @@ def main_channels(result: Diagnosis, joints: int = 1) -> tuple[str, ...]:
         one = remaining.get(channel)
         if one is not None:
             return near, one.before / one.noise if one.noise > 0.0 else one.before
-        return near, rms([t.before for t in result.traces if t.channel == channel])
+        return near, finite_rms([t.before for t in result.traces if t.channel == channel])
 
     positions = [c for c in channels if c.endswith("_position")] or channels[:1]
     chosen = [joint_of(c) for c in sorted(positions, key=weight, reverse=True)[:joints]]

@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
 from leglab.report.page.outcome import t90
-from leglab.report.page.wording import readable, shown_unit
+from leglab.report.page.wording import readable, readable_unit
 from leglab.runs import metrics, record
 
 # A run counts as stopped early where it lacks more than this [s].
@@ -263,7 +263,7 @@ def _changes(
 ) -> tuple[ShownChange, ...]:
     from leglab.machine.changes import parameter_units
 
-    units = {name: shown_unit(unit) for name, unit in parameter_units().items()}
+    units = {name: readable_unit(unit) for name, unit in parameter_units().items()}
     told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
         name, start = change.parameter, change.start

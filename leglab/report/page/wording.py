@@ -22,7 +22,7 @@ def shortened(name: str, most: int) -> str:
     return f"{name[: most // 2]}\u2026{name[len(name) - (most - most // 2 - 1) :]}"
 
 
-def shown_unit(unit: str) -> str:
+def readable_unit(unit: str) -> str:
     """A unit as one reads it; empty for "1"."""
     return {"1": "", "degC": "\u00b0C"}.get(unit, unit)
 

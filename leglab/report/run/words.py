@@ -9,7 +9,7 @@ import numpy as np
 from leglab.machine.changes import parameter_units
 from leglab.report.page.outcome import milli, sentence, share
 from leglab.report.page.shell import Section
-from leglab.report.page.wording import capital, listed, number, readable, shown_unit
+from leglab.report.page.wording import capital, listed, number, readable, readable_unit
 from leglab.runs.folder import ReportedRun
 from leglab.runs.record import ChangeRecord as Change
 
@@ -112,7 +112,7 @@ def change_words(change: Change) -> str:
     where = change.place
     if change.kind == "scale":
         return f"{readable(change.parameter)} of {where} {_TIMES} {change.value:g}"
-    unit = shown_unit(parameter_units().get(change.parameter, ""))
+    unit = readable_unit(parameter_units().get(change.parameter, ""))
     return f"{readable(change.parameter)} of {where} = {change.value:g} {unit}".rstrip()
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from leglab.base.scale import rms
 from leglab.identification import (
     Basis,
     ChangeDetection,
@@ -99,7 +100,7 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
     """
     n = paper.N_TRAINING
     u, y = simulate(seeds, paper.N_SAMPLES)
-    floor = float(np.mean(_rms(exact_free_run(u)[:, n:] - y[:, n:])))
+    floor = float(np.mean(rms(exact_free_run(u)[:, n:] - y[:, n:], axis=1)))
     rows = []
     for name, model_settings in MODELS.items():
         one, free = [], []
@@ -109,9 +110,9 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
             model.freeze()
             one.append(model.one_step(inputs[n:], outputs[n:], resume=True) - outputs[n:])
             free.append(model.free_run(inputs[n:]) - outputs[n:])
-        errors = _rms(np.array(free))
+        errors = rms(free, axis=1)
         mean = float(np.mean(errors))
-        row = (name, model.parameters.size, float(np.mean(_rms(np.array(one)))), mean)
+        row = (name, model.parameters.size, float(np.mean(rms(one, axis=1))), mean)
         rows.append((*row, float(np.max(errors)), mean / floor))
     return floor, rows
 
@@ -195,7 +196,3 @@ def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
 def _first(met: NDArray[np.bool_]) -> int:
     """First sample at which a condition is met, `AFTER` if never."""
     return int(np.argmax(met)) if met.any() else AFTER
-
-
-def _rms(residuals: Array) -> Array:
-    return np.sqrt(np.mean(residuals**2, axis=1))

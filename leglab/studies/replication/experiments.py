@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.identification import Basis, BsnnArx
 from leglab.studies.replication.networks import LAGS, train
 from leglab.studies.replication.online import (
@@ -329,9 +330,9 @@ def _errors(runs: list[OnlineRuns], y: Array, model: str) -> tuple[Array, Array]
     one, free = [], []
     for run, output in zip(runs, y, strict=True):
         result, target = run.runs[model], output[n:, None]
-        one.append(np.mean(np.sqrt(np.mean((result.validation - target) ** 2, axis=0))))
+        one.append(np.mean(rms(result.validation - target, axis=0)))
         with np.errstate(over="ignore", invalid="ignore"):
-            free.append(np.sqrt(np.mean((result.free_run - target) ** 2, axis=0)))
+            free.append(rms(result.free_run - target, axis=0))
     return np.array(one), np.concatenate(free)
 
 

@@ -24,7 +24,7 @@ from leglab.studies.replication.paper import (
     LEARNING_CONSTANT,
     PRINTED_LEARNING_CONSTANT,
     Array,
-    Score,
+    ModelScore,
     markdown,
     table_1,
     worst_deviation,
@@ -323,7 +323,7 @@ def _instances(rms: Array) -> Figure:
     return figure
 
 
-def _boxes(title: str, scores: Mapping[str, Score], quantity: str) -> Figure:
+def _boxes(title: str, scores: Mapping[str, ModelScore], quantity: str) -> Figure:
     """Figs. 13, 14: median, quartiles, adjacent values and outliers over the instances.
 
     Outliers of the networks that would flatten the boxes are drawn at the edge.

@@ -58,7 +58,7 @@ TABLE_1: dict[str, dict[str, Printed]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class ModelScore:
     """Errors of one model on one set.
 
     Attributes:
@@ -75,14 +75,14 @@ class Score:
         return {**means, "r2_mean": float(self.r2.mean()), "instances": len(self.rms)}
 
 
-def score(y: Array, predictions: Array) -> Score:
+def score(y: Array, predictions: Array) -> ModelScore:
     """Scores predictions of shape (n,) or (n, M) of the output y, shape (n,)."""
     residuals = y[:, None] - predictions.reshape(len(y), -1)
     mean_square = np.mean(residuals**2, axis=0)
-    return Score(rms=np.sqrt(mean_square), r2=1.0 - mean_square / np.var(y))
+    return ModelScore(rms=np.sqrt(mean_square), r2=1.0 - mean_square / np.var(y))
 
 
-Scores = dict[str, dict[str, Score]]
+Scores = dict[str, dict[str, ModelScore]]
 """By set ("training", "validation"), then by model."""
 
 

@@ -200,7 +200,7 @@ ACTUATOR: dict[str, Any] = {
 }
 
 
-class Ranked(NamedTuple):
+class RankedStructure(NamedTuple):
     """A structure as `spline_narx` takes it, and its error in the unit of the table."""
 
     error: float
@@ -209,7 +209,7 @@ class Ranked(NamedTuple):
 
 def select(
     data: Dataset, grid: Sequence[dict[str, Any]], splits: Sequence[tuple[slice, slice]]
-) -> list[Ranked]:
+) -> list[RankedStructure]:
     """Ranks structures by their mean free-run error over splits of the training part.
 
     Args:
@@ -228,7 +228,7 @@ def select(
             model = SplineNarx(settings)
             model.run(u[learned], y[learned])
             errors.append(free_run_error(model, u[held_out], y[held_out], data.given))
-        ranked.append(Ranked(float(np.mean(errors)) * data.unit[1], structure))
+        ranked.append(RankedStructure(float(np.mean(errors)) * data.unit[1], structure))
     return sorted(ranked, key=lambda candidate: candidate.error)
 
 

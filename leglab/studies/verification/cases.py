@@ -76,7 +76,7 @@ class Check:
         return self.deviation <= self.tolerance
 
 
-class Found(NamedTuple):
+class CheckRow(NamedTuple):
     """Fields of a `Check` that differ within a case; its tolerance where none is given."""
 
     quantity: str
@@ -89,7 +89,7 @@ class Found(NamedTuple):
 
 CASES: dict[str, Callable[[], Iterator[Check]]] = {}
 """By name, in the order of docs/concepts/physics.md's table."""
-Comparer = Callable[[Any], Iterator[Found]]
+Comparer = Callable[[Any], Iterator[CheckRow]]
 
 
 def _case(
@@ -185,7 +185,7 @@ def _moving(spool: float, load: float = 0.0, tank: float = 0.0) -> Experiment:
 
 
 @_case("a no-load speed", 1e-3)
-def _no_load_speed(solver: Solver) -> Iterator[Found]:
+def _no_load_speed(solver: Solver) -> Iterator[CheckRow]:
     speeds = {}
     for tank, spool in product((0.0, 1e6), (1.0, -1.0, 0.25, -0.25, 0.05, -0.05)):
         trace = solver.run(_moving(spool, tank=tank))
@@ -194,29 +194,29 @@ def _no_load_speed(solver: Solver) -> Iterator[Found]:
         names = (("speed", "m/s"), ("pressure A", "Pa"), ("pressure B", "Pa"))
         for (name, unit), want, values in zip(names, expected, got, strict=True):
             where = f"at x_s = {spool:+g}, tank {tank / 1e5:g} bar"
-            yield Found(f"{name} {where}", unit, want, _settled(values))
+            yield CheckRow(f"{name} {where}", unit, want, _settled(values))
         speeds[tank, spool] = _settled(trace.velocity)
     ratio = -speeds[0.0, 1.0] / speeds[0.0, -1.0]
-    yield Found("speed out over speed in", "1", math.sqrt(AREA_A / AREA_B), ratio)
+    yield CheckRow("speed out over speed in", "1", math.sqrt(AREA_A / AREA_B), ratio)
 
 
 @_case("b load", 5e-3)
-def _loaded_speed(solver: Solver) -> Iterator[Found]:
+def _loaded_speed(solver: Solver) -> Iterator[CheckRow]:
     """Speeds against loads, stall forces, and the efficiency against 2 kN."""
     loads = [(0.5, f) for f in (-500.0, 0.0, 1000.0, 2000.0)]
     loads += [(-0.5, f) for f in (1500.0, 0.0, -1000.0)]
     for spool, load in loads:
         got = _settled(solver.run(_moving(spool, load)).velocity)
         expected = steady_speed(spool, load)[0]
-        yield Found(f"speed at x_s = {spool:+g} against {load:g} N", "m/s", expected, got)
+        yield CheckRow(f"speed at x_s = {spool:+g} against {load:g} N", "m/s", expected, got)
     for spool, force in ((0.5, AREA_A * SUPPLY_PRESSURE), (-0.5, -AREA_B * SUPPLY_PRESSURE)):
         held = Experiment(mass=HELD, command=constant(spool), duration=0.05)
         got = _settled(solver.run(held).force)
-        yield Found(f"stall force at x_s = {spool:+g}", "N", force, got)
+        yield CheckRow(f"stall force at x_s = {spool:+g}", "N", force, got)
     trace = solver.run(_moving(1.0, 2000.0))
     got = _power(trace, "energy_load") / _power(trace, "energy_supply")
     expected = 2000.0 / (AREA_A * SUPPLY_PRESSURE)
-    yield Found("efficiency at x_s = +1 against 2000 N", "1", expected, got)
+    yield CheckRow("efficiency at x_s = +1 against 2000 N", "1", expected, got)
 
 
 def _decaying(t: np.ndarray, w: float, s: float, a: float, b: float, c: float) -> np.ndarray:
@@ -232,7 +232,7 @@ def _oscillation(trace: Trace, frequency: float, decay: float) -> tuple[float, f
 
 
 @_case("c resonance", 1e-4)
-def _resonance(solver: Solver) -> Iterator[Found]:
+def _resonance(solver: Solver) -> Iterator[CheckRow]:
     """w_h = sqrt(k_h/m) between closed ports.
 
     The symplectic step of MuJoCo turns a frequency w into 2 asin(w h/2)/h.
@@ -246,7 +246,7 @@ def _resonance(solver: Solver) -> Iterator[Found]:
         )
         trace = solver.run(experiment)
         name = f"angular frequency at x = {position * 1e3:g} mm"
-        yield Found(name, "rad/s", w, _oscillation(trace, w, 0.0)[0])
+        yield CheckRow(name, "rad/s", w, _oscillation(trace, w, 0.0)[0])
 
 
 def _linearised(position: float, leakage: float) -> np.ndarray:
@@ -277,7 +277,7 @@ def _shown_pole(rates: np.ndarray, solver: Solver) -> complex:
 
 
 @_case("c damping", 0.01)
-def _damping(solver: Solver) -> Iterator[Found]:
+def _damping(solver: Solver) -> Iterator[CheckRow]:
     """Damping ratio 0.042 that the leakage gives."""
     pole = _shown_pole(_linearised(0.04, LEAKAGE), solver)
     pressure = 8e6  # equal pressures do not leak; the load carries the rod's share
@@ -291,11 +291,11 @@ def _damping(solver: Solver) -> Iterator[Found]:
     trace = solver.run(experiment)
     w, s = _oscillation(trace, pole.imag, -pole.real)
     name = "damping ratio with C_i = 1.7e-13, as the step shows it"
-    yield Found(name, "1", -pole.real / abs(pole), s / math.hypot(w, s))
+    yield CheckRow(name, "1", -pole.real / abs(pole), s / math.hypot(w, s))
 
 
 @_case("d leak-down", 1e-3)
-def _leak_down(solver: Solver) -> Iterator[Found]:
+def _leak_down(solver: Solver) -> Iterator[CheckRow]:
     """Pressures of a held piston meet with tau = V_A V_B/(V_A + V_B)/(beta C_i).
 
     A time constant of two steps needs finer sub-steps than the default two: the attribute
@@ -325,8 +325,8 @@ def _leak_down(solver: Solver) -> Iterator[Found]:
         label = f"C_i {part * LEAKAGE:.2g}, clearance x{clearance:g}, {celsius:g} degC"
         label += ", substeps 4" if fine else ""
         level = (va * 14e6 + vb * 2e6) / (va + vb)
-        yield Found(f"time constant, {label}", "s", tau, -1 / slope)
-        yield Found(f"pressure in the end, {label}", "Pa", level, trace.pressure_a[-1])
+        yield CheckRow(f"time constant, {label}", "s", tau, -1 / slope)
+        yield CheckRow(f"pressure in the end, {label}", "Pa", level, trace.pressure_a[-1])
 
 
 _LEAKING = {**IDEAL, "internal_leakage": LEAKAGE, "viscous": 700.0}  # N s/m
@@ -338,7 +338,7 @@ def _late_speed(trace: Trace) -> float:
 
 
 @_case("e drift", 5e-3)
-def _open_drift(solver: Solver) -> Iterator[Found]:
+def _open_drift(solver: Solver) -> Iterator[CheckRow]:
     """e1, e2: a closed valve holds a load, v = -C_i F/(A^2 + C_i b) where one side is open."""
     load = 1000.0
     expected = -LEAKAGE * load / (AREA_A**2 + LEAKAGE * _LEAKING["viscous"])
@@ -352,11 +352,11 @@ def _open_drift(solver: Solver) -> Iterator[Found]:
             parameters={**_LEAKING, **other}, pressures=pressures, load=constant(load), duration=2.0
         )
         trace = solver.run(experiment)
-        yield Found(f"drift under 1 kN, {name}", "m/s", expected, _late_speed(trace))
+        yield CheckRow(f"drift under 1 kN, {name}", "m/s", expected, _late_speed(trace))
 
 
 @_case("e blocked ports", 5e-3)
-def _blocked_drift(solver: Solver) -> Iterator[Found]:
+def _blocked_drift(solver: Solver) -> Iterator[CheckRow]:
     """e3: with both ports blocked pressures meet at F/A_rod; oil and rod volume give the way.
 
     The model passes the leak by volume, so that V_A pA + V_B pB + beta A_rod x is conserved but
@@ -387,7 +387,7 @@ def _blocked_drift(solver: Solver) -> Iterator[Found]:
             ("way", "m", way, trace.position[-1] - start),
             ("time constant", "s", tau, -1 / slope),
         ):
-            yield Found(f"{name} under {load:g} N, both ports blocked", unit, want, got)
+            yield CheckRow(f"{name} under {load:g} N, both ports blocked", unit, want, got)
 
 
 def null_creep(load: float, rounding: float = 0.0216) -> tuple[float, float]:
@@ -411,7 +411,7 @@ def null_creep(load: float, rounding: float = 0.0216) -> tuple[float, float]:
 
 
 @_case("e creep", 5e-3)
-def _creep(solver: Solver) -> Iterator[Found]:
+def _creep(solver: Solver) -> Iterator[CheckRow]:
     """e4: the leaking null of a real valve lets the piston creep."""
     for load in (0.0, 1000.0, 2000.0):
         experiment = Experiment(
@@ -422,7 +422,7 @@ def _creep(solver: Solver) -> Iterator[Found]:
         )
         trace = solver.run(experiment)
         name = f"creep of the rounded null under {load:g} N"
-        yield Found(name, "m/s", null_creep(load)[0], _late_speed(trace))
+        yield CheckRow(name, "m/s", null_creep(load)[0], _late_speed(trace))
 
 
 # Kinematic viscosity [cSt] of VG 46 as docs/concepts/physics.md rounds it.
@@ -431,18 +431,18 @@ _GRADES = {"VG 32": (32.0, 5.4), "VG 46": (46.0, 6.8), "VG 68": (68.0, 8.7)}
 
 
 @_case("f viscosity", 1e-9, solvers=(Core(),))
-def _viscosity(core: Core) -> Iterator[Found]:
+def _viscosity(core: Core) -> Iterator[CheckRow]:
     """ASTM D341 for three grades."""
     for grade, (nu_40, nu_100) in _GRADES.items():
         native = core.native(viscosity_40=nu_40 * 1e-6, viscosity_100=nu_100 * 1e-6)
         for celsius in (-20, -10, 0, 10, 20, 30, 40, 50, 60, 70, 80, 100):
             expected, name = walther(celsius, nu_40, nu_100), f"viscosity of {grade}"
             got = native.kinematic_viscosity(float(celsius)) * 1e6
-            yield Found(f"{name} at {celsius} degC", "cSt", expected, got)
+            yield CheckRow(f"{name} at {celsius} degC", "cSt", expected, got)
     native = core.native()
     for celsius, rounded in _TABLE.items():
         got = native.kinematic_viscosity(float(celsius)) * 1e6
-        yield Found(f"VG 46 at {celsius} degC as tabled", "cSt", rounded, got, tolerance=5e-3)
+        yield CheckRow(f"VG 46 at {celsius} degC as tabled", "cSt", rounded, got, tolerance=5e-3)
 
 
 def bulk_modulus(gauge: float, air: float, index: float) -> float:
@@ -454,13 +454,13 @@ def bulk_modulus(gauge: float, air: float, index: float) -> float:
 
 
 @_case("f2 bulk modulus", 1e-9, solvers=(Core(),))
-def _compressibility(core: Core) -> Iterator[Found]:
+def _compressibility(core: Core) -> Iterator[CheckRow]:
     """Bulk modulus of oil with entrained air."""
     for air, index in product((0.005, 0.01, 0.03), (1.0, 1.4)):
         native = core.native(entrained_air=air, polytropic_index=index)
         for bar in (0, 1, 5, 10, 20, 50, 100, 160, 210):
             expected, got = bulk_modulus(bar * 1e5, air, index), native.bulk_modulus(bar * 1e5)
-            yield Found(f"beta at {bar} bar, air {air:.1%}, n = {index:g}", "Pa", expected, got)
+            yield CheckRow(f"beta at {bar} bar, air {air:.1%}, n = {index:g}", "Pa", expected, got)
 
 
 # Both chambers drain, so that pressures stay small beside the friction.
@@ -487,7 +487,7 @@ def steady_friction(v: float) -> float:
 
 
 @_case("g friction", 0.01)
-def _stribeck(solver: Solver) -> Iterator[Found]:
+def _stribeck(solver: Solver) -> Iterator[CheckRow]:
     """Friction at an imposed speed: a huge mass keeps it."""
     for v in (1e-4, 1e-3, 0.003, 0.0141, 0.03, 0.1, 0.5, -0.0141):
         experiment = Experiment(
@@ -500,11 +500,11 @@ def _stribeck(solver: Solver) -> Iterator[Found]:
         )
         trace = solver.run(experiment)
         friction = AREA_A * trace.pressure_a - AREA_B * trace.pressure_b - trace.force
-        yield Found(f"friction at {v:g} m/s", "N", steady_friction(v), np.mean(friction[-5:]))
+        yield CheckRow(f"friction at {v:g} m/s", "N", steady_friction(v), np.mean(friction[-5:]))
 
 
 @_case("g pre-sliding", 0.01)
-def _presliding(solver: Solver) -> Iterator[Found]:
+def _presliding(solver: Solver) -> Iterator[CheckRow]:
     """Displacement under a force of 0.4 F_s raised slowly: -(F_s/sigma_0) ln(1 - F/F_s)."""
     force, static = 60.0, _DRAINED["static"]
     experiment = Experiment(
@@ -513,7 +513,7 @@ def _presliding(solver: Solver) -> Iterator[Found]:
     trace = solver.run(experiment)
     expected = -static / _DRAINED["sigma_0"] * math.log(1 - force / static)
     got = trace.position[-1] - trace.position[0]
-    yield Found(f"displacement before sliding under {force:g} N", "m", expected, got)
+    yield CheckRow(f"displacement before sliding under {force:g} N", "m", expected, got)
 
 
 _WORKING = Experiment(
@@ -534,7 +534,7 @@ def _load_work(trace: Trace) -> float:
 
 
 @_case("h energy", 1e-2)
-def _balance(solver: Solver) -> Iterator[Found]:
+def _balance(solver: Solver) -> Iterator[CheckRow]:
     """E_in = valve + leakage + friction + load work + kinetic + integral of p V/beta dp.
 
     The books of the model close to 1e-6. The fixed step keeps each book by quadrature, and its
@@ -546,11 +546,11 @@ def _balance(solver: Solver) -> Iterator[Found]:
     spent = sum(end[f"energy_{n}"] for n in ("valve", "leakage", "friction", "stored", "load"))
     supplied = end["energy_supply"]
     name = "energy taken in = all that became of it"
-    yield Found(name, "J", supplied, spent, 1e-6 if exact else None)
+    yield CheckRow(name, "J", supplied, spent, 1e-6 if exact else None)
     # The trapezoid over 2000 samples of load and way is good to 1e-6 of the intake.
     tolerance = 1e-5 if exact else None
     name = "piston work = load work + kinetic energy"
-    yield Found(name, "J", _load_work(trace), end["energy_load"], tolerance, supplied)
+    yield CheckRow(name, "J", _load_work(trace), end["energy_load"], tolerance, supplied)
 
 
 def stall_pressure(spool: float, leakage: float, supply: float = SUPPLY_PRESSURE) -> float:
@@ -562,7 +562,7 @@ def stall_pressure(spool: float, leakage: float, supply: float = SUPPLY_PRESSURE
 
 
 @_case("k worn stall", 1e-3)
-def _worn_stall(solver: Solver) -> Iterator[Found]:
+def _worn_stall(solver: Solver) -> Iterator[CheckRow]:
     """Stall pressure that a worn seal leaves."""
     cases = [(1, 40.0, 0.05), (10, 40.0, 0.05), (10, 40.0, 0.2), (50, 40.0, 1.0), (50, 80.0, 1.0)]
     for wear, celsius, spool in cases:
@@ -571,11 +571,11 @@ def _worn_stall(solver: Solver) -> Iterator[Found]:
         held = Experiment(parameters=worn, mass=HELD, command=constant(spool), duration=0.2)
         name = f"pressure A, leakage x{wear} at {celsius:g} degC, x_s = {spool:g}"
         expected = stall_pressure(spool, wear * LEAKAGE / dynamic_viscosity_ratio(celsius))
-        yield Found(name, "Pa", expected, _settled(solver.run(held).pressure_a))
+        yield CheckRow(name, "Pa", expected, _settled(solver.run(held).pressure_a))
 
 
 @_case("valve step", 1e-6, label="valve step")
-def _spool_step(solver: Solver) -> Iterator[Found]:
+def _spool_step(solver: Solver) -> Iterator[CheckRow]:
     """Peak of the second-order spool at 250 Hz and zeta 0.7: 1 + exp(-pi zeta/sqrt(1 - zeta^2))."""
     w, zeta, command = 2 * math.pi * 250.0, 0.7, 0.5
     root = math.sqrt(1 - zeta**2)
@@ -587,11 +587,11 @@ def _spool_step(solver: Solver) -> Iterator[Found]:
     wave = math.cos(phase) + zeta / root * math.sin(phase)
     name = f"largest sample of the spool over the command, at {time * 1e3:.3f} ms"
     expected = 1 - math.exp(-zeta * w * time) * wave
-    yield Found(name, "1", expected, trace.spool[peak] / command)
+    yield CheckRow(name, "1", expected, trace.spool[peak] / command)
 
 
 @_case("null leak", 5e-3, label="null leak")
-def _null_leak(solver: Solver) -> Iterator[Found]:
+def _null_leak(solver: Solver) -> Iterator[CheckRow]:
     """Flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
     for supply in (16e6, 21e6):
         rounded = {**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply}
@@ -599,11 +599,11 @@ def _null_leak(solver: Solver) -> Iterator[Found]:
         held = Experiment(parameters=rounded, mass=HELD, pressures=half, duration=0.1)
         flow = _power(solver.run(held), "energy_supply") / supply * _LPM
         expected = GAIN * 0.0216 * math.sqrt(supply / 2) * _LPM
-        yield Found(f"supply flow at {supply / 1e5:g} bar", "l/min", expected, flow)
+        yield CheckRow(f"supply flow at {supply / 1e5:g} bar", "l/min", expected, flow)
 
 
 @_case("warming", 1e-9, solvers=ENGINES, label="thermal")
-def _warming(engine: Engine) -> Iterator[Found]:
+def _warming(engine: Engine) -> Iterator[CheckRow]:
     """All losses warm the oil: C_T dT = valve + leakage + friction - h A (T - T_amb) dt."""
     capacity = 50.0  # J/K
     parameters = {**_WORKING.parameters, "thermal_capacity": capacity, "heat_transfer": 0.0}
@@ -615,11 +615,11 @@ def _warming(engine: Engine) -> Iterator[Found]:
     at, state = places(model), data.plugin_state
     heat = sum(state[at[f"energy_{name}"]] for name in ("valve", "leakage", "friction"))
     warmer = state[at["oil_temperature"]] - 40.0
-    yield Found(f"warming of {capacity:g} J/K by the losses", "K", heat / capacity, warmer)
+    yield CheckRow(f"warming of {capacity:g} J/K by the losses", "K", heat / capacity, warmer)
 
 
 @_case("supply droop", 5e-3, solvers=ENGINES, label="droop")
-def _droop(engine: Engine) -> Iterator[Found]:
+def _droop(engine: Engine) -> Iterator[CheckRow]:
     """A 0.04 l accumulator, 100 bar gas, falls by n p Q/V_gas while the piston takes A_A x 1 m/s.
 
     Gas pressures are absolute here; the rounded 1.6 bar/ms of docs/concepts/physics.md takes them
@@ -630,9 +630,9 @@ def _droop(engine: Engine) -> Iterator[Found]:
     gas = volume * ((1e7 + _ATMOSPHERE) / absolute) ** (1 / index)
     expected = index * absolute / gas * AREA_A * 1.0
     got = _supply_fall(engine.timestep, volume)
-    yield Found("fall of the supply pressure at 1 m/s, pump off", "Pa/s", expected, got)
+    yield CheckRow("fall of the supply pressure at 1 m/s, pump off", "Pa/s", expected, got)
     name = "the same against 1.575 bar/ms (gauge gas law)"
-    yield Found(name, "Pa/s", 1.57513528e8, got, tolerance=1e-2)
+    yield CheckRow(name, "Pa/s", 1.57513528e8, got, tolerance=1e-2)
 
 
 def _supply_fall(timestep: float, volume: float) -> float:

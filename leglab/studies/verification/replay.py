@@ -4,9 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from leglab.base.recording import Recording
+from leglab.base.scale import rms
 from leglab.data import read
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.replay.replay import Replay
@@ -81,7 +80,7 @@ def replay(
         change.set_parameter(element, parameter, value)
     cut = Thresholds(window=_WINDOW, bin=series[0].period, still_every=1)
     errors = Replay(machine, series, seen, cut, threads=1).error(change).values[:, :, -1]
-    knee, pressure_a, pressure_b = np.sqrt(np.mean(errors**2, axis=0)).tolist()
+    knee, pressure_a, pressure_b = rms(errors, axis=0).tolist()
     return ReplayCheck(name, timestep, knee, pressure_a, pressure_b, len(errors))
 
 
