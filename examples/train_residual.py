@@ -50,6 +50,7 @@ def make(count, arguments, **settings):
         onset=ONSET,
         randomize={"severity": (3.0, 20.0)},
         preview=(),
+        normalize=False,  # the policy's features have scales of their own
         **settings,
     )
 

@@ -25,10 +25,13 @@ from leglab.control import (
     ReferencePoint,
     make_controller,
 )
+from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import CONTROLLERS, diagnostics_of
 from leglab.control.feedforward.adaptive import FeedforwardTeam
+from leglab.control.torque import TorqueLoop, repeated
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
+from leglab.environment.observations import flat_scale, observation_scales
 from leglab.environment.rewards import Reward, Transition
 from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
 from leglab.machine.simulation import SPEED_LIMIT, Simulation
@@ -60,17 +63,21 @@ class Batch:
         preparation: Of the runs.
         episodes: Draws what differs between episodes, one a machine.
         length: Of an episode [s].
-        residual_scale: Command that an action of 1 adds to the controller's; None where the action
-            is the command.
+        residual_scale: Command that an action of 1 adds to the controller's; None without a
+            controller.
+        cylinders: Data sheets, where an action is a torque; None where it is a valve command.
         reward: Of a transition.
         preview: Times ahead of now at which the observation shows the reference [s].
         error_limit: True error of a joint beyond which an episode terminates [rad].
+        normalize: Whether observations are scaled to about one.
         threads: That step machines; None for one a core.
 
     Attributes:
         count: Number of machines.
         joints: Names of the joints.
         observation: As one array of `LegEnv` with `flat_observation=True`, float32.
+        limits: Bounds of an observation, infinite where there is none, (size,).
+        torque_limit: Torque [N m] that an action of 1 stands for, (joints,); None for others.
         command: Commands that were sent last, in [-1, 1], (machines, joints).
         error: True tracking error, position less reference [rad], (machines, joints).
         steps: Control periods since the start of the episodes, (machines,).
@@ -88,9 +95,11 @@ class Batch:
         *,
         length: float,
         residual_scale: float | None,
+        cylinders: NominalCylinders | None,
         reward: Reward,
         preview: Sequence[float],
         error_limit: float,
+        normalize: bool,
         threads: int | None,
     ) -> None:
         self._preparation, self._scale, self._reward = preparation, residual_scale, reward
@@ -118,9 +127,18 @@ class Batch:
         self.terminated, self.truncated = self.diverged.copy(), self.diverged.copy()
         threads = threads or len(os.sched_getaffinity(0))
         self._begin_controller(preparation, threads)
-        parts = 5 + len(self._preview) + 1 + (self._scale is not None) + self._feedforward
-        width = parts * len(self.joints) + self._pressure.shape[1]
-        self.observation = np.zeros((self.count, width), dtype=np.float32)
+        self.torque_limit: np.ndarray | None = None
+        if cylinders is not None:
+            self.torque_limit = TorqueLoop(cylinders, self.period).limit
+            self._torque = TorqueLoop(repeated(cylinders, self.count), self.period)
+        sizes = self._sizes(hydraulic)
+        self._raw = np.zeros((self.count, sum(sizes.values())), dtype=np.float32)
+        self.observation = self._raw
+        self.limits = np.full(self._raw.shape[1], np.inf, dtype=np.float32)
+        self._offset: np.ndarray | None = None
+        if normalize:
+            scales = observation_scales(preparation)
+            self._offset, self._unit, self.limits = flat_scale(scales, sizes)
         slots = [nominal.slots(name) for name in ("pressure_a", "pressure_b")]
         timing = loop_timing(sensors, nominal.model.opt.timestep)
         gain = velocity_filter_coefficient(self.period, sensors.velocity_cutoff) / self.period
@@ -151,7 +169,7 @@ class Batch:
                 "reference_position": self.reference.position,
                 "reference_velocity": self.reference.velocity,
                 "reference_acceleration": self.reference.acceleration,
-                "observation": self.observation,
+                "observation": self._raw,
                 "diverged": self.diverged,
             },
         )
@@ -187,6 +205,8 @@ class Batch:
             self._begin(i)
         self.steps[chosen] = 0
         self.terminated[chosen] = self.truncated[chosen] = False
+        if self.torque_limit is not None:
+            self._torque.reset(np.repeat(chosen, len(self.joints)))
         for values in (self.command, self.previous, self.action):
             values[chosen] = 0.0
         self._command_of_controllers(chosen, first=True)
@@ -222,6 +242,8 @@ class Batch:
             values = np.where(moves[:, None], values, self.action)
         self.action = values.clip(-1.0, 1.0)
         wish = self.action if self._scale is None else self._wish + self._scale * self.action
+        if self.torque_limit is not None:
+            wish = self._command_of_torques(self.action * self.torque_limit, ~moves)
         self.previous, self.command = self.command, wish.clip(-1.0, 1.0)
         if rests is not None:
             self.command[rests] = self.previous[rests]
@@ -421,15 +443,47 @@ class Batch:
             parts.append(self._wish.clip(-1.0, 1.0))
             if self._feedforward:
                 parts.append(self._forward)
-        start = self.observation.shape[1] - joints * len(parts)
+        start = self._raw.shape[1] - joints * len(parts)
         fine = ~self.diverged
         for part in parts:
-            columns = self.observation[:, start : start + joints]
+            columns = self._raw[:, start : start + joints]
             if fine.all():
                 columns[:] = part
             else:  # where a simulation blew up, the last observation stays
                 columns[fine] = part[fine]
             start += joints
+        if self._offset is not None:
+            self.observation = ((self._raw - self._offset) / self._unit).clip(
+                -self.limits, self.limits
+            )
+
+    def _sizes(self, hydraulic: int) -> dict[str, int]:
+        """Numbers of each part of an observation, in their order."""
+        joints = len(self.joints)
+        found = {"position": joints, "velocity": joints}
+        if hydraulic:
+            found |= {"pressure_a": hydraulic, "pressure_b": hydraulic, "supply_pressure": 1}
+        wanted = ("reference_position", "reference_velocity", "reference_acceleration")
+        found |= dict.fromkeys(wanted, joints)
+        found |= {"reference_preview": len(self._preview) * joints, "previous_command": joints}
+        if self._scale is not None:
+            found["controller_command"] = joints
+        if self._feedforward:
+            found["feedforward"] = joints
+        return found
+
+    def _command_of_torques(self, torque: np.ndarray, rests: np.ndarray) -> np.ndarray:
+        """Valve commands for torques [N m], (machines, joints) each, by what was measured last."""
+        joints = len(self.joints)
+        wish = self._torque.command(
+            torque.ravel(),
+            self.position.ravel(),
+            self.velocity.ravel(),
+            np.stack([self._pressure[:, :joints].ravel(), self._pressure[:, joints:-1].ravel()]),
+            np.repeat(self._pressure[:, -1], joints),
+            np.repeat(rests, joints),
+        )
+        return wish.reshape(torque.shape)
 
 
 class ManyMachines(NominalMachine):

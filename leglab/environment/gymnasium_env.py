@@ -10,7 +10,7 @@ from dm_env import TimeStep, specs
 from gymnasium import spaces
 
 from leglab.base.errors import LeglabError, unknown_name
-from leglab.machine.display import LiveWindow, check_display
+from leglab.machine.display import LiveWindow, check_display, has_display
 
 if TYPE_CHECKING:
     from dm_control.rl import control
@@ -63,7 +63,8 @@ class LegEnv(gymnasium.Env):
             )
         if render_mode == "human":
             check_display("render_mode 'human'", 'use render_mode="rgb_array" and MUJOCO_GL=egl')
-        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": FRAME_RATE}
+        shown = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
+        self.metadata = {"render_modes": shown, "render_fps": FRAME_RATE}
         self.render_mode = render_mode
         self._env = env
         cameras = [env.physics.model.ptr.camera(i).name for i in range(env.physics.model.ncam)]

@@ -2,14 +2,18 @@
 
 import importlib
 import math
+import os
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from leglab.base.errors import LeglabError
+from leglab.control.backstepping.data import NominalCylinders
 from leglab.environment.episodes import Draw, Episode, Episodes
 from leglab.environment.rewards import Reward, chosen_reward
+from leglab.machine.display import has_display
 from leglab.runs.preparation import Preparation, RunSettings
 
 if TYPE_CHECKING:
@@ -18,7 +22,7 @@ if TYPE_CHECKING:
 
     from leglab.environment.vector_env import LegVectorEnv
 
-ACTIONS = ("valve", "residual")
+ACTIONS = ("valve", "residual", "torque")
 PREVIEW = (0.02, 0.05, 0.1)
 
 
@@ -46,6 +50,7 @@ def load(
     randomize: Mapping[str, Any] | Draw | None = None,
     preview: Sequence[float] = PREVIEW,
     error_limit: float = math.inf,
+    normalize: bool = True,
     flat_observation: bool = False,
 ) -> "control.Environment":
     """Makes a `dm_control.rl.control.Environment`: one step is one control period.
@@ -54,7 +59,8 @@ def load(
         scenario: Name of the scenario; its changes happen in the episode as in a run.
         model: Name of a model or path of an MJCF file.
         action: "valve": valve commands in [-1, 1]. "residual": `residual_scale` times the action
-            is added to the command of a controller, and the sum clipped to [-1, 1].
+            is added to the command of a controller, and the sum clipped to [-1, 1]. "torque": times
+            `torque_limit` of the task, that of each joint; a loop of force turns it into commands.
         controller: Name of the controller of a residual action; None for static_feedforward.
         controller_config: Its settings.
         residual_scale: Valve command that a residual action of 1 stands for, in (0, 2].
@@ -77,6 +83,8 @@ def load(
             `numpy.random.RandomState` that returns values by these names.
         preview: Times ahead of now at which the observation shows the reference [s].
         error_limit: True error of a joint [rad] beyond which the episode terminates.
+        normalize: Whether observations are numbers of about one, within finite bounds, by
+            `leglab.environment.observations`; without, they are in SI units.
         flat_observation: Whether the observation is one array.
 
     Raises:
@@ -143,13 +151,14 @@ def _plan(
     reference_config: Mapping[str, Any] | None = None,
     preview: Sequence[float] = PREVIEW,
     error_limit: float = math.inf,
+    normalize: bool = True,
     **run: Any,
 ) -> _Plan:
     """Checks settings, as of `load`; `run` are those of a run that pass through."""
     if action not in ACTIONS:
         raise LeglabError(f"action {action!r} is not allowed; choose one of {', '.join(ACTIONS)}")
-    if action == "valve" and (controller is not None or controller_config):
-        raise LeglabError("a controller acts with action='residual' only; here it is 'valve'")
+    if action != "residual" and (controller is not None or controller_config):
+        raise LeglabError(f"a controller acts with action='residual' only; here it is {action!r}")
     if not 0 < residual_scale <= 2:
         raise LeglabError(f"residual_scale {residual_scale!r} is outside (0, 2]")
     if not error_limit > 0:
@@ -170,17 +179,31 @@ def _plan(
     length = Episode(settings=settings, onset=onset).scenario().duration
     # A scenario that is drawn has no duration of its own here.
     base = Episode(settings=replace(settings, duration=length), onset=onset)
+    preparation = Preparation(settings)
     return _Plan(
-        preparation=Preparation(settings),
+        preparation=preparation,
         base=base,
         length=length,
         task={
             "residual_scale": residual_scale if action == "residual" else None,
+            "cylinders": _cylinders(preparation) if action == "torque" else None,
+            "normalize": normalize,
             "reward": chosen_reward(reward),
             "preview": tuple(preview),
             "error_limit": error_limit,
         },
     )
+
+
+def _cylinders(preparation: Preparation) -> NominalCylinders:
+    """Data sheets for torque actions; refuses a machine with other drives."""
+    if preparation.nominal.native:
+        name = next(iter(preparation.nominal.native))
+        raise LeglabError(
+            f"action 'torque' needs cylinders, and actuator {name!r} is none; allowed: 'valve', "
+            "which is the torque of a motor, and 'residual'"
+        )
+    return preparation.controller_setup.machine.cylinders
 
 
 def make_batch(
@@ -262,11 +285,32 @@ def load_gymnasium(
     )
 
 
+def _choose_renderer() -> None:
+    """Has dm_control draw without a display where there is none and MUJOCO_GL does not say how.
+
+    By itself it takes GLFW, with which the first picture ends the process.
+    """
+    if has_display() or os.environ.get("MUJOCO_GL") or "dm_control._render" in sys.modules:
+        return
+    for backend in ("egl", "osmesa"):
+        os.environ["MUJOCO_GL"] = backend
+        try:
+            importlib.import_module("dm_control._render")
+        except Exception:  # Of a library that is not there: PyOpenGL raises several kinds.
+            os.environ.pop("PYOPENGL_PLATFORM", None)  # which dm_control has set
+            continue
+        finally:
+            del os.environ["MUJOCO_GL"]
+        return
+
+
 def _require(module: str) -> None:
     try:
         with warnings.catch_warnings():
-            # Without a display dm_control tries GLFW, which complains, before EGL.
+            # Without a display dm_control tries GLFW, which complains.
             warnings.filterwarnings("ignore", message=".*DISPLAY environment variable")
+            if module.startswith("dm_control"):
+                _choose_renderer()
             importlib.import_module(module)
     except ImportError as error:
         raise LeglabError(

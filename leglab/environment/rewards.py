@@ -48,12 +48,14 @@ Reward = Callable[[Transition], Any]
 def tracking(transition: Transition) -> Any:
     """Mean over the joints of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
-    1 up to 1 mrad, then a Gaussian that is 0.1 at 51 mrad.
+    1 up to 1 mrad, 0.1 at 51 mrad, and a long tail: the 0.001 at half a radian still tells the
+    better of two bad actions.
     """
     from dm_control.utils import rewards
 
     bounds = (-GOOD_ERROR, GOOD_ERROR)
-    return rewards.tolerance(transition.error, bounds, margin=POOR_ERROR).mean(axis=-1)
+    error = transition.error
+    return rewards.tolerance(error, bounds, margin=POOR_ERROR, sigmoid="long_tail").mean(axis=-1)
 
 
 def smooth_tracking(transition: Transition) -> Any:

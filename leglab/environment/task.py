@@ -9,7 +9,10 @@ from dm_env import specs
 
 from leglab.base.errors import LeglabError, SimulationError
 from leglab.base.scenario import Scenario
+from leglab.control.backstepping.data import NominalCylinders
+from leglab.control.torque import TorqueLoop
 from leglab.environment.episodes import Episode, Episodes
+from leglab.environment.observations import observation_scales
 from leglab.environment.physics import LegPhysics
 from leglab.environment.rewards import Reward, Transition
 from leglab.machine.simulation import Simulation
@@ -24,16 +27,19 @@ class TrackingTask(Task):
         preparation: Of the runs.
         simulation: The machine, which the physics shares.
         episodes: Draws what differs between episodes.
-        residual_scale: Valve command that an action of 1 adds to the controller's; None where the
-            action is the command.
+        residual_scale: Valve command that an action of 1 adds to the controller's; None without a
+            controller.
+        cylinders: Data sheets, where an action is a torque; None where it is a valve command.
         reward: Of a transition.
         preview: Times ahead of now at which the observation shows the reference [s].
         error_limit: True error of a joint [rad] beyond which an episode terminates.
+        normalize: Whether observations are scaled to about one.
         flat: Whether the environment makes one array of an observation.
 
     Attributes:
         episode: The present episode.
         diverged: Whether the simulation blew up.
+        torque_limit: Torque [N m] that an action of 1 stands for, (joints,); None for others.
     """
 
     def __init__(
@@ -43,15 +49,20 @@ class TrackingTask(Task):
         episodes: Episodes,
         *,
         residual_scale: float | None,
+        cylinders: NominalCylinders | None,
         reward: Reward,
         preview: tuple[float, ...],
         error_limit: float,
+        normalize: bool,
         flat: bool,
     ) -> None:
         self._preparation, self._simulation, self._episodes = preparation, simulation, episodes
         self._scale, self._reward, self._error_limit = residual_scale, reward, error_limit
         self._flat = flat
+        self._scales = observation_scales(preparation) if normalize else None
         period = preparation.sensors.control_period
+        self._torque = None if cylinders is None else TorqueLoop(cylinders, period)
+        self.torque_limit = None if self._torque is None else self._torque.limit
         self._preview = np.array([round(ahead / period) for ahead in preview], dtype=np.intp)
         self._joints = reference_joints(preparation.nominal)
         self._zero = np.zeros(len(self._joints))
@@ -90,6 +101,8 @@ class TrackingTask(Task):
         """
         self._action = _checked_action(action, len(self._joints))
         wish = self._action if self._scale is None else self._wish + self._scale * self._action
+        if self._torque is not None:
+            wish = self._torque.of(self._action * self._torque.limit, self._period.measurement)
         self._previous = self._command
         self._command = wish.clip(-1.0, 1.0)
         self._loop.act(self._command)
@@ -138,7 +151,10 @@ class TrackingTask(Task):
         return specs.BoundedArray(self._zero.shape, float, -1.0, 1.0, name=names)
 
     def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
-        """Bounds where they are known: of references by the joints, of commands by the valves."""
+        """Bounds of all parts; in SI units of those that are known.
+
+        Of references by the joints, of commands by the valves.
+        """
         low, high = np.array([(joint.lower, joint.upper) for joint in self._joints]).T
         speed = np.array([joint.velocity_limit for joint in self._joints])
         bounds: dict[str, _Bounds] = {
@@ -148,6 +164,8 @@ class TrackingTask(Task):
             "previous_command": (-1.0, 1.0),
             "controller_command": (-1.0, 1.0),
         }
+        if self._scales is not None:
+            bounds = {name: (-scale.limit, scale.limit) for name, scale in self._scales.items()}
         observed = self._observation.items()
         named = collections.OrderedDict((k, _spec(k, v, bounds.get(k))) for k, v in observed)
         return _flat_spec(named) if self._flat else named
@@ -169,6 +187,8 @@ class TrackingTask(Task):
             )
             self.episode = episode
         self.diverged = False
+        if self._torque is not None:
+            self._torque.reset()
         self._action = self._command = self._previous = self._zero
         self._measure()
 
@@ -195,6 +215,9 @@ class TrackingTask(Task):
             feedforward = self._loop.diagnostics().get("feedforward")
             if feedforward is not None:
                 observation["feedforward"] = feedforward.copy()
+        if self._scales is not None:
+            for name, value in observation.items():
+                observation[name] = self._scales[name](value)
         self._observation = observation
 
 
@@ -215,7 +238,8 @@ def _flat_spec(named: Mapping[str, specs.Array]) -> Mapping[str, specs.Array]:
         )
         for end, default in (("minimum", -np.inf), ("maximum", np.inf))
     ]
-    spec = specs.BoundedArray(ends[0].shape, float, *ends, name=FLAT_OBSERVATION_KEY)
+    kind = next(iter(named.values())).dtype
+    spec = specs.BoundedArray(ends[0].shape, kind, *ends, name=FLAT_OBSERVATION_KEY)
     return collections.OrderedDict({FLAT_OBSERVATION_KEY: spec})
 
 

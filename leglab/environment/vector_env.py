@@ -48,8 +48,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
             "autoreset_mode": AUTORESETS[autoreset],
         }
         self._same_step = autoreset == "same_step"
-        size = batch.observation.shape[1]
-        self.single_observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.single_observation_space = spaces.Box(-batch.limits, batch.limits, dtype=np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (len(batch.joints),), np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(
             self.single_observation_space, self.num_envs
@@ -213,9 +212,10 @@ class BatchEnvironment:
         reward = batch.step(action, over if again else None)
         return self._time_step(reward, over)
 
-    def observation_spec(self) -> specs.Array:
+    def observation_spec(self) -> specs.BoundedArray:
         """Of one machine."""
-        return specs.Array(self.batch.observation.shape[1:], np.float32, name="observations")
+        ends = self.batch.limits
+        return specs.BoundedArray(ends.shape, np.float32, -ends, ends, name="observations")
 
     def action_spec(self) -> specs.BoundedArray:
         """Of one machine."""

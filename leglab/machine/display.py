@@ -8,6 +8,11 @@ from typing import Any
 from leglab.base.errors import LeglabError
 
 
+def has_display() -> bool:
+    """Whether the environment names a display; `check_display` tries it."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def check_display(what: str, without: str) -> None:
     """Raises where no window can be opened.
 

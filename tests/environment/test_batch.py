@@ -78,6 +78,8 @@ CASES = {
         "reference": "squat",
         "duration": 0.1,
     },
+    "torques of specimens": {"model": "leg", "action": "torque", "tolerance": 0.1, "duration": 0.2},
+    "in SI units": {**KNEE, "action": "residual", "normalize": False},
     "short periods without latency": {
         **KNEE,
         "control_period": 0.001,

@@ -1,0 +1,96 @@
+"""Valve commands by which cylinders give their joints wanted torques: an inner loop of force."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from leglab.control.backstepping.cylinder import CylinderModel
+from leglab.control.backstepping.data import NominalCylinders
+from leglab.control.contract import Measurement
+
+# Bandwidth of the loop of force times the control period: of a period, half a period of hold, the
+# latency and the valve's own lag, some 30 degrees are left of the turn at the crossover.
+_BANDWIDTH = 0.25
+# Rate of the integral, of the bandwidth.
+_INTEGRAL = 0.3
+_TABLES = ("position", "lever", "piston")
+
+
+class TorqueLoop:
+    """Force loop of all cylinders: oil that enters at a rate closes the error of force.
+
+    dF/dt wanted = w (e + integral of w_i e) at the present speed and leakage, with the error
+    e = torque/lever - F and F = p_A A_A - p_B A_B as measured; the valve equation, solved for the
+    spool, gives the command. The integral makes up for the age of the measured speed, and rests
+    while the valve is open as far as it goes. Friction of seals and joints is not made up for.
+
+    Args:
+        data: Of the nominal machine's cylinders.
+        control_period: [s].
+
+    Attributes:
+        limit: Torque [N m, of slides N] that each joint gets at least, (joints,): supply pressure
+            on the rod side's area, by the largest lever arm.
+    """
+
+    def __init__(self, data: NominalCylinders, control_period: float) -> None:
+        self._model, self._bandwidth = CylinderModel(data), _BANDWIDTH / control_period
+        self._share = _INTEGRAL * _BANDWIDTH  # of an error that the integral takes in a period
+        self._integral = np.zeros(len(data.stroke))
+        self._leakage = np.zeros((3, len(data.stroke)))
+        self._leakage[0] = data.internal_leakage
+        drop = data.supply_pressure - data.tank_pressure
+        self.limit = drop * data.area.min(axis=0) * np.abs(data.lever).max(axis=1)
+
+    def reset(self, joints: np.ndarray | None = None) -> None:
+        """Starts anew: all joints, or those where `joints`, (joints,) of bool, is true."""
+        self._integral[slice(None) if joints is None else joints] = 0.0
+
+    def command(
+        self,
+        torque: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        pressure: np.ndarray,
+        supply_pressure: np.ndarray | float,
+        rests: np.ndarray | bool = False,
+    ) -> np.ndarray:
+        """Valve commands in [-1, 1], (joints,).
+
+        Args:
+            torque: Wanted [N m], (joints,).
+            position: Measured [rad], (joints,).
+            velocity: Measured [rad/s], (joints,).
+            pressure: Measured, cap and rod side [Pa], (2, joints).
+            supply_pressure: Measured [Pa], one or (joints,).
+            rests: Joints whose machine is left alone, (joints,) of bool.
+        """
+        data = self._model.data
+        lever, piston = self._model.geometry(position)
+        chambers = self._model.chambers(pressure, supply_pressure, piston)
+        error = torque / lever - (pressure[0] * data.area[0] - pressure[1] * data.area[1])
+        rate = self._bandwidth * (error + self._integral)
+        rate += self._model.rate_for(lever * velocity, pressure, self._leakage, chambers)
+        spool = self._model.spool_for(rate, chambers, data.lap)
+        self._integral += np.where(rests | (np.abs(spool) >= 1.0), 0.0, self._share * error)
+        return spool.clip(-1.0, 1.0)
+
+    def of(self, torque: np.ndarray, now: Measurement) -> np.ndarray:
+        """As `command`, by a measurement that has pressures."""
+        assert now.pressure_a is not None
+        assert now.pressure_b is not None
+        assert now.supply_pressure is not None
+        pressure = np.stack([now.pressure_a, now.pressure_b])
+        return self.command(torque, now.position, now.velocity, pressure, now.supply_pressure)
+
+
+def repeated(data: NominalCylinders, count: int) -> NominalCylinders:
+    """The data of a machine many times, one behind the other, for all joints of a batch."""
+    rows = {field.name: getattr(data, field.name) for field in fields(data)}
+    return replace(
+        data,
+        **{
+            name: np.tile(value, (count, 1) if name in _TABLES else count)
+            for name, value in rows.items()
+        },
+    )

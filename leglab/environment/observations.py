@@ -1,0 +1,82 @@
+"""Observations as numbers of about one: a scale for each part, and finite bounds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from leglab.runs.preparation import Preparation, reference_joints
+
+LIMIT = 10.0
+"""Scaled observations are clipped there; commands at 1."""
+# An acceleration of 1 reaches the full speed in this time [s].
+_RISE = 0.1
+_COMMANDS = ("previous_command", "controller_command")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scale:
+    """Scale of one part of an observation: (value - offset) / unit, clipped to [-limit, limit].
+
+    Attributes:
+        offset: In the unit of the part, float32, (size,) or () for all alike.
+        unit: Value above the offset that becomes 1, as offset.
+        limit: [1].
+    """
+
+    offset: np.ndarray
+    unit: np.ndarray
+    limit: float
+
+    def __call__(self, value: np.ndarray) -> np.ndarray:
+        """Scales values in SI units, (..., size); float32, in which a batch reckons as well."""
+        scaled = (value.astype(np.float32) - self.offset) / self.unit
+        return scaled.clip(-self.limit, self.limit)
+
+
+def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
+    """Scales of all parts that an observation may have, by the nominal machine.
+
+    Positions by half the joint's range about its middle, speeds by the full speed of its drive,
+    accelerations by that in 0.1 s, pressures by the supply pressure; commands are in [-1, 1].
+    """
+    nominal = preparation.nominal
+    joints = reference_joints(nominal)
+    low, high = np.array([(joint.lower, joint.upper) for joint in joints]).T
+    half = np.where(high > low, (high - low) / 2, 1.0)
+    speed = np.array([joint.velocity_limit for joint in joints])
+    supply = nominal.data.plugin_state[nominal.supply_slot] if nominal.cylinders else 1.0
+    motion = {"position": ((low + high) / 2, half), "velocity": (0.0, speed)}
+    found = {
+        **motion,
+        "pressure_a": (0.0, supply),
+        "pressure_b": (0.0, supply),
+        "supply_pressure": (0.0, supply),
+        **{f"reference_{name}": units for name, units in motion.items()},
+        "reference_acceleration": (0.0, speed / _RISE),
+        "reference_preview": motion["position"],
+        "feedforward": (0.0, 1.0),
+        **dict.fromkeys(_COMMANDS, (0.0, 1.0)),
+    }
+    return {
+        name: Scale(
+            offset=np.asarray(offset, dtype=np.float32),
+            unit=np.asarray(unit, dtype=np.float32),
+            limit=1.0 if name in _COMMANDS else LIMIT,
+        )
+        for name, (offset, unit) in found.items()
+    }
+
+
+def flat_scale(scales: Mapping[str, Scale], sizes: Mapping[str, int]) -> tuple[np.ndarray, ...]:
+    """Offsets, units and limits of an observation that is one array, float32, (size,) each.
+
+    Args:
+        scales: By part.
+        sizes: Numbers of each part, in the order of the observation.
+    """
+    rows = []
+    for name, size in sizes.items():
+        scale = scales[name]
+        rows.append([np.resize(v, size) for v in (scale.offset, scale.unit, scale.limit)])
+    return tuple(np.concatenate(part).astype(np.float32) for part in zip(*rows, strict=True))
