@@ -8,11 +8,9 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import Measurement
 
-# Bandwidth of the loop of force times the control period: of a period, half a period of hold, the
-# latency and the valve's own lag, some 30 degrees are left of the turn at the crossover.
-_BANDWIDTH = 0.25
-# Rate of the integral, of the bandwidth.
-_INTEGRAL = 0.3
+# Bandwidth of the loop of force times the control period, and rate of the integral, of it. The hold,
+# the latency, the valve's lag and the integral leave some 30 degrees at the crossover.
+_BANDWIDTH, _INTEGRAL = 0.4, 0.5
 _TABLES = ("position", "lever", "piston")
 
 

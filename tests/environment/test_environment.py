@@ -213,7 +213,7 @@ def test_an_action_of_one_adds_the_residual_scale_and_valves_clip():
 
 @pytest.mark.parametrize("share", [0.3, -0.3])
 def test_a_torque_is_what_the_cylinder_gives(share):
-    env = load(action="torque", model="knee_bench")
+    env = load("nominal", action="torque", model="knee_bench")
     simulation = env.task._simulation
     (sheet,) = (simulation.cylinder_parameters(name) for name in simulation.actuators)
     area = np.array(Cylinder(sheet).native.areas())
@@ -225,8 +225,7 @@ def test_a_torque_is_what_the_cylinder_gives(share):
         pressure = [state[simulation.slots(f"pressure_{side}")][0] for side in "ab"]
         force = pressure @ (area * [1, -1])
         found.append(force * simulation.levers()[0] / env.task.torque_limit[0])
-    # 0.05 of the limit is what the age of the measured speed costs while the joint accelerates.
-    np.testing.assert_allclose(np.mean(found[20:]), share, atol=0.05)
+    np.testing.assert_allclose(np.mean(found[20:]), share, rtol=0.1)
 
 
 def test_rewards_are_in_range_fall_with_the_error_and_can_be_replaced():
