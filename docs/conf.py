@@ -69,8 +69,9 @@ html_show_copyright = False  # the license says it
 html_static_path = ["_static"]
 html_css_files = ["leglab.css"]
 html_theme_options = {"navigation_with_keys": True}
-pygments_style = "friendly"
-pygments_dark_style = "monokai"
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"
+highlight_language = "none"  # of blocks that name none: terminals and formulas
 copybutton_prompt_text = "$ "
 
 
