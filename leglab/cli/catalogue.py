@@ -11,7 +11,7 @@ from leglab.base import plugins
 from leglab.base.causes import CAUSES
 from leglab.cli.details import show_details
 from leglab.cli.options import Json, Load, load_plugins
-from leglab.cli.terminal import errors, output, print_json
+from leglab.cli.terminal import errors, print_json, print_table
 
 Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
@@ -49,12 +49,12 @@ def list_names(
         for name, summary in entries.items():
             alone = " [dim](--element)[/dim]" if title == "scenarios" and per_joint(name) else ""
             table.add_row(f"  [bold]{name}[/bold]", summary + alone)
-        output.print(table)
+        print_table(table)
     table = Table(*_CAUSE_HEAD, title="causes", title_justify="left", box=None)
     for cause in CAUSES:
         live, *others = vars(cause).values()
         table.add_row(f"  [bold]{live}[/bold]", *map(escape, others))
-    output.print(table)
+    print_table(table)
 
 
 def parameters(
@@ -83,7 +83,7 @@ def parameters(
         for row in entry.parameters.values():
             default = "required" if row.nominal != row.nominal else f"{row.nominal:g}"
             table.add_row(row.name, default, escape(row.allowed), escape(row.description))
-        output.print(table)
+        print_table(table)
 
 
 def summaries() -> dict[str, dict[str, str]]:

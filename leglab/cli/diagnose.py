@@ -15,7 +15,7 @@ from leglab.cli.options import (
     Overwrite,
     load_plugins,
 )
-from leglab.cli.terminal import output, print_json, progress, tell
+from leglab.cli.terminal import output, print_json, print_table, progress, tell
 
 
 def diagnose(
@@ -97,7 +97,7 @@ def diagnose(
     for line in smaller_words(result):
         output.print(line, markup=False, highlight=False)
     for table in results.summary_tables(result):
-        output.print(table)
+        print_table(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
     tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")

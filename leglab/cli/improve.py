@@ -11,7 +11,7 @@ from rich.table import Table
 
 from leglab.base.output import check_apart, check_folder, new_folder, write_atomically
 from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings, load_plugins
-from leglab.cli.terminal import output, print_json, progress
+from leglab.cli.terminal import output, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from leglab.diagnosis.improve import Improvement
@@ -62,7 +62,7 @@ def improve(
         print_json(result.to_json(), ascii_only=False)
         return
     output.print(result.words, markup=False, highlight=False)
-    output.print(_table(result))
+    print_table(_table(result))
     if better is None:
         output.print("no improved.xml: no gain on held-out recordings", markup=False)
     else:

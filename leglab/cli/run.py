@@ -69,7 +69,7 @@ def run(
     if as_json:
         terminal.print_json(result.metrics)
     else:
-        terminal.output.print(terminal.metrics_table(result.metrics))
+        terminal.print_table(terminal.metrics_table(result.metrics))
         notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
         for line in [*terminal.fault_lines(result.metrics), *notes]:
             terminal.output.print(line, soft_wrap=True)

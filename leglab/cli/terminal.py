@@ -17,6 +17,8 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from leglab.base.tables import print_whole
+
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 # What a terminal would obey: C0 but tab and newline, DEL, C1, and what turns the reading direction.
@@ -79,9 +81,14 @@ _NAME = 30  # characters of a name that a table keeps on one line
 _Made = TypeVar("_Made")
 
 
+def print_table(table: Table, usual: int = 0) -> None:
+    """Prints a table in full, as `leglab.base.tables.print_whole`."""
+    print_whole(output, table, usual=usual)
+
+
 def print_wide(table: Table) -> None:
-    """Prints a table in full, in a terminal or a file that is too narrow as well."""
-    _Harmless(highlight=False, width=max(output.width, _WIDE)).print(table)
+    """Prints a table that is better read in long lines, in full."""
+    print_table(table, _WIDE)
 
 
 def print_answer(names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -8,8 +8,8 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import Measurement
 
-# Bandwidth of the loop of force times the control period, and rate of the integral, of it. The hold,
-# the latency, the valve's lag and the integral leave some 30 degrees at the crossover.
+# Bandwidth of the loop of force times the control period, and rate of the integral, of it. Hold,
+# latency, the valve's lag and the integral leave some 30 degrees at the crossover.
 _BANDWIDTH, _INTEGRAL = 0.4, 0.5
 _TABLES = ("position", "lever", "piston")
 

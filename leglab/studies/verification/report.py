@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from leglab.base.errors import LeglabError
+from leglab.base.tables import print_whole
 from leglab.studies.shared_data import shared_data
 from leglab.studies.verification.cases import CASES, Check
 from leglab.studies.verification.replay import LIMITS, ReplayCheck, replay_all
@@ -116,9 +117,12 @@ def verify(*, full: bool = True, console: Console | None = None) -> bool:
         out = Console(width=160)  # a file or a pipe: keep rows on one line
     rows, replays, left_out = _run()
     if full:
-        out.print(_row_table(rows))
-    out.print(_summary(rows))
-    out.print(f"Replay of recordings left out: {left_out}" if left_out else _replay_table(replays))
+        print_whole(out, _row_table(rows))
+    print_whole(out, _summary(rows))
+    if left_out:
+        out.print(f"Replay of recordings left out: {left_out}")
+    else:
+        print_whole(out, _replay_table(replays))
     return _passed(rows, replays)
 
 
