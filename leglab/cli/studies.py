@@ -44,8 +44,9 @@ def tune(
         tuned_rows,
     )
 
-    with progress("tuning") as show:
-        tables = tuned_rows(models or list(TUNED_MODELS), lambda label: show(description=label))
+    names = models or list(TUNED_MODELS)
+    make = partial(tuned_rows, names)
+    tables = make_many("tuning", 0, make, "joints", resumes=False)
     if write:
         store_gains(tables)
         (errors if as_json else output).print(f"written to {GAINS_FILE}")

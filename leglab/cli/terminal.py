@@ -1,11 +1,13 @@
 """Consoles, exit statuses, progress bars and tables of the commands."""
 
 import json
+import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import typer
@@ -77,6 +79,7 @@ def complain(text: str, kind: str = "error") -> None:
 
 
 _WIDE = 120  # characters
+_SILENCE = 30.0  # s after which a file or pipe gets a line about how far a command is
 _NAME = 30  # characters of a name that a table keeps on one line
 _Made = TypeVar("_Made")
 
@@ -115,56 +118,124 @@ def print_json(content: Any, *, ascii_only: bool = True) -> None:
 
 
 @contextmanager
-def progress(label: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """Shows a bar on stderr that leaves nothing behind.
+def progress(
+    label: str, total: float | None = None, unit: str = ""
+) -> Iterator[Callable[..., None]]:
+    """Shows on stderr how far a command is.
+
+    A terminal has a bar that leaves nothing behind, a file or pipe a line every half a minute.
 
     Args:
         label: What is done.
         total: Amount that is all; None where it is not known.
+        unit: What is counted, such as "runs"; without one, the amount is no number of things.
 
     Yields:
-        Moves the bar; takes `completed`, `total` and `description` by name.
+        Tells how far it is; takes `completed`, `total` and `description` by name.
     """
+    state = _State(label=label, total=total, unit=unit)
+    if not errors.is_terminal:
+        spoken = time.monotonic()
+
+        def line(**changes: Any) -> None:
+            nonlocal spoken
+            state.change(**changes)
+            if time.monotonic() - spoken >= _SILENCE:
+                spoken = time.monotonic()
+                errors.print(state.told(), markup=False)
+
+        yield line
+        return
     from rich import progress as rich  # help and completion do without it
 
-    class Bar(rich.Progress):
-        def stop(self) -> None:
-            # The library prints an empty line here where there is no terminal.
-            self.live.stop()
+    columns = (rich.TextColumn("{task.description}", markup=False), rich.BarColumn())
+    with rich.Progress(*columns, console=errors, transient=True) as bar:
+        task = bar.add_task(state.told(), total=total)
 
-    label_column = rich.TextColumn("{task.description}", markup=False)
-    columns = (label_column, rich.BarColumn(), rich.TaskProgressColumn())
-    with Bar(*columns, rich.TimeRemainingColumn(), console=errors, transient=True) as bar:
-        yield partial(bar.update, bar.add_task(label, total=total))
+        def update(**changes: Any) -> None:
+            state.change(**changes)
+            bar.update(task, description=state.told(), completed=state.completed, total=state.total)
+
+        yield update
 
 
-def make_many(label: str, total: int, make: Callable[..., _Made]) -> _Made:
-    """Makes many runs with a bar.
+@dataclass
+class _State:
+    """How far a command is, and since when [s]."""
+
+    label: str
+    total: float | None
+    unit: str
+    completed: float = 0.0
+    begun: tuple[float, float] | None = None
+
+    def change(
+        self,
+        *,
+        completed: float | None = None,
+        total: float | None = None,
+        description: str | None = None,
+    ) -> None:
+        self.label = self.label if description is None else description
+        self.total = self.total if total is None else total
+        if completed is not None:
+            self.completed = completed
+            if self.begun is None:  # What was there before took no time now.
+                self.begun = time.monotonic(), completed
+
+    def told(self) -> str:
+        """Such as "seal_wear, pd: 13 of 28 runs, 2 min left"."""
+        parts = []
+        if self.total and self.unit:
+            parts.append(f"{self.completed:g} of {self.total:g} {self.unit}")
+        elif self.total and self.completed:
+            parts.append(f"{self.completed / self.total:.0%}")
+        if left := self._left():
+            parts.append(left)
+        return f"{self.label}: {', '.join(parts)}" if parts else self.label
+
+    def _left(self) -> str:
+        if self.begun is None or self.total is None or self.completed <= self.begun[1]:
+            return ""
+        took, made = time.monotonic() - self.begun[0], self.completed - self.begun[1]
+        seconds = took / made * (self.total - self.completed)
+        if seconds < 1 or took < 1:
+            return ""
+        for limit, unit, name in ((90, 1, "s"), (5400, 60, "min"), (math.inf, 3600, "h")):
+            if seconds < limit:
+                return f"{math.ceil(seconds / unit)} {name} left"
+        return ""
+
+
+def make_many(
+    label: str, total: int, make: Callable[..., _Made], unit: str = "runs", *, resumes: bool = True
+) -> _Made:
+    """Makes many runs and shows how many there are.
 
     Args:
         label: What is done.
         total: Number of runs.
         make: Makes them; `progress` is called with the number of runs that are done, that of all,
             and the name of the last one.
+        unit: What they are.
+        resumes: Whether the same command goes on where this one was interrupted.
 
     Raises:
         typer.Exit: The user interrupts; the number of finished runs is told.
     """
-    finished = 0
+    finished, whole = 0, total
     try:
-        with progress(label, total) as show:
+        with progress(label, total, unit) as show:
 
             def tell(done: int, total: int, name: str) -> None:
-                nonlocal finished
-                finished = done
+                nonlocal finished, whole
+                finished, whole = done, total
                 show(completed=done, total=total, description=name or label)
 
             return make(progress=tell)
     except KeyboardInterrupt:
-        errors.print(
-            f"[red]interrupted[/red] after {finished} of {total} runs: "
-            "the same command goes on from there"
-        )
+        on = ": the same command goes on from there" if resumes else ""
+        errors.print(f"[red]interrupted[/red] after {finished} of {whole} {unit}{on}")
         raise typer.Exit(INTERRUPTED) from None
 
 

@@ -398,23 +398,26 @@ def _round_down(value: float) -> float:
     return float(f"{math.floor(value / scale) * scale:.3g}")
 
 
-def tuned_rows(models: Sequence[str], progress: Callable[[str], None]) -> dict[str, dict]:
+def tuned_rows(models: Sequence[str], progress: Callable[[int, int, str], None]) -> dict[str, dict]:
     """Tunes models; the content of `GAINS_FILE` by model.
 
     Args:
         models: Names or paths.
-        progress: Called before each joint with its model and name.
+        progress: Called before each joint with the number of those that are done, that of all, and
+            its model and name.
 
     Raises:
         LeglabError: A model cannot be loaded.
     """
     machines = {model: Simulation(load_model(model)) for model in models}
+    total, done = sum(len(machine.joints) for machine in machines.values()), 0
     found: dict[str, dict] = {}
     for model, machine in machines.items():
         sensors = in_whole_steps(SensorConfiguration(), machine.model.opt.timestep)
         rows = {}
         for i, joint in enumerate(machine.joints):
-            progress(f"{model} {joint}")
+            progress(done, total, f"tuning {model}, {joint}")
+            done += 1
             machine.reset()
             gains = tune(machine, i, sensors=sensors)
             rows[joint] = {k: float(f"{getattr(gains, k):{_FORMAT[k]}}") for k in _FORMAT}
