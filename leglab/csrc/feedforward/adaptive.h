@@ -10,7 +10,7 @@
 #include "feedforward/kept_samples.h"
 #include "feedforward/motion.h"
 #include "feedforward/plays.h"
-#include "feedforward/pressure_valve.h"
+#include "feedforward/pressure_cascade.h"
 #include "feedforward/proof.h"
 #include "feedforward/supervisor.h"
 #include "feedforward/valve_table.h"
@@ -54,12 +54,6 @@ struct Reference {
   const double *position, *velocity, *acceleration;  // [rad], [rad/s], [rad/s^2]
 };
 
-// Measured pressures [Pa]; none where `a` is null.
-struct Pressures {
-  const double *a = nullptr, *b = nullptr;
-  double supply = 0.0;
-};
-
 // What one control period gives; arrays of one value a joint.
 struct Period {
   double *command, *feedforward, *feedback;
@@ -72,9 +66,7 @@ struct Period {
 // leaks, is compressed or is lost to load. The calibrated valve map turns flow into command and
 // back, so a model that says zero is the calibration, and an error of the model is an error of
 // speed, which is what the joint integrates.
-// With data sheets and measured pressures it is a cascade: a second map, learned from the measured
-// load, gives the load that a motion takes; the valve's equation at the pressures of that load takes
-// the place of the calibrated map, and what its leak paths lose are further inputs of the first.
+// With data sheets and measured pressures it is a `PressureCascade`.
 class AdaptiveFeedforward {
  public:
   using Learner = identification::SplineNarx<double>;
@@ -83,7 +75,7 @@ class AdaptiveFeedforward {
                       ReferenceMotion reference, std::vector<ValveTable> tables,
                       std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
-        reference_(std::move(reference)), tables_(std::move(tables)), valves_(std::move(valves)),
+        reference_(std::move(reference)), tables_(std::move(tables)), cascade_(std::move(valves)),
         supervisor_(supervision()),
         contenders_(contest()),
         plays_(plays(), window_, tables_.size()) {
@@ -91,7 +83,6 @@ class AdaptiveFeedforward {
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = last_ = before_last_ = std::vector<double>(n);
     seen_position_ = seen_velocity_ = feedforward_;
-    pressure_a_ = pressure_b_ = middle_a_ = middle_b_ = middle_command_ = feedforward_;
   }
 
   // The second map is needed where pressures are measured, the third where there are plays.
@@ -99,8 +90,7 @@ class AdaptiveFeedforward {
              std::vector<Learner*> slope_learners = {}) {
     learners_ = std::move(learners);
     slope_learners_ = std::move(slope_learners);
-    load_learners_ = std::move(load_learners);
-    supply_ = 0.0;
+    cascade_.reset(std::move(load_learners));
     window_.clear();
     reference_.clear();
     for (auto* values : {&feedforward_, &error_, &sent_}) {
@@ -162,7 +152,7 @@ class AdaptiveFeedforward {
   // without a measurement the command is the feed-forward alone.
   void step(double time, const double* measured, const double* measured_velocity,
             const Reference& reference, const Period& out, const Pressures& pressures = {}) {
-    if (!valves_.empty()) read(pressures);
+    if (cascade_.any()) cascade_.read(pressures);
     learn(time, measured);
     reference_.take(reference.position, reference.velocity, reference.acceleration,
                     motion_.data(), seen_position_.data(), seen_velocity_.data());
@@ -172,9 +162,9 @@ class AdaptiveFeedforward {
       const std::size_t j = std::size_t(i);
       const double share = map_.share(i);
       const ValveTable& table = tables_[j];
-      const double learned = allowed(valves_.empty()
-                                         ? table.command(motion_[j], wanted_flow(i, share))
-                                         : wanted_command(i, share));
+      const double learned =
+          allowed(cascade_.any() ? wanted_command(i, share)
+                                 : table.command(motion_[j], wanted_flow(i, share)));
       const double calibrated = allowed(table.command(motion_[j], share));
       if (settings_.supervised) {
         supervisor_.take(j, measured[j] - seen_position_[j],
@@ -211,6 +201,14 @@ class AdaptiveFeedforward {
       flow = share + excess(std::size_t(i));
     }
     return flow;
+  }
+
+  // Command for a motion, with pressures.
+  double wanted_command(int i, double share) {
+    const std::size_t j = std::size_t(i);
+    map_.inputs(i, share, inputs_);
+    return cascade_.command(j, motion_[j], inputs_, map_.inputs(),
+                            [&] { return share + excess(j); });
   }
 
   // Flow beyond that of the motion itself for the inputs, as a share of full speed.
@@ -262,52 +260,14 @@ class AdaptiveFeedforward {
     return out;
   }
 
-  // The same with pressures, and the command for it.
-  double wanted_command(int i, double share) {
-    const std::size_t j = std::size_t(i);
-    map_.inputs(i, share, inputs_);
-    const ChamberPressures now{pressure_a_[j], pressure_b_[j]};
-    const PressureValve::Place at = valves_[j].at(motion_[j], now, supply_);
-    const ChamberPressures expected = expect(j, at, now);
-    return valves_[j].command(at, expected, share + excess(j));
-  }
-
-  // Pressures under the load that the second map gives for the inputs; their leaks join the inputs.
-  // With the measured load the inverse of the valve would take away, late, the damping that valve
-  // and leakage give the oil spring; the common mode of the chambers can be measured.
-  ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
-                          const ChamberPressures& measured) {
-    const double load = load_learners_[j]->peek(inputs_);
-    const ChamberPressures expected = valves_[j].with_load(at, measured, load);
-    valves_[j].leak(at, expected, inputs_ + map_.inputs());
-    return expected;
-  }
-
-  // Takes pressures; the last ones where a reading is lost.
-  void read(const Pressures& now) {
-    const auto keep = [](double value, double& last) {
-      if (std::isfinite(value)) last = value;
-    };
-    for (std::size_t j = 0; j < tables_.size(); ++j) {
-      keep(now.a[j], pressure_a_[j]);
-      keep(now.b[j], pressure_b_[j]);
-    }
-    keep(now.supply, supply_);
-  }
-
   double allowed(double command) const {
     return std::clamp(command, -settings_.limit, settings_.limit);
   }
 
   void learn(double time, const double* position) {
     for (std::size_t j = 0; j < tables_.size(); ++j) {
-      if (valves_.empty()) {
-        flow_[j] = tables_[j].share(position[j], sent_[j]);
-        continue;
-      }
-      const ChamberPressures now{pressure_a_[j], pressure_b_[j]};
-      const PressureValve& valve = valves_[j];
-      flow_[j] = valve.share(valve.at(position[j], now, supply_), now, sent_[j]);
+      flow_[j] = cascade_.any() ? cascade_.share(j, position[j], sent_[j])
+                                : tables_[j].share(position[j], sent_[j]);
     }
     if (jumps(position)) {
       window_.clear();
@@ -319,7 +279,7 @@ class AdaptiveFeedforward {
         return tables_[j].share(position[j], spool);
       });
     }
-    if (!valves_.empty()) window_.push_pressures(pressure_a_.data(), pressure_b_.data());
+    if (cascade_.any()) cascade_.push(window_);
     ++count_;
     const bool stopped = frozen_ || time >= settings_.stop_time;
     if (count_ % settings_.interval || stopped || !window_.full()) return;
@@ -327,9 +287,7 @@ class AdaptiveFeedforward {
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
     if (plays_.any()) plays_.middle();
-    if (!valves_.empty()) {
-      window_.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
-    }
+    if (cascade_.any()) cascade_.middle(window_);
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
     contenders_.judge();
     kept_.next();
@@ -357,7 +315,9 @@ class AdaptiveFeedforward {
     const bool usable = window_.largest_command(i) < settings_.saturation &&
                         motion_[j] > settings_.learn_lower[j] &&
                         motion_[j] < settings_.learn_upper[j];
-    if (!valves_.empty()) excess += learn_load(j, usable);
+    if (cascade_.any()) {
+      excess += cascade_.learn(j, motion_[j], inputs_, map_.inputs(), usable);
+    }
     const auto learned = learners_[j]->state().learned;
     const double predicted = learners_[j]->update(inputs_, excess, usable);
     error_[j] = usable ? excess - predicted : 0.0;
@@ -384,27 +344,13 @@ class AdaptiveFeedforward {
     for (int k = 0; k < learners_[j]->parameters(); ++k) theta[k] += by * told.rls().theta()[k];
   }
 
-  // The second map learns. Returns the flow of the sample's command at the pressures that this map
-  // expects, beyond that at the measured ones: the first map learns for the pressures that its
-  // answer is used with.
-  double learn_load(std::size_t j, bool usable) {
-    const PressureValve& valve = valves_[j];
-    const ChamberPressures measured{middle_a_[j], middle_b_[j]};
-    const PressureValve::Place at = valve.at(motion_[j], measured, supply_);
-    const ChamberPressures expected = expect(j, at, measured);
-    const double command = middle_command_[j];
-    const double excess = valve.share(at, expected, command) - valve.share(at, measured, command);
-    load_learners_[j]->update(inputs_, valve.load(at, measured), usable);
-    return excess;
-  }
-
   AdaptiveSettings settings_;
   InverseMap map_;
   SmoothingWindow window_;
   ReferenceMotion reference_;
   std::vector<ValveTable> tables_;
-  std::vector<PressureValve> valves_;  // none without pressures
-  std::vector<Learner*> learners_, load_learners_, slope_learners_;
+  PressureCascade<Learner> cascade_;
+  std::vector<Learner*> learners_, slope_learners_;
   std::vector<Proof> proofs_;
   Supervisor supervisor_;
   Contenders<Learner> contenders_;
@@ -413,9 +359,6 @@ class AdaptiveFeedforward {
   std::vector<double> motion_, feedforward_, error_, sent_, flow_;
   std::vector<double> last_, before_last_;  // readings [rad]
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
-  std::vector<double> pressure_a_, pressure_b_;  // last readings [Pa]
-  std::vector<double> middle_a_, middle_b_, middle_command_;
-  double supply_ = 0.0;
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   KeptSamples kept_;
   long count_ = 0;

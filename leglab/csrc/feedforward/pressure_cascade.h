@@ -1,0 +1,104 @@
+// The load that a motion takes, and the valves' inverse at the pressures of that load.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "feedforward/motion.h"
+#include "feedforward/pressure_valve.h"
+
+namespace leglab::feedforward {
+
+// Measured pressures [Pa]; none where `a` is null.
+struct Pressures {
+  const double *a = nullptr, *b = nullptr;
+  double supply = 0.0;
+};
+
+// With data sheets and measured pressures the feed-forward is a cascade: a second map, learned from
+// the measured load, gives the load that a motion takes; the valve's equation at the pressures of
+// that load takes the place of the calibrated map, and what its leak paths lose are further inputs
+// of the first.
+template <class Learner>
+class PressureCascade {
+ public:
+  explicit PressureCascade(std::vector<PressureValve> valves)
+      : valves_(std::move(valves)), a_(valves_.size()), b_(a_), middle_a_(a_), middle_b_(a_),
+        middle_command_(a_) {}
+
+  bool any() const { return !valves_.empty(); }
+
+  // The maps from motion to load.
+  void reset(std::vector<Learner*> loads) {
+    loads_ = std::move(loads);
+    supply_ = 0.0;
+  }
+
+  // Takes pressures; the last ones where a reading is lost.
+  void read(const Pressures& now) {
+    const auto keep = [](double value, double& last) {
+      if (std::isfinite(value)) last = value;
+    };
+    for (std::size_t j = 0; j < valves_.size(); ++j) {
+      keep(now.a[j], a_[j]);
+      keep(now.b[j], b_[j]);
+    }
+    keep(now.supply, supply_);
+  }
+
+  // Flow of a command at the last pressures [share of full speed].
+  double share(std::size_t j, double position, double command) const {
+    const ChamberPressures now{a_[j], b_[j]};
+    return valves_[j].share(valves_[j].at(position, now, supply_), now, command);
+  }
+
+  // The last pressures join a window; those in its middle are what `learn` takes.
+  void push(SmoothingWindow& window) const { window.push_pressures(a_.data(), b_.data()); }
+  void middle(const SmoothingWindow& window) {
+    window.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
+  }
+
+  // Command for a flow beyond that of the motion. `inputs` are `count` of the motion; the leaks join
+  // them before `flow()` is asked.
+  template <class Flow>
+  double command(std::size_t j, double position, double* inputs, int count, Flow flow) {
+    const ChamberPressures now{a_[j], b_[j]};
+    const PressureValve::Place at = valves_[j].at(position, now, supply_);
+    const ChamberPressures expected = expect(j, at, now, inputs, count);
+    return valves_[j].command(at, expected, flow());
+  }
+
+  // The second map learns from the middle of the window, and the leaks join the inputs. Returns the
+  // flow of the sample's command at the pressures that this map expects, beyond that at the measured
+  // ones: the first map learns for the pressures that its answer is used with.
+  double learn(std::size_t j, double position, double* inputs, int count, bool usable) {
+    const PressureValve& valve = valves_[j];
+    const ChamberPressures measured{middle_a_[j], middle_b_[j]};
+    const PressureValve::Place at = valve.at(position, measured, supply_);
+    const ChamberPressures expected = expect(j, at, measured, inputs, count);
+    const double command = middle_command_[j];
+    const double excess = valve.share(at, expected, command) - valve.share(at, measured, command);
+    loads_[j]->update(inputs, valve.load(at, measured), usable);
+    return excess;
+  }
+
+ private:
+  // Pressures under the load that the second map gives for the inputs.
+  // With the measured load the inverse of the valve would take away, late, the damping that valve
+  // and leakage give the oil spring; the common mode of the chambers can be measured.
+  ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
+                          const ChamberPressures& measured, double* inputs, int count) const {
+    const double load = loads_[j]->peek(inputs);
+    const ChamberPressures expected = valves_[j].with_load(at, measured, load);
+    valves_[j].leak(at, expected, inputs + count);
+    return expected;
+  }
+
+  std::vector<PressureValve> valves_;  // none without pressures
+  std::vector<Learner*> loads_;
+  std::vector<double> a_, b_;  // last readings [Pa]
+  std::vector<double> middle_a_, middle_b_, middle_command_;
+  double supply_ = 0.0;
+};
+
+}  // namespace leglab::feedforward
