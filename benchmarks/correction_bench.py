@@ -14,8 +14,8 @@ from joblib import Parallel, delayed
 
 from benchmarks import results
 from benchmarks.specimens import window_rms
-from leglab.control.feedforward.fault_bank import UNKNOWN as UNNAMED
-from leglab.control.feedforward.fault_monitor import Event
+from leglab.base.fault_names import UNKNOWN as UNNAMED
+from leglab.base.fault_names import FaultEvent
 from leglab.runs.fault_simulation import kind
 from leglab.runs.metrics import sliding_rms
 from rigs.closed_loop import bench_loop, bench_settings
@@ -106,7 +106,7 @@ def judged(case: tuple[str, str, bool, int]) -> dict[str, Any]:
     return found
 
 
-def _said(events: list[Event], fault: str) -> dict[str, Any]:
+def _said(events: list[FaultEvent], fault: str) -> dict[str, Any]:
     """The last name in force after the change, and whether it is right, alone or among others."""
     names = [e.names[-1] for e in events if e.withdrawn is None and e.names[-1].time >= CHANGE]
     if not names or names[-1].fault == UNNAMED:

@@ -15,8 +15,9 @@ from typing import Any
 from benchmarks import results
 from benchmarks.specimens import window_rms
 from leglab import RunSettings
+from leglab.base.fault_names import FaultTrend
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
-from leglab.control.feedforward.health import HealthMonitor, Trend
+from leglab.control.feedforward.health import HealthMonitor
 from leglab.machine.simulation import Simulation
 from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop
@@ -72,7 +73,7 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
         "faults": [f"{t.fault} {t.element}" for t in health.trends if not t.condition],
     }
     if label not in WEAR or last is None:
-        return found | {"last": last and vars(last)}
+        return found | {"last": last and last.model_dump()}
     rate = (WEAR[label][2] - _healthy(scenario)) / RAMP
     first = health.trends[0]
     at_naming = window_rms(history.error, history.time, first.time - 2 * STRIDE, first.time)
@@ -97,12 +98,12 @@ def _begun(
                 yield replace(cut, start=START, ramp_duration=span)
 
 
-def _judged(last: Trend, scenario: str, element: str | None, rate: float) -> dict[str, Any]:
+def _judged(last: FaultTrend, scenario: str, element: str | None, rate: float) -> dict[str, Any]:
     """What was said last beside what is true."""
     healthy = _healthy(scenario)
     size = healthy + rate * (last.seen - START)
     right = last.fault == scenario and last.element == (element or "all")
-    found: dict[str, Any] = {"right": right, "size": size, "last": vars(last)}
+    found: dict[str, Any] = {"right": right, "size": size, "last": last.model_dump()}
     if right and last.end_of_life is not None:
         found["remaining"] = (last.end_of_life - size) / rate
     return found

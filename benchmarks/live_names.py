@@ -19,9 +19,8 @@ from benchmarks import results
 from benchmarks.specimens import window_rms
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import ALL, UNKNOWN, FaultEvent
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN
-from leglab.control.feedforward.fault_monitor import Event
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_simulation import FAULTS, kind
 from leglab.runs.loop import Loop
@@ -137,7 +136,7 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
     return found
 
 
-def _told(events: list[Event], fault: str, element: str, change: float) -> dict[str, Any]:
+def _told(events: list[FaultEvent], fault: str, element: str, change: float) -> dict[str, Any]:
     """What was said by when: confidence, and whether fault and element were right."""
     names = [name for event in events for name in event.names if name.time >= change]
     told: dict[str, Any] = {

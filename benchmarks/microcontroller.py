@@ -28,6 +28,7 @@ from leglab._native.monitor import Monitor
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.fault_monitor import MonitorConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
+from leglab.control.feedforward.judge import judge
 from leglab.control.feedforward.motion import smoothing_kernel
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration
 from leglab.runs.fault_simulation import cases
@@ -303,7 +304,7 @@ def _hand_over(machine: Machine, bank: FaultBank) -> None:
         row[: len(curve.sizes)] = curve.sizes
     machine.write("bank_sizes", sizes)
     machine.write("bank_nodes", [len(curve.sizes) for curve in bank.curves])
-    machine.write("bank_group", bank.group)
+    machine.write("bank_group", bank.group, "<i4")
     machine.write("bank_curves", [len(bank.curves)], "<u4")
     machine.write("bank_keys", [len(bank.keys)], "<u4")
     machine.write("bank_shifts", np.concatenate([c.shifts[1:] for c in bank.curves]), "<f4")
@@ -319,7 +320,7 @@ class _Twin:
         numbers = {"sample_period": 2 / RATE, "passing": 0.06, "blocks": 25, "most_samples": BLOCK}
         self.core = Monitor(
             *self._shape,
-            {**config, **numbers, "most_curves": MOST_CURVES, "most_keys": MOST_CURVES},
+            {**config, **numbers, "most_curves": MOST_CURVES},
         )
         self.core.reset(150)
 
@@ -333,12 +334,18 @@ class _Twin:
             learned.reshape(joints, parameters),
         )
 
+    def look(self) -> None:
+        discrepancy = MonitorConfiguration().discrepancy
+        self._fit = self._bank.fit(self.core.look(), self.core.normal(), discrepancy)
+
     def difference(self) -> float:
         """Of the findings of both, the largest against their own size or the cost without."""
-        without, noise, sizes, spreads, costs, chances = self.core.finding()
-        best = int(np.argmin(costs))
-        named = sizes[best], spreads[best], costs[best]
-        here = np.array([best, *named, without, noise, chances[self._bank.group[best]]])
+        fit = self._fit
+        judged = judge(self._bank, [fit], MonitorConfiguration())
+        best = judged.best
+        named = fit.size[best], fit.spread[best], fit.cost[best]
+        chance = judged.chance[self._bank.group[best]]
+        here = np.array([best, *named, fit.without, fit.noise, chance])
         there = self._machine.numbers("found", 7)
         scale = np.abs(here)
         scale[3] = here[4]  # what is left is a difference
@@ -384,13 +391,12 @@ def _run(
                 rows["sum_sample"].append(machine.executed())
         if not looking and machine.number("time_now") > machine.number("onset") + 0.09:
             call("begin_look", "begin_look")
-            twin.core.begin_look(bank.core)
+            twin.look()
             looking = True
         for _ in range(FITTED if looking else 0):
             call("fit_curve", "fit_curve")
             if machine.unsigned("look_done"):
                 call("find", "find")
-                twin.core.look()
                 differences.append(twin.difference())
                 looking = False
                 break

@@ -21,8 +21,8 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.specimens import specimen
+from leglab.base.fault_names import ALL
 from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
-from leglab.control.feedforward.fault_bank import ALL
 from leglab.machine.plugin import headless
 from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop

@@ -7,14 +7,14 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import FaultEvent, FaultTrend
 from leglab.control import ControllerSetup, Measurement, register_controller
 from leglab.control.feedforward.fault_monitor import (
-    Event,
     FaultMonitor,
     MonitorConfiguration,
-    Proposal,
+    ProposedMap,
 )
-from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, Trend
+from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
 # Blocks of samples by which a map that joins is first held against the one that learned them: few,
@@ -80,12 +80,12 @@ class BankController(AdaptiveController):
         self._corrects, self._stopped = config.corrects, False
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> list[FaultEvent]:
         """Changes since `reset`, and what was said of them."""
         return self.monitor.events
 
     @property
-    def trends(self) -> list[Trend]:
+    def trends(self) -> list[FaultTrend]:
         """Slow wear that was followed since `reset`."""
         return self.health.trends
 
@@ -149,7 +149,7 @@ class BankController(AdaptiveController):
                 learner.set_gain(config.change_gain * np.eye(before.shape[1]), joint)
             adaptation.propose(learner, _PLAY_ODDS, 1.0, play)
 
-    def _propose(self, proposal: Proposal) -> None:
+    def _propose(self, proposal: ProposedMap) -> None:
         """Lets a map learn beside the others, or moves the one that the fault has already."""
         adaptation = self.adaptation
         if proposal.key in self._proposed:

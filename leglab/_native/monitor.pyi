@@ -43,24 +43,40 @@ class Moments:
             ValueError: The parameters have another shape.
         """
 
+    def weight(self, normal: Array, discrepancy: float) -> Array:
+        """Weights of squared errors by those that are normal and the share that a fault leaves.
+
+        Both arrays are (joints,): 1 / (normal + discrepancy^2 times the mean square output).
+        """
+
+def chances(
+    cost: Array, keys: list[int], correlation: float, independent: float, noise: float
+) -> Array:
+    """Probability of every key by the costs that have it, (keys,); see csrc/monitor/fault_fit.h.
+
+    Raises:
+        ValueError: Costs and keys differ in number, or a key is negative.
+    """
+
 class Bank:
-    """Curves of faults: of each its sizes, shifts (sizes, joints, parameters), and a key.
+    """Curves of faults: of each its sizes and shifts (sizes, joints, parameters).
 
     Raises:
         ValueError: Shapes do not fit.
     """
 
-    def __init__(self, sizes: list[Array], shifts: list[Array], keys: list[int]) -> None: ...
-    def fit(self, moments: Moments, weight: Array, out: Array) -> float:
-        """Writes size, spread and cost, (3, curves); returns the cost without any fault."""
+    def __init__(self, sizes: list[Array], shifts: list[Array]) -> None: ...
+    def fit(
+        self, moments: Moments, normal: Array, discrepancy: float, joint: int = -1
+    ) -> tuple[Array, Array, Array, float, float]:
+        """Sizes, spreads and costs, (curves,), and the costs without any fault and of noise.
 
-    def chances(
-        self, cost: Array, correlation: float, independent: float, noise: float, out: Array
-    ) -> None:
-        """Writes the probability of every key, (keys,); 0 independent errors count noise alone."""
+        Raises:
+            ValueError: The moments are of another size.
+        """
 
 class Monitor:
-    """Notices a change, sums up its samples and fits a bank of faults to them.
+    """Notices a change and sums up its samples.
 
     `settings` has the fields of `MonitorSettings` in csrc/monitor/fault_monitor.h.
     """
@@ -81,30 +97,15 @@ class Monitor:
     def normal(self) -> Array:
         """Mean square errors that are normal, (joints,)."""
 
-    def seen(self) -> Moments:
-        """Sums of the last look, about the base."""
+    def look(self) -> Moments:
+        """Sums of the case as they are now, about the base.
+
+        Raises:
+            ValueError: No case is open.
+        """
 
     def regressors_before(self) -> Array:
         """Regressors of the blocks before the case's onset, (n, joints, parameters)."""
 
     def sum(self, samples: int = ...) -> bool:
         """Adds so many waiting samples of the case to its sums; returns whether none waits."""
-
-    def begin_look(self, bank: Bank) -> None:
-        """Begins to fit a bank to the sums as they are now.
-
-        Raises:
-            ValueError: No case is open, or the bank is of another size.
-        """
-
-    def look(self, curves: int = ...) -> bool:
-        """Fits so many curves more; returns whether all are fitted."""
-
-    def finding(self) -> tuple[float, float, Array, Array, Array, Array]:
-        """Costs without any fault and of a machine that had not changed; all curves' results.
-
-        Sizes, spreads and costs of all curves, (curves,), and chances of all keys, (keys,).
-
-        Raises:
-            ValueError: The look is not done.
-        """

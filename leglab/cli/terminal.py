@@ -302,7 +302,7 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
 
 def fault_lines(metrics: dict[str, Any]) -> list[str]:
     """A line for each change or wear that the controller told, from what `metrics.json` has."""
-    from leglab.runs.record import FaultEvent, FaultTrend
+    from leglab.base.fault_names import FaultEvent, FaultTrend
 
     events = [FaultEvent.model_validate(event).told() for event in metrics.get("events", [])]
     return events + [FaultTrend.model_validate(one).told() for one in metrics.get("health", [])]

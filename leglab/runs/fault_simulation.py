@@ -15,6 +15,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import ALL
 from leglab.base.scenario import (
     ParameterChange,
     Scenario,
@@ -24,14 +25,9 @@ from leglab.base.scenario import (
     scenario_severity,
 )
 from leglab.commissioning.setup import model_digest
-from leglab.control.feedforward.fault_bank import (
-    ALL,
-    DISCREPANCY,
-    FaultBank,
-    FaultCurve,
-    Moments,
-    explained_share,
-)
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.judge import explained_share
+from leglab.control.feedforward.thresholds import DISCREPANCY, RIDGE
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
@@ -137,10 +133,6 @@ PARTS: Mapping[str, PartFault] = {
 # Strides before samples count, and strides of samples; of a motion that does not repeat, as many
 # of its periods.
 _SETTLED, _SAMPLED = 3, 3
-
-# Weight of a squared parameter against the squared errors of all samples: the shift stays small in
-# directions that the motion does not show.
-_RIDGE = 1e-2
 
 _SAMPLES = 64  # kept between two looks
 _banks: dict[str, FaultBank] = {}
@@ -268,7 +260,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     # A fault that shows nothing beyond noise has no share to go by.
-                    explains=explained_share(*sums.tolist()) or 1.0,
+                    explains=float(explained_share(*sums.tolist())) or 1.0,
                 )
             )
     return FaultBank(curves=tuple(curves))
@@ -341,14 +333,12 @@ def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarra
         shift: Of that map, (joints, parameters).
         normal: Mean square errors of the healthy machine, (joints,).
     """
-    count = np.maximum(changed.count, 1.0)
-    weight = 1.0 / np.maximum(normal + DISCREPANCY**2 * changed.power / count, 1e-300)
     powers = np.stack([changed.about(shift).power, changed.power, changed.count * normal])
-    return powers @ weight
+    return powers @ changed.weight(normal, DISCREPANCY)
 
 
 def _solve(moments: Moments) -> np.ndarray:
     """Parameters of ridge regression, (joints, parameters)."""
     eye = np.eye(moments.information.shape[-1])
-    solved = np.linalg.solve(moments.information + _RIDGE * eye, moments.correlation[..., None])
+    solved = np.linalg.solve(moments.information + RIDGE * eye, moments.correlation[..., None])
     return solved[..., 0]

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
-from leglab.base.causes import effect_of
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import FaultEvent, FaultTrend, Name
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
 from leglab.base.output import write_atomically
@@ -21,7 +21,6 @@ RUN_FOLDER = (
     "report.html", "report.mp4", "video.mp4",
 )  # fmt: skip
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 ByJoint = dict[str, FiniteFloat]
 
 
@@ -88,137 +87,6 @@ class AdaptationMetrics(BaseModel):
     t90_s: FiniteFloat | None = None
     level_rad: FiniteFloat | None = None
     reason: str | None = None
-
-
-class FaultRival(BaseModel):
-    """See `leglab.control.feedforward.fault_monitor.Rival`."""
-
-    fault: Name
-    element: Name
-    size: FiniteFloat
-    confidence: FiniteFloat
-
-
-class FaultName(BaseModel):
-    """Name of a change by a controller; see `leglab.control.feedforward.fault_monitor.Name`."""
-
-    time: FiniteFloat
-    onset: FiniteFloat
-    fault: Name
-    element: Name
-    size: FiniteFloat | None = None
-    low: FiniteFloat | None = None
-    high: FiniteFloat | None = None
-    meaning: str = ""
-    confidence: FiniteFloat
-    explained: FiniteFloat
-    undoes: FiniteFloat | None = None
-    rivals: list[FaultRival] = Field(default_factory=list)
-
-
-def _place(element: str) -> str:
-    return "all cylinders" if element == "all" else element
-
-
-class FaultEvent(BaseModel):
-    """A change that a controller noticed.
-
-    Attributes:
-        names: What it said of it, the last one in force.
-        withdrawn: When the last name was taken back [s]; None if it stands.
-    """
-
-    names: Annotated[list[FaultName], Field(min_length=1)]
-    withdrawn: FiniteFloat | None = None
-
-    def short(self) -> str:
-        """The name in force in a few words, for pictures: "knee seal wear 9.92, 100 %"."""
-        name = self.names[-1]
-        where = "" if name.element == "all" else f"{name.element} "
-        size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
-        if name.undoes is not None:
-            size = f" back to{size}" if size else " undone"
-        rivals = "".join(f" or {rival.fault}" for rival in name.rivals)
-        return f"{where}{name.fault}{size}{rivals}".replace("_", " ")
-
-    def told(self) -> str:
-        """The name in force in one line: where, what, size and confidence, since when."""
-        name = self.names[-1]
-        effect = effect_of(name.fault)
-        line = f"{_place(name.element)}: {name.fault}" + (f" [{effect}]" if effect else "")
-        if name.size is not None:
-            ends = "" if name.low is None else f" ({name.low:.3g} to {name.high:.3g}"
-            meaning = f"; {name.meaning}" if name.meaning else ""
-            line += f" {name.size:.3g}{ends}{meaning})" if ends else f" {name.size:.3g}"
-            line += f", {100 * name.confidence:.0f} %"
-        for rival in name.rivals:
-            where = "" if rival.element == name.element else f"{_place(rival.element)}: "
-            line += f", or {where}{rival.fault} {rival.size:.3g}, {100 * rival.confidence:.0f} %"
-        if name.undoes is not None:
-            line += f", goes back on what began at {name.undoes:.2f} s"
-        line += f", since {name.onset:.2f} s, said at {name.time:.2f} s"
-        if self.withdrawn is not None:
-            line += f", withdrawn at {self.withdrawn:.2f} s"
-        return line
-
-
-class FaultTrend(BaseModel):
-    """Slow wear that a controller followed; see `leglab.control.feedforward.health.Trend`."""
-
-    fault: Name
-    element: Name
-    condition: bool = False
-    since: FiniteFloat
-    time: FiniteFloat
-    seen: FiniteFloat
-    size: FiniteFloat | None = None
-    low: FiniteFloat | None = None
-    high: FiniteFloat | None = None
-    meaning: str = ""
-    confidence: FiniteFloat
-    explained: FiniteFloat
-    rate: FiniteFloat | None = None
-    rate_low: FiniteFloat | None = None
-    rate_high: FiniteFloat | None = None
-    end_of_life: FiniteFloat | None = None
-    remaining: FiniteFloat | None = None
-    remaining_low: FiniteFloat | None = None
-    remaining_high: FiniteFloat | None = None
-
-    def short(self) -> str:
-        """The trend in a few words, for pictures: "knee seal wear 8.54, left 9.2 min"."""
-        where = "" if self.element == "all" else f"{self.element} "
-        size = "" if self.size is None else f" {self.size:.3g}"
-        left = "" if self.remaining is None else f", left {self._duration(self.remaining)}"
-        return f"{where}{self.fault}{size}{left}".replace("_", " ")
-
-    def told(self) -> str:
-        """The trend in one line: where, what, how large at last, how fast, how long it may last."""
-        where = _place(self.element)
-        since = f"since {self.since:.0f} s, said at {self.time:.0f} s"
-        if self.size is None:
-            return f"{where}: slow {self.fault}, {since}"
-        ends = "" if self.low is None else f"{self.low:.3g} to {self.high:.3g}; "
-        effect = effect_of(self.fault)
-        fault = f"{self.fault} [{effect}]" if effect else self.fault
-        line = f"{where}: {fault} {self.size:.3g} ({ends}{self.meaning}) at {self.seen:.0f} s, "
-        line += f"slowly {since}"
-        if self.condition:
-            return f"{line}; a condition, no fault"
-        line += f", {100 * self.confidence:.0f} %"
-        if self.rate is not None:
-            line += f", {self.rate:+.3g} an hour"
-        if self.remaining is not None and self.remaining_low is not None:
-            last = "no end" if self.remaining_high is None else self._duration(self.remaining_high)
-            line += (
-                f"; at {self.end_of_life:g} in {self._duration(self.remaining)} "
-                f"({self._duration(self.remaining_low)} to {last})"
-            )
-        return line
-
-    @staticmethod
-    def _duration(seconds: float) -> str:
-        return f"{seconds / 3600:.3g} h" if seconds >= 3600 else f"{seconds / 60:.3g} min"
 
 
 class RunMetrics(BaseModel):

@@ -13,7 +13,6 @@ import numpy as np
 from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
-from leglab.control.feedforward.fault_monitor import plain
 from leglab.data import parquet
 from leglab.runs.clock import adaptation
 from leglab.runs.history import Ending, History, Rows
@@ -189,11 +188,10 @@ def _result(
 
 def told(loop: Loop) -> dict[str, Any]:
     """Changes and wear that the controller named, if it does, as in `metrics.json`."""
-    found: dict[str, Any] = {}
-    if (events := getattr(loop.controller, "events", None)) is not None:
-        found["events"] = plain(events)
-    if (trends := getattr(loop.controller, "trends", None)) is not None:
-        found["health"] = [vars(trend).copy() for trend in trends]
+    found = {}
+    for key, name in (("events", "events"), ("health", "trends")):
+        if (said := getattr(loop.controller, name, None)) is not None:
+            found[key] = [one.model_dump() for one in said]
     return found
 
 

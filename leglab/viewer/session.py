@@ -13,8 +13,6 @@ from leglab.machine.changes import Bodies
 from leglab.machine.plugin import without_warnings
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
-from leglab.runs.record import FaultEvent, FaultTrend
-from leglab.runs.run import told
 from leglab.viewer.sliders import sliders
 
 # A live run has no end; a scenario needs one [s].
@@ -143,14 +141,11 @@ class Session:
 
     def named(self) -> dict[str, str]:
         """Present names of the controller, by "named" and "wear"; empty without any."""
-        said = told(self._loop)
-        events = [event for event in said.get("events", []) if event["withdrawn"] is None]
-        rows = {}
-        if events:
-            rows["named"] = FaultEvent.model_validate(events[-1]).short()
-        if said.get("health"):
-            rows["wear"] = FaultTrend.model_validate(said["health"][-1]).short()
-        return rows
+        controller = self._loop.controller
+        events = [event for event in getattr(controller, "events", []) if not event.withdrawn]
+        trends = getattr(controller, "trends", [])
+        rows = {"named": events[-1].short()} if events else {}
+        return rows | ({"wear": trends[-1].short()} if trends else {})
 
     def close(self) -> None:
         """Takes the loads off the model's bodies."""

@@ -7,11 +7,12 @@ import pytest
 
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import ALL, UNKNOWN
 from leglab.base.scenario import get_scenario
 from leglab.cli.terminal import fault_lines
 from leglab.control import Measurement, ReferencePoint, make_controller
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank
-from leglab.control.feedforward.fault_monitor import FaultMonitor, plain
+from leglab.control.feedforward.fault_bank import FaultBank
+from leglab.control.feedforward.fault_monitor import FaultMonitor
 from leglab.runs.loop import Loop
 from tests.helpers.learned_samples import (
     BLOCK,
@@ -172,12 +173,12 @@ def test_same_samples_same_words():
         _, true = planted(bank.curves[2].shift(3.0), rng)
         monitor = monitor_of(bank)
         stream(monitor, true)
-        said.append(plain(monitor.events))
+        said.append(monitor.events)
     assert said[0] == said[1]
     monitor.reset()
     assert monitor.events == []
     stream(monitor, true)
-    assert plain(monitor.events) == said[0]
+    assert monitor.events == said[0]
 
 
 def run(controller, fault="seal_wear", *, scenario=None, **config):
@@ -226,7 +227,7 @@ def test_worn_seal_is_named_in_the_closed_loop_and_undone_sooner(worn):
 def test_same_seed_same_bits(worn):
     again = run("bsnn_arx_bank")
     np.testing.assert_array_equal(again[1].command, worn[1].command)
-    assert plain(again[0].controller.events) == plain(worn[0].controller.events)
+    assert again[0].controller.events == worn[0].controller.events
 
 
 def test_monitor_says_what_happens_and_not_what_the_simulation_is_told():
@@ -245,7 +246,7 @@ def test_monitor_needs_measurements_and_references_alone(worn):
             alone.reset(measurement)
         command = alone.command(measurement, ReferencePoint(*reference))
         np.testing.assert_array_equal(np.clip(command, -1, 1), history.command[number])
-    assert plain(alone.events) == plain(loop.controller.events)
+    assert alone.events == loop.controller.events
 
 
 def test_a_monitor_that_corrects_nothing_leaves_the_controller_as_it_is():

@@ -5,10 +5,12 @@ import pytest
 
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import ALL, UNKNOWN
 from leglab.cli.terminal import fault_lines
 from leglab.control.feedforward import health
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
-from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor, line_of
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
+from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
+from leglab.control.feedforward.wear_line import line_of
 
 JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 20
 CONFIG = HealthConfiguration(look=300, wait=200)
@@ -87,8 +89,8 @@ def test_the_history_of_looks_has_an_end_and_the_trend_stays(monkeypatch):
     base = np.random.default_rng(1).standard_normal((len(JOINTS), PARAMETERS))
     growth = wear(bank.curves[0], 10.0, 0.1)
     told = []
-    for most in (health._MOST_LOOKS, 24):
-        monkeypatch.setattr(health, "_MOST_LOOKS", most)
+    for most in (health.MOST_LOOKS, 24):
+        monkeypatch.setattr(health, "MOST_LOOKS", most)
         monitor = monitor_of(bank)
         stream(monitor, lambda time: base + growth(time))
         assert monitor._history.count <= most

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings
+from leglab.base.fault_names import ALL, UNKNOWN, FaultName
 from leglab.base.scenario import Scenario, get_scenario
-from leglab.control.feedforward.fault_bank import ALL, UNKNOWN, FaultBank, FaultCurve
-from leglab.control.feedforward.fault_monitor import plain
-from leglab.control.feedforward.standing import Standing, Standings
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
+from leglab.control.feedforward.standing import Standings
 from leglab.runs.loop import Loop
-from leglab.runs.record import FaultEvent
 from tests.helpers.learned_samples import JOINTS, PARAMETERS, make_bank, monitor_of, stream
 
 TIMES = (4.0, 12.0, 20.0)  # of changes, s
@@ -24,6 +23,12 @@ def staged(base, *shifts):
         return base + ([np.zeros_like(base), *shifts][sum(time > t for t in TIMES[: len(shifts)])])
 
     return true
+
+
+def name_of(onset, fault, element, size):
+    return FaultName(
+        time=onset, onset=onset, fault=fault, element=element, size=size, confidence=1, explained=1
+    )
 
 
 def told_of(shifts, bank, rng, **options):
@@ -62,7 +67,7 @@ def test_an_unknown_change_that_goes_away_is_told_as_undone():
     assert second.size is None
     np.testing.assert_allclose(left, 0.0, atol=0.01)
     assert not monitor.report["fault"].any()
-    line = FaultEvent.model_validate(plain(monitor.events)[-1])
+    line = monitor.events[-1]
     assert f"goes back on what began at {first.onset:.2f} s" in line.told()
     assert line.short().endswith("unknown change undone")
 
@@ -120,8 +125,7 @@ def test_a_fault_that_grows_beside_another_goes_back_alone():
         (2.0, rub, 6.0, rub.shift(6.0)),
         (3.0, leak, 9.0, leak.shift(9.0) - leak.shift(4.0)),
     ):
-        told = {"fault": curve.fault, "element": curve.element, "meaning": "", "size": size}
-        standings.add(Standing(onset=onset, before=now, **told))
+        standings.add(name_of(onset, curve.fault, curve.element, size), now)
         now = now + shift
         ways = {c.undoes: c for c in standings.bank(now, seen).curves if c.undoes is not None}
     assert set(ways) == {2.0, 3.0}
@@ -139,9 +143,7 @@ def test_curves_of_a_fault_that_stands_begin_at_its_size():
     down = replace(up, sizes=-sizes, shifts=-shifts)
     standings = Standings(FaultBank(curves=(up, down)))
     before, after = np.zeros(shape), 2.2 * np.ones(shape)
-    standings.add(
-        Standing(onset=1.0, fault="null", element=ALL, meaning="", size=3.0, before=before)
-    )
+    standings.add(name_of(1.0, "null", ALL, 3.0), before)
     seen = np.random.default_rng(45).standard_normal((50, *shape))
     onward, back = standings.bank(after, seen).curves
     np.testing.assert_array_equal(onward.sizes, [3.0, 5.0])
@@ -164,12 +166,9 @@ def test_a_change_that_was_unlearned_without_a_word_stands_no_more():
     seen[..., 0] = 0.0  # a parameter that the motion does not show may drift
     standings = Standings(bank)
     leak, rub = bank.curves[1].shift(6.0), bank.curves[3].shift(6.0)
-    told = {"element": "knee", "meaning": "", "size": 6.0}
-    standings.add(Standing(onset=1.0, fault="leak", before=base, **told))
+    standings.add(name_of(1.0, "leak", "knee", 6.0), base)
     standings.bank(base + leak, seen)
-    standings.add(
-        Standing(onset=2.0, fault="rub", before=base + leak, **{**told, "element": "hip"})
-    )
+    standings.add(name_of(2.0, "rub", "hip", 6.0), base + leak)
     drift = np.zeros(shape)
     drift[:, 0] = 0.5
     both = standings.bank(base + leak + rub + drift, seen).curves

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from leglab.control.feedforward.fault_bank import ALL, FaultBank, FaultCurve
+from leglab.base.fault_names import ALL
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.fault_monitor import FaultMonitor, MonitorConfiguration
 
 JOINTS, PARAMETERS, PERIOD, BLOCK = ("hip", "knee"), 6, 0.004, 5

@@ -27,6 +27,11 @@ class Moments:
         return out
 
 
+def weights(moments, normal, discrepancy):
+    """Weight of every joint's squared errors, (joints,)."""
+    return 1.0 / (normal + discrepancy**2 * moments.power / np.maximum(moments.count, 1.0))
+
+
 def fit(curves, moments, weight):
     """Size, spread and cost of every curve, and the cost without any."""
     without = float(weight @ moments.power)
@@ -52,7 +57,7 @@ def chances(keys, cost, correlation, independent, noise=0.0):
     """Probability of every key: noise and structure, whichever is the weaker evidence."""
     best = np.array([cost[keys == key].min() for key in range(max(keys) + 1)])
     unlikely = (best - best.min()) / (2 * correlation)
-    if independent is not None:
+    if independent > 0:
         noise = min(noise, best.min())
         beyond = best - noise + 0.2 * noise
         unlikely = np.minimum(unlikely, independent / 2 * np.log(beyond / beyond.min()))
@@ -146,12 +151,6 @@ class Monitor:
                 best, onset = likelihood, time - len(samples) * self.set["sample_period"]
         return onset
 
-    def look(self, curves, keys):
-        """Costs without any and of noise; sizes, spreads and costs of curves, chances of keys."""
-        moments = Moments(np.array(self.samples)).about(self.base)
-        share = self.set["discrepancy"] ** 2 * moments.power / np.maximum(moments.count, 1.0)
-        weight = 1.0 / (self.watch.normal + share)
-        size, spread, cost, without = fit(curves, moments, weight)
-        noise = weight @ (moments.count * self.watch.normal)
-        chance = chances(keys, cost, self.set["correlation"], self.set["independent"], noise)
-        return without, noise, size, spread, cost, chance
+    def look(self):
+        """Sums of the case about the base."""
+        return Moments(np.array(self.samples)).about(self.base)

@@ -13,6 +13,7 @@ import pytest
 
 from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import FaultEvent
 from leglab.base.recording import Recording
 from leglab.cli import main
 from leglab.report.film import encoder, look, render_film
@@ -21,7 +22,6 @@ from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import _named, load_track
 from leglab.report.film.workers import draw_frames
 from leglab.runs.folder import write_run
-from leglab.runs.record import FaultEvent
 
 LENGTH, CHANGE = 2.0, 1.0  # s
 BAR = 1e5  # Pa

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import FaultEvent, FaultName
 from leglab.base.settings import documented_units
 from leglab.control import controller_summary
 from leglab.control.contract import CONTROLLERS
@@ -24,7 +25,7 @@ from leglab.report.run.plots import plot_data
 from leglab.report.run.tables import run_table, setting_tables
 from leglab.report.run.words import change_words, headline, sections
 from leglab.runs.folder import read_runs
-from leglab.runs.record import ChangeRecord, FaultEvent, FaultName
+from leglab.runs.record import ChangeRecord
 from tests.helpers.report_folders import HOSTILE, Elements, write_folder
 
 

@@ -5,15 +5,12 @@ import pytest
 
 import leglab.runs.fault_simulation as making
 from leglab import RunSettings
+from leglab._native.monitor import chances
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import ALL
 from leglab.base.scenario import get_scenario
-from leglab.control.feedforward.fault_bank import (
-    ALL,
-    FaultBank,
-    FaultCurve,
-    Moments,
-    explained_share,
-)
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
+from leglab.control.feedforward.judge import explained_share
 from leglab.machine.changes import Schedule
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
@@ -55,7 +52,7 @@ def test_a_planted_size_is_found_on_a_bent_curve(size):
     bank = FaultBank(curves=(curve(rng, "other"), planted))
     base = rng.standard_normal((JOINTS, PARAMETERS))
     seen = moments(*samples(rng, base + planted.shift(size))).about(base)
-    fit = bank.fit(seen, np.array([1.0, 2.0, 0.5]))
+    fit = bank.fit(seen, np.array([1.0, 0.5, 2.0]), 0.15)
     assert fit.size[1] == pytest.approx(size, rel=1e-9)
     assert fit.cost[1] == pytest.approx(0.0, abs=1e-9 * fit.without)
     assert fit.cost[0] > 0.1 * fit.without
@@ -67,7 +64,7 @@ def test_size_and_cost_are_those_of_a_fine_search_with_noise_and_weights():
     base, weight = rng.standard_normal((JOINTS, PARAMETERS)), np.array([1.0, 3.0, 0.2])
     true = base + rng.standard_normal((JOINTS, PARAMETERS))
     regressor, output = samples(rng, true, noise=0.3)
-    fit = bank.fit(moments(regressor, output).about(base), weight)
+    fit = bank.fit(moments(regressor, output).about(base), 1.0 / weight, 0.0)
 
     def cost(shift):
         error = output - np.einsum("njp,jp->nj", regressor, base + shift)
@@ -86,7 +83,7 @@ def test_spread_is_the_step_that_raises_the_cost_by_one():
     planted = curve(rng)
     bank, weight = FaultBank(curves=(planted,)), np.ones(JOINTS)
     regressor, output = samples(rng, planted.shift(5.0), noise=0.01)
-    fit = bank.fit(moments(regressor, output), weight)
+    fit = bank.fit(moments(regressor, output), weight, 0.0)
     moved = moments(regressor, output).about(planted.shift(fit.size[0] + fit.spread[0]))
     assert float(weight @ moved.power) - fit.cost[0] == pytest.approx(1.0, rel=1e-6)
 
@@ -225,31 +222,23 @@ def test_a_fault_that_changes_nothing_shifts_nothing(small, monkeypatch):
 
 def test_odds_are_those_of_noise_or_of_structure_whichever_are_weaker():
     """More samples tell noise apart, and not what another machine than the nominal one leaves."""
-    shifts = np.zeros((2, 1, 2))
-    shifts[1] = 1.0
-    sizes = np.array([0.0, 1.0])
-    curves = [
-        FaultCurve(fault=name, element=ALL, meaning="", sizes=sizes, shifts=shifts)
-        for name in ("leak", "rub")
-    ]
-    bank, cost = FaultBank(curves=tuple(curves)), np.array([300.0, 200.0])
+    cost = np.array([300.0, 200.0])
 
-    def rival(correlation, independent=None):
-        return bank.chances(cost, correlation, independent)[0]
+    def rival(correlation, independent=0.0, noise=0.0):
+        return chances(cost, [0, 1], correlation, independent, noise)[0]
 
     def odds(log):
-        return 1.0 / (1.0 + np.exp(log))
+        return pytest.approx(1.0 / (1.0 + np.exp(log)))
 
-    assert rival(20.0) == pytest.approx(odds(100.0 / 40.0))
-    assert rival(20.0, 10.0) == pytest.approx(odds(5.0 * np.log(1.5)))
-    assert rival(50.0, 10.0) == pytest.approx(odds(100.0 / 100.0))
-    assert bank.chances(0.0 * cost, 20.0, 10.0).tolist() == [0.5, 0.5]
+    assert rival(20.0) == odds(100.0 / 40.0)
+    assert rival(20.0, 10.0) == odds(5.0 * np.log(1.5))
+    assert rival(50.0, 10.0) == odds(100.0 / 100.0)
+    assert chances(0.0 * cost, [0, 1], 20.0, 10.0, 0.0).tolist() == [0.5, 0.5]
     # What noise makes of both is no likeness: a fifth of it is not known, and it is at most what
     # the best leaves.
-    few = 1.0
-    assert bank.chances(cost, few, 10.0, 150.0)[0] == pytest.approx(odds(5.0 * np.log(180 / 80)))
-    assert bank.chances(cost, few, 10.0, 250.0)[0] == pytest.approx(odds(5.0 * np.log(140 / 40)))
-    assert bank.chances(cost, few, None, 150.0)[0] == pytest.approx(odds(100.0 / 2.0))
+    assert rival(1.0, 10.0, 150.0) == odds(5.0 * np.log(180 / 80))
+    assert rival(1.0, 10.0, 250.0) == odds(5.0 * np.log(140 / 40))
+    assert rival(1.0, 0.0, 150.0) == odds(100.0 / 2.0)
 
 
 def test_explained_is_the_share_of_what_is_beyond_noise():

@@ -6,33 +6,12 @@ Sums over samples (`Moments`) and fits are C++ (`csrc/monitor`); the tests say t
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from leglab._native.monitor import Bank, Moments
 from leglab.base.errors import LeglabError
-
-# Element of a fault that all cylinders have alike, or that none has for itself.
-ALL = "all"
-
-# Name of a change that no fault of a bank explains.
-UNKNOWN = "unknown change"
-
-
-# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
-DISCREPANCY = 0.15
-
-
-def explained_share(cost: float, without: float, noise: float) -> float:
-    """Share of the squared error beyond noise that a fault takes away, within [0, 1].
-
-    Args:
-        cost: Weighted sum of squared errors with the fault's shift.
-        without: The same without any.
-        noise: What it would be of a machine without a fault.
-    """
-    beyond = without - noise
-    return min(max((without - cost) / beyond, 0.0), 1.0) if beyond > 0 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,8 +63,7 @@ class FaultCurve:
         return self.shifts[low] + (place - low) * (self.shifts[low + 1] - self.shifts[low])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SizeEstimate:
+class SizeEstimate(NamedTuple):
     """The best size of each curve of a bank by weighted least squares.
 
     Attributes:
@@ -93,12 +71,14 @@ class SizeEstimate:
         spread: Change of size that raises the cost by one, (curves,).
         cost: Weighted sum of squared errors with the shift at that size, (curves,).
         without: The same without any shift.
+        noise: What it would be of a machine that had not changed.
     """
 
     size: np.ndarray
     spread: np.ndarray
     cost: np.ndarray
     without: float
+    noise: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,28 +114,6 @@ class FaultBank:
         """Place of every curve's fault and element in `keys`, (curves,)."""
         return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
 
-    def chances(
-        self,
-        cost: np.ndarray,
-        correlation: float,
-        independent: float | None = None,
-        noise: float = 0.0,
-    ) -> np.ndarray:
-        """Probability of every fault and element among all of the bank, by likelihood, (keys,).
-
-        The odds of two faults are those of noise or of a machine that is not the nominal one,
-        whichever are weaker (`csrc/monitor/fault_fit.h`).
-
-        Args:
-            cost: Weighted sum of squared errors of each curve, (curves,).
-            correlation: Samples that count as one.
-            independent: n; None counts noise alone.
-            noise: Part of every cost that noise makes.
-        """
-        chance, errors = np.empty(len(self.keys)), independent or 0.0
-        self.core.chances(cost, correlation, errors, noise, chance)
-        return chance
-
     def without(self, faults: Sequence[str]) -> "FaultBank":
         """The bank without all curves of some faults.
 
@@ -178,17 +136,17 @@ class FaultBank:
         return Bank(
             [np.ascontiguousarray(curve.sizes, dtype=float) for curve in self.curves],
             [np.ascontiguousarray(curve.shifts, dtype=float) for curve in self.curves],
-            self.group.tolist(),
         )
 
-    def fit(self, moments: Moments, weight: np.ndarray) -> SizeEstimate:
+    def fit(
+        self, moments: Moments, normal: np.ndarray, discrepancy: float, joint: int = -1
+    ) -> SizeEstimate:
         """Finds the size of every curve that fits samples best.
 
         Args:
             moments: Of the samples, about the map before the fault.
-            weight: Of the squared errors of each joint, (joints,).
+            normal: Mean square errors of that map before it, (joints,).
+            discrepancy: Share of the error that a right fault leaves; a deviation.
+            joint: Whose samples count alone; those of all where it is -1.
         """
-        found = np.empty((3, len(self.curves)))
-        without = self.core.fit(moments, weight, found)
-        size, spread, cost = found
-        return SizeEstimate(size=size, spread=spread, cost=cost, without=without)
+        return SizeEstimate(*self.core.fit(moments, normal, discrepancy, joint))

@@ -5,17 +5,13 @@ The way back is known better than any simulation knows it: the learner has follo
 this very machine, and its parameters moved by what is to be undone.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.control.feedforward.fault_bank import UNKNOWN, FaultBank, FaultCurve
-
-# So many changes are remembered.
-MOST_STANDING = 4
-
-# Share of what is learned of a change that must go for it to count as undone.
-_UNDONE = 0.7
+from leglab.base.fault_names import UNKNOWN, FaultName
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
+from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 
 
 @dataclass(kw_only=True, eq=False)
@@ -23,35 +19,21 @@ class Standing:
     """A change that was noticed, as long as it is not undone.
 
     Attributes:
-        onset: When it began [s]; of a fault that has grown, when it last did.
-        fault: Name of the fault, or "unknown change".
-        element: Joint, joints by commas, or "all".
-        meaning: What the size says.
+        name: As it was told last; of a fault that has grown, when it last did.
         size: In the fault's own unit; 1 of an unknown change.
-        before: Parameters of the map before it, (joints, parameters).
         healthy: Size of a machine without it; 0 of an unknown change.
+        before: Parameters of the map before it, (joints, parameters).
         learned: By how much it moved the parameters, (joints, parameters); what is known of it
             from before `before`, until `settle`.
         settled: Whether `learned` is all of it: the next change has begun.
     """
 
-    onset: float
-    fault: str
-    element: str
-    meaning: str
+    name: FaultName
     size: float
+    healthy: float
     before: np.ndarray
-    healthy: float = 0.0
-    learned: np.ndarray = field(init=False)
+    learned: np.ndarray
     settled: bool = False
-
-    def __post_init__(self) -> None:
-        self.learned = np.zeros_like(self.before)
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Fault and element."""
-        return self.fault, self.element
 
     def settle(self, now: np.ndarray) -> None:
         """Takes what the learner has made of it until now, (joints, parameters)."""
@@ -64,12 +46,12 @@ class Standing:
         if self.size == self.healthy:
             return None
         return FaultCurve(
-            fault=self.fault,
-            element=self.element,
-            meaning=self.meaning,
+            fault=self.name.fault,
+            element=self.name.element,
+            meaning=self.name.meaning,
             sizes=np.array([self.size, self.healthy]),
             shifts=np.stack([np.zeros_like(self.learned), -self.learned]),
-            undoes=self.onset,
+            undoes=self.name.onset,
         )
 
 
@@ -104,7 +86,7 @@ class Standings:
         self._drop_undone(now, regressor)
         if not self._changes:
             return self._bank
-        sizes = {change.key: change.size for change in self._changes}
+        sizes = {change.name.key: change.size for change in self._changes}
         curves = [_onward(c, sizes.get((c.fault, c.element))) for c in self._bank.curves]
         ways_back = [change.back() for change in self._changes]
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
@@ -124,16 +106,22 @@ class Standings:
         learned = [predicted(change.learned) for change in self._changes]
         shares, _ = self._nnls(np.stack(learned, axis=1), predicted(now - self._origin))
         kept = zip(self._changes, shares, strict=True)
-        self._changes = [change for change, share in kept if share > 1.0 - _UNDONE]
+        self._changes = [change for change, share in kept if share > 1.0 - UNDONE]
 
-    def add(self, change: Standing) -> None:
-        """Remembers a change that was told."""
-        healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == change.key]
-        change.healthy = float(healthy[0]) if healthy else 0.0
+    def add(self, name: FaultName, before: np.ndarray) -> None:
+        """Remembers a change that was told, and the map before it, (joints, parameters)."""
+        healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == name.key]
+        change = Standing(
+            name=name,
+            size=1.0 if name.size is None else name.size,
+            healthy=float(healthy[0]) if healthy else 0.0,
+            before=before,
+            learned=np.zeros_like(before),
+        )
         if not self._changes:
-            self._origin = change.before
-        earlier = [one for one in self._changes if one.key == change.key]
-        if earlier and change.fault != UNKNOWN:
+            self._origin = before
+        earlier = [one for one in self._changes if one.name.key == name.key]
+        if earlier and name.fault != UNKNOWN:
             # More of the same: the way back is that of both.
             change.learned = change.learned + earlier[0].learned
             self._changes.remove(earlier[0])
@@ -144,9 +132,9 @@ class Standings:
 
     def undo(self, onset: float, size: float) -> None:
         """Takes back a change as far as its size says."""
-        (change,) = [one for one in self._changes if one.onset == onset]
+        (change,) = [one for one in self._changes if one.name.onset == onset]
         left = (size - change.healthy) / (change.size - change.healthy)
-        if left <= 1.0 - _UNDONE:
+        if left <= 1.0 - UNDONE:
             self._changes.remove(change)
             return
         change.learned = left * change.learned

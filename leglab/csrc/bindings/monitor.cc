@@ -7,6 +7,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bindings/identification_settings.h"
+#include "monitor/fault_fit.h"
 #include "monitor/fault_monitor.h"
 
 namespace leglab::bindings {
@@ -43,124 +44,127 @@ Array array_of(std::vector<double> values, std::initializer_list<std::size_t> sh
   return Array(kept->data(), shape, owner);
 }
 
-// The sums, as a value.
-class Moments {
- public:
-  Moments(int joints, int parameters) : sums_(positive(joints), positive(parameters)) {}
-  explicit Moments(const mon::Moments& sums) : sums_(sums) {}
+template <class Value>
+Array by_joint(const mon::Moments& sums, Value value) {
+  std::vector<double> out;
+  for (int joint = 0; joint < sums.joints(); ++joint) out.push_back(value(joint));
+  const std::size_t joints = out.size();
+  return array_of(std::move(out), {joints});
+}
 
-  const mon::Moments& sums() const { return sums_; }
-
-  void add(Input samples) {
-    require("samples", samples, {-1, sums_.joints(), sums_.width()});
-    sums_.add(samples.data(), int(samples.shape(0)));
-  }
-
-  Moments about(Input parameters) const {
-    require("parameters", parameters, {sums_.joints(), sums_.parameters()});
-    Moments out(sums_);
-    out.sums_.take_off(parameters.data());
+void bind_moments(nb::module_& module) {
+  using Moments = mon::Moments;
+  const auto make = [](Moments* out, int joints, int parameters) {
+    if (joints < 1 || parameters < 1) {
+      throw nb::value_error("moments need at least one joint and one parameter");
+    }
+    new (out) Moments(joints, parameters);
+  };
+  const auto add = [](Moments& sums, Input samples) {
+    require("samples", samples, {-1, sums.joints(), sums.width()});
+    sums.add(samples.data(), int(samples.shape(0)));
+  };
+  const auto about = [](const Moments& sums, Input parameters) {
+    require("parameters", parameters, {sums.joints(), sums.parameters()});
+    Moments out(sums);
+    out.take_off(parameters.data());
     return out;
-  }
-
-  Array information() const {
-    const std::size_t joints = std::size_t(sums_.joints()), n = std::size_t(sums_.parameters());
+  };
+  const auto weight = [](const Moments& sums, Input normal, double discrepancy) {
+    require("mean square errors", normal, {sums.joints()});
+    return by_joint(sums, [&](int j) { return sums.weight(j, normal.data()[j], discrepancy); });
+  };
+  const auto information = [](const Moments& sums) {
+    const std::size_t joints = std::size_t(sums.joints()), n = std::size_t(sums.parameters());
     std::vector<double> out(joints * n * n);
     for (std::size_t k = 0; k < joints; ++k) {
-      const double* from = sums_.information(int(k));
+      const double* from = sums.information(int(k));
       double* full = out.data() + k * n * n;
       for (std::size_t i = 0; i < n; ++i) {
         for (std::size_t j = i; j < n; ++j) full[i * n + j] = full[j * n + i] = *from++;
       }
     }
     return array_of(std::move(out), {joints, n, n});
-  }
-  Array correlation() const {
-    const std::size_t joints = std::size_t(sums_.joints()), n = std::size_t(sums_.parameters());
-    const double* from = sums_.correlation(0);
+  };
+  const auto correlation = [](const Moments& sums) {
+    const std::size_t joints = std::size_t(sums.joints()), n = std::size_t(sums.parameters());
+    const double* from = sums.correlation(0);
     return array_of({from, from + joints * n}, {joints, n});
-  }
-  Array power() const {
-    return by_joint([this](int joint) { return sums_.power(joint); });
-  }
-  Array count() const {
-    return by_joint([this](int joint) { return sums_.count(joint); });
-  }
+  };
+  const auto power = [](const Moments& sums) {
+    return by_joint(sums, [&](int joint) { return sums.power(joint); });
+  };
+  const auto count = [](const Moments& sums) {
+    return by_joint(sums, [&](int joint) { return sums.count(joint); });
+  };
+  nb::class_<Moments>(module, "Moments")
+      .def("__init__", make, nb::arg("joints"), nb::arg("parameters"))
+      .def("add", add, nb::arg("samples"))
+      .def("about", about, nb::arg("parameters"))
+      .def("weight", weight, nb::arg("normal"), nb::arg("discrepancy"))
+      .def_prop_ro("information", information, nb::rv_policy::move)
+      .def_prop_ro("correlation", correlation, nb::rv_policy::move)
+      .def_prop_ro("power", power, nb::rv_policy::move)
+      .def_prop_ro("count", count, nb::rv_policy::move);
+}
 
- private:
-  static int positive(int count) {
-    if (count < 1) throw nb::value_error("moments need at least one joint and one parameter");
-    return count;
+// Probability of every key, by the cost of each curve and its key.
+Array chances(Input cost, std::vector<int> keys, double correlation, double independent,
+              double noise) {
+  require("costs", cost, {long(keys.size())});
+  if (keys.empty() || *std::min_element(keys.begin(), keys.end()) < 0) {
+    throw nb::value_error("chances need a key of every cost, from 0 on");
   }
-
-  template <class Value>
-  Array by_joint(Value value) const {
-    std::vector<double> out;
-    for (int joint = 0; joint < sums_.joints(); ++joint) out.push_back(value(joint));
-    const std::size_t joints = out.size();
-    return array_of(std::move(out), {joints});
-  }
-
-  mon::Moments sums_;
-};
+  std::vector<double> out(std::size_t(*std::max_element(keys.begin(), keys.end()) + 1));
+  mon::chances(cost.data(), keys.data(), int(keys.size()), correlation, independent, noise,
+               out.data(), int(out.size()));
+  const std::size_t count = out.size();
+  return array_of(std::move(out), {count});
+}
 
 // Curves of a bank, which point into arrays that it keeps.
 class Bank {
  public:
-  // Of every curve its sizes (nodes), its shifts (nodes, joints, parameters), and the number of its
-  // fault and element.
-  Bank(std::vector<Input> sizes, std::vector<Input> shifts, std::vector<int> keys)
+  // Of every curve its sizes (nodes) and its shifts (nodes, joints, parameters).
+  Bank(std::vector<Input> sizes, std::vector<Input> shifts)
       : sizes_(std::move(sizes)), shifts_(std::move(shifts)) {
     const std::size_t count = sizes_.size();
-    if (count == 0 || shifts_.size() != count || keys.size() != count || shifts_[0].ndim() != 3) {
-      throw nb::value_error("curves need sizes, shifts (nodes, joints, parameters) and a key each");
+    if (count == 0 || shifts_.size() != count || shifts_[0].ndim() != 3) {
+      throw nb::value_error("curves need sizes and shifts (nodes, joints, parameters) each");
     }
     joints_ = int(shifts_[0].shape(1));
     parameters_ = int(shifts_[0].shape(2));
     for (std::size_t i = 0; i < count; ++i) {
       require("sizes", sizes_[i], {-1});
       require("shifts", shifts_[i], {long(sizes_[i].shape(0)), joints_, parameters_});
-      if (sizes_[i].shape(0) < 2 || keys[i] < 0) throw nb::value_error("a curve needs two sizes");
+      if (sizes_[i].shape(0) < 2) throw nb::value_error("a curve needs two sizes");
       curves_.push_back({int(sizes_[i].shape(0)), sizes_[i].data(),
-                         shifts_[i].data() + joints_ * parameters_, keys[i]});
-      keys_ = std::max(keys_, keys[i] + 1);
+                         shifts_[i].data() + joints_ * parameters_});
     }
   }
 
-  const mon::FaultCurve<double>* curves() const { return curves_.data(); }
-  int count() const { return int(curves_.size()); }
-  int joints() const { return joints_; }
-  int parameters() const { return parameters_; }
-  int keys() const { return keys_; }
-
-  // Rows of `out`: size, spread and cost, each (curves). Returns the cost without any fault.
-  double fit(const Moments& moments, Input weight, Output out) const {
-    const mon::Moments& sums = moments.sums();
+  // As `FaultFit::begin`. Sizes, spreads and costs of all curves, and the cost without any fault and
+  // that of noise.
+  nb::tuple fit(const mon::Moments& sums, Input normal, double discrepancy, int joint) const {
     if (sums.joints() != joints_ || sums.parameters() != parameters_) {
       throw nb::value_error("moments and bank differ in joints or parameters");
     }
-    require("weights", weight, {joints_});
-    require("results", out, {3, count()});
-    mon::FaultFit<double> fit(joints_, parameters_, count());
-    fit.begin(curves(), count(), sums, weight.data());
-    fit.advance(count());
-    double* row = out.data();
-    for (const double* values : {fit.size(), fit.spread(), fit.cost()}) {
-      row = std::copy_n(values, count(), row);
-    }
-    return fit.without();
-  }
-
-  void chances(Input cost, double correlation, double independent, double noise, Output out) const {
-    require("costs", cost, {count()});
-    require("chances", out, {keys_});
-    mon::chances(curves(), count(), cost.data(), correlation, independent, noise, out.data(), keys_);
+    require("mean square errors", normal, {joints_});
+    const std::size_t count = curves_.size();
+    mon::FaultFit<double> fit(joints_, parameters_, int(count));
+    fit.begin(curves_.data(), int(count), sums, normal.data(), discrepancy, joint);
+    fit.advance(int(count));
+    const auto of = [count](const double* values) {
+      return array_of({values, values + count}, {count});
+    };
+    return nb::make_tuple(of(fit.size()), of(fit.spread()), of(fit.cost()), fit.without(),
+                          fit.noise());
   }
 
  private:
   std::vector<Input> sizes_, shifts_;
   std::vector<mon::FaultCurve<double>> curves_;
-  int joints_ = 0, parameters_ = 0, keys_ = 0;
+  int joints_ = 0, parameters_ = 0;
 };
 
 mon::WatchSettings read_watch(const nb::dict& settings) {
@@ -173,8 +177,7 @@ mon::WatchSettings read_watch(const nb::dict& settings) {
 mon::MonitorSettings read_monitor(const nb::dict& settings) {
   mon::MonitorSettings out;
   out.watch = read_watch(settings);
-  LEGLAB_READ_3(passing, independent, discrepancy)
-  LEGLAB_READ_4(blocks, most_samples, most_curves, most_keys)
+  LEGLAB_READ_3(passing, blocks, most_samples)
   return out;
 }
 
@@ -208,7 +211,10 @@ class FaultMonitor {
   Array normal() const {
     return array_of({core_.normal(), core_.normal() + joints_}, {std::size_t(joints_)});
   }
-  Moments seen() const { return Moments(core_.seen()); }
+  mon::Moments look() {
+    if (!core_.open()) throw nb::value_error("no case is open");
+    return core_.look();
+  }
 
   // Regressors of the blocks before the case's onset, (n, joints, parameters).
   Array regressors_before() const {
@@ -227,39 +233,6 @@ class FaultMonitor {
     return array_of(std::move(out), {samples, joints, parameters});
   }
 
-  // The look keeps the bank.
-  void begin_look(nb::object kept) {
-    const Bank& bank = nb::cast<const Bank&>(kept);
-    if (!core_.open()) throw nb::value_error("no case is open");
-    if (bank.joints() != joints_ || bank.parameters() != parameters_) {
-      throw nb::value_error("monitor and bank differ in joints or parameters");
-    }
-    if (bank.count() > settings_.most_curves || bank.keys() > settings_.most_keys) {
-      throw nb::value_error("the bank has more curves than the monitor has room for");
-    }
-    bank_ = std::move(kept);
-    core_.begin_look(bank.curves(), bank.count(), bank.keys());
-  }
-
-  bool look(int curves) {
-    if (!bank_.is_valid()) throw nb::value_error("no look was begun");
-    return core_.look(curves);
-  }
-
-  // Cost without any fault and that of noise; sizes, spreads and costs of all curves, and chances of
-  // all keys.
-  nb::tuple finding() {
-    if (!look(0)) throw nb::value_error("the look is not done");
-    const mon::Finding found = core_.finding();
-    const std::size_t curves = std::size_t(core_.fit().curves());
-    const auto of = [](const double* values, std::size_t count) {
-      return array_of({values, values + count}, {count});
-    };
-    return nb::make_tuple(found.without, found.noise, of(core_.fit().size(), curves),
-                          of(core_.fit().spread(), curves), of(core_.fit().cost(), curves),
-                          of(core_.chance(), std::size_t(core_.keys())));
-  }
-
  private:
   Array map(const double* from) const {
     const std::size_t joints = std::size_t(joints_), parameters = std::size_t(parameters_);
@@ -268,27 +241,19 @@ class FaultMonitor {
 
   mon::MonitorSettings settings_;
   int joints_, parameters_;
-  mon::FaultMonitor<double> core_;
-  nb::object bank_;  // whose curves the look points to
+  mon::FaultMonitor core_;
 };
 
 }  // namespace
 
 NB_MODULE(monitor, module) {
-  nb::class_<Moments>(module, "Moments")
-      .def(nb::init<int, int>(), nb::arg("joints"), nb::arg("parameters"))
-      .def("add", &Moments::add, nb::arg("samples"))
-      .def("about", &Moments::about, nb::arg("parameters"))
-      .def_prop_ro("information", &Moments::information, nb::rv_policy::move)
-      .def_prop_ro("correlation", &Moments::correlation, nb::rv_policy::move)
-      .def_prop_ro("power", &Moments::power, nb::rv_policy::move)
-      .def_prop_ro("count", &Moments::count, nb::rv_policy::move);
+  bind_moments(module);
   nb::class_<Bank>(module, "Bank")
-      .def(nb::init<std::vector<Input>, std::vector<Input>, std::vector<int>>(), nb::arg("sizes"),
-           nb::arg("shifts"), nb::arg("keys"))
-      .def("fit", &Bank::fit, nb::arg("moments"), nb::arg("weight"), nb::arg("out"))
-      .def("chances", &Bank::chances, nb::arg("cost"), nb::arg("correlation"),
-           nb::arg("independent"), nb::arg("noise"), nb::arg("out"));
+      .def(nb::init<std::vector<Input>, std::vector<Input>>(), nb::arg("sizes"), nb::arg("shifts"))
+      .def("fit", &Bank::fit, nb::arg("moments"), nb::arg("normal"), nb::arg("discrepancy"),
+           nb::arg("joint") = -1);
+  module.def("chances", &chances, nb::arg("cost"), nb::arg("keys"), nb::arg("correlation"),
+             nb::arg("independent"), nb::arg("noise"));
   nb::class_<FaultMonitor>(module, "Monitor")
       .def(nb::init<int, int, nb::dict>(), nb::arg("joints"), nb::arg("parameters"),
            nb::arg("settings"))
@@ -299,12 +264,9 @@ NB_MODULE(monitor, module) {
       .def("take", &FaultMonitor::take, nb::arg("time"), nb::arg("samples"), nb::arg("parameters"))
       .def("base", &FaultMonitor::base)
       .def("normal", &FaultMonitor::normal)
-      .def("seen", &FaultMonitor::seen)
+      .def("look", &FaultMonitor::look)
       .def("regressors_before", &FaultMonitor::regressors_before)
-      .def("sum", &FaultMonitor::sum, nb::arg("samples") = mon::everything)
-      .def("begin_look", &FaultMonitor::begin_look, nb::arg("bank"))
-      .def("look", &FaultMonitor::look, nb::arg("curves") = mon::everything)
-      .def("finding", &FaultMonitor::finding);
+      .def("sum", &FaultMonitor::sum, nb::arg("samples") = mon::everything);
 }
 
 }  // namespace leglab::bindings

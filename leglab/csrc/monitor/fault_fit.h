@@ -17,7 +17,6 @@ struct FaultCurve {
   int nodes = 0;                  // sizes, the healthy one first
   const double* sizes = nullptr;  // strictly monotone, (nodes)
   const Shift* shifts = nullptr;  // without that of the healthy size, (nodes - 1, joints, parameters)
-  int key = 0;                    // number of its fault and element
 };
 
 // Finds the best size of every curve by weighted least squares, so many curves at a time.
@@ -32,17 +31,23 @@ class FaultFit {
       : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
         size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
 
-  // Begins with samples about the map before the fault and a weight of each joint's squared errors.
+  // Begins with samples about the map before the fault, mean square errors that are normal (joints),
+  // and the discrepancy of `Moments::weight`; with those of one joint, or of all where it is -1.
   // Curves and moments must stay as they are until `advance` says that all is done.
   void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
-             const double* weight) {
+             const double* normal, double discrepancy, int joint = -1) {
     curves_ = curves;
     count_ = count;
     done_ = 0;
     moments_ = &moments;
-    std::copy_n(weight, weight_.size(), weight_.begin());
-    without_ = 0.0;
-    for (int j = 0; j < moments.joints(); ++j) without_ += weight[j] * moments.power(j);
+    without_ = noise_ = 0.0;
+    for (int j = 0; j < moments.joints(); ++j) {
+      const bool counts = joint < 0 || j == joint;
+      const double weight = counts ? moments.weight(j, normal[j], discrepancy) : 0.0;
+      weight_[std::size_t(j)] = weight;
+      without_ += weight * moments.power(j);
+      noise_ += weight * moments.count(j) * normal[j];
+    }
   }
 
   // Fits so many curves more; true once all are fitted.
@@ -53,6 +58,7 @@ class FaultFit {
 
   int curves() const { return count_; }
   double without() const { return without_; }  // weighted sum of squared errors without any fault
+  double noise() const { return noise_; }      // what it would be of a machine that had not changed
   const double* size() const { return size_.data(); }
   const double* spread() const { return spread_.data(); }  // change of size that costs one more
   const double* cost() const { return cost_.data(); }      // as `without`, with the fault
@@ -183,7 +189,7 @@ class FaultFit {
   const FaultCurve<Shift>* curves_ = nullptr;
   int count_ = 0, done_ = 0;
   const Moments* moments_ = nullptr;
-  double without_ = 0.0;
+  double without_ = 0.0, noise_ = 0.0;
   std::vector<double> weight_, packed_, size_, spread_, cost_;
 };
 
@@ -198,14 +204,11 @@ constexpr double noise_doubt = 0.2;
 // correlation: samples that count as one. noise: the part of all costs that noise makes, at most the
 // least cost. The unknown variance is of what costs have beyond it, so that joints that show nothing
 // hide no difference.
-template <class Curve>
-void chances(const Curve* curves, int count, const double* cost, double correlation,
-             double independent, double noise, double* chance, int keys) {
+// key: number of a cost's fault and element.
+inline void chances(const double* cost, const int* key, int count, double correlation,
+                    double independent, double noise, double* chance, int keys) {
   std::fill_n(chance, keys, std::numeric_limits<double>::infinity());
-  for (int i = 0; i < count; ++i) {
-    double& best = chance[curves[i].key];
-    best = std::min(best, cost[i]);
-  }
+  for (int i = 0; i < count; ++i) chance[key[i]] = std::min(chance[key[i]], cost[i]);
   const double least = *std::min_element(chance, chance + keys);
   noise = std::min(noise, least);
   const auto beyond = [noise](double value) {

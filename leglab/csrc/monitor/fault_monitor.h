@@ -1,4 +1,4 @@
-// Notices a change from the samples of a learner, sums them up, and fits the faults of a bank.
+// Notices a change from the samples of a learner, and sums up those that come after it.
 #pragma once
 
 #include <algorithm>
@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "monitor/error_watch.h"
-#include "monitor/fault_fit.h"
 #include "monitor/moments.h"
 #include "monitor/recent_samples.h"
 
@@ -14,42 +13,23 @@ namespace leglab::monitor {
 
 struct MonitorSettings {
   WatchSettings watch;
-  double passing = 0.0;      // right after an onset samples do not count [s]
-  double independent = 0.0;  // errors that differ independently, in the odds of two faults
-  double discrepancy = 0.0;  // share of the error that a right fault leaves
-  int blocks = 1;            // that are kept to look back at
-  int most_samples = 1;      // in a block
-  int most_curves = 1;       // in a bank
-  int most_keys = 1;         // faults and elements in a bank
+  double passing = 0.0;  // right after an onset samples do not count [s]
+  int blocks = 1;        // that are kept to look back at
+  int most_samples = 1;  // in a block
 };
 
-// What a bank says of a change.
-struct Finding {
-  int curve = 0;        // that fits best
-  double size = 0.0;    // its size, and the change of size that costs one more
-  double spread = 0.0;
-  double cost = 0.0;    // weighted sum of squared errors with it and
-  double without = 0.0; // without
-  double noise = 0.0;   // what it would be of a machine that had not changed
-  double chance = 0.0;  // of its fault and element among all
-};
-
-// Samples or curves that are taken at once where time does not matter.
+// Samples that are taken at once where time does not matter.
 constexpr int everything = std::numeric_limits<int>::max();
 
 // Takes blocks of samples. With an alarm it opens a case: samples from the onset on are summed up,
-// and `look` asks a bank what happened. Sums and looks are made in pieces as small as there is
-// time for, with the same results.
-template <class Shift>
+// for a `FaultFit`. Sums are made in pieces as small as there is time for, with the same results.
 class FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
       : settings_(settings), watch_(joints, settings.watch),
         recent_(joints, parameters, settings.blocks, settings.most_samples),
-        sums_(joints, parameters), seen_(sums_),
-        fit_(joints, parameters, settings.most_curves), chances_(std::size_t(settings.most_keys)),
-        base_(std::size_t(joints * parameters)), mean_(std::size_t(joints)), used_(mean_),
-        weight_(mean_) {}
+        sums_(joints, parameters), seen_(sums_), base_(std::size_t(joints * parameters)),
+        mean_(std::size_t(joints)), used_(mean_) {}
 
   // Forgets everything; without alarms for so many samples.
   void reset(double wait) {
@@ -67,8 +47,6 @@ class FaultMonitor {
   double onset() const { return onset_; }                     // of the case [s]
   const double* base() const { return base_.data(); }         // map before it, (joints, parameters)
   const double* normal() const { return watch_.normal(); }    // mean square errors, (joints)
-  const Moments& sums() const { return sums_; }               // of its samples
-  const Moments& seen() const { return seen_; }               // of the look, about the base
   const RecentSamples& recent() const { return recent_; }
 
   // Blocks before the case's onset are from `recent().begin()` to this one; one at least.
@@ -97,36 +75,11 @@ class FaultMonitor {
     return !open_ || waiting_ == recent_.end();
   }
 
-  // Begins to fit the curves of a bank to the sums as they are now.
-  void begin_look(const FaultCurve<Shift>* curves, int count, int keys) {
-    curves_ = curves;
-    keys_ = keys;
+  // The sums as they are now, about the base; they stay until the next call.
+  const Moments& look() {
     seen_ = sums_;
     seen_.take_off(base_.data());
-    noise_ = 0.0;
-    for (int j = 0; j < seen_.joints(); ++j) {
-      const double mean = seen_.power(j) / std::max(seen_.count(j), 1.0);
-      const double left = settings_.discrepancy * settings_.discrepancy * mean;
-      weight_[std::size_t(j)] = 1.0 / std::max(watch_.normal()[j] + left, 1e-300);
-      noise_ += weight_[std::size_t(j)] * seen_.count(j) * watch_.normal()[j];
-    }
-    fit_.begin(curves, count, seen_, weight_.data());
-  }
-
-  // Fits so many curves more; true once all are fitted.
-  bool look(int curves) { return fit_.advance(curves); }
-
-  const FaultFit<Shift>& fit() const { return fit_; }            // of the look
-  const double* chance() const { return chances_.data(); }       // after `finding`, (keys)
-  int keys() const { return keys_; }
-
-  // The result of a look that is done.
-  Finding finding() {
-    const int best = fit_.best();
-    chances(curves_, fit_.curves(), fit_.cost(), settings_.watch.correlation,
-            settings_.independent, noise_, chances_.data(), keys_);
-    return {best, fit_.size()[best], fit_.spread()[best], fit_.cost()[best], fit_.without(), noise_,
-            chances_[std::size_t(curves_[best].key)]};
+    return seen_;
   }
 
  private:
@@ -183,12 +136,9 @@ class FaultMonitor {
   ErrorWatch watch_;
   RecentSamples recent_;
   Moments sums_, seen_;
-  FaultFit<Shift> fit_;
-  const FaultCurve<Shift>* curves_ = nullptr;
-  int keys_ = 0;
-  std::vector<double> chances_, base_, mean_, used_, weight_;
+  std::vector<double> base_, mean_, used_;
   bool open_ = false;
-  double onset_ = 0.0, noise_ = 0.0;
+  double onset_ = 0.0;
   long first_after_ = 0, waiting_ = 0;  // blocks; the next one to be summed up
   int waiting_sample_ = 0;              // and its next sample
 };

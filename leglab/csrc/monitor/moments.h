@@ -50,6 +50,13 @@ class Moments {
     }
   }
 
+  // Weight of a joint's squared errors: of the normal mean square error and of the share of its own,
+  // a deviation, that a right fault leaves, since no machine is the nominal one.
+  double weight(int joint, double normal, double discrepancy) const {
+    const double left = discrepancy * discrepancy * (power(joint) / std::max(count(joint), 1.0));
+    return 1.0 / std::max(normal + left, 1e-300);
+  }
+
   // Takes off the outputs what a map of these parameters (joints, parameters) predicts.
   void take_off(const double* parameters) {
     for (int joint = 0; joint < joints_; ++joint, parameters += parameters_) {

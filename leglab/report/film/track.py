@@ -9,6 +9,7 @@ import numpy as np
 
 from leglab import data
 from leglab.base.errors import LeglabError
+from leglab.base.fault_names import FaultEvent, FaultTrend
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
 from leglab.report.page.outcome import t90
@@ -175,7 +176,7 @@ def load_track(folder: Path) -> Track:
     )
 
 
-def _named(events: Sequence[record.FaultEvent]) -> Iterator[ShownChange]:
+def _named(events: Sequence[FaultEvent]) -> Iterator[ShownChange]:
     """The names in force, told as "named: knee seal wear 11.4, 100 %", until one goes back."""
     back = {name.undoes: name.time for event in events for name in event.names[-1:]}
     for event in events:
@@ -184,7 +185,7 @@ def _named(events: Sequence[record.FaultEvent]) -> Iterator[ShownChange]:
         yield ShownChange(start=name.time, end=end, text=f"named: {event.short()}")
 
 
-def _slowly(trends: Sequence[record.FaultTrend], recording: Recording) -> Iterator[ShownChange]:
+def _slowly(trends: Sequence[FaultTrend], recording: Recording) -> Iterator[ShownChange]:
     """Slow wear, from when it was said first: size and what remains as they were said then.
 
     Of what the recording does not follow, as a condition, those at the end stand for all.
@@ -203,7 +204,7 @@ def _slowly(trends: Sequence[record.FaultTrend], recording: Recording) -> Iterat
         yield from _looks(trend, recording.time, said[0])
 
 
-def _looks(trend: record.FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
+def _looks(trend: FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
     """Text of a trend from look to look; `said` has a row for each of `_FOLLOWED`."""
     before, after = said[:, :-1], said[:, 1:]
     new = np.any((before != after) & ~(np.isnan(before) & np.isnan(after)), axis=0)

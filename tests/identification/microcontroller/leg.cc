@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "feedforward/adaptive.h"
+#include "monitor/fault_fit.h"
 #include "monitor/fault_monitor.h"
 
 namespace ff = leglab::feedforward;
@@ -31,7 +32,8 @@ Leg* leg = nullptr;
 
 // Curves of the bank, sizes of one, and learned samples from one block to the next.
 constexpr int most_curves = 128, most_nodes = 8, block = 5;
-mon::FaultMonitor<float>* monitor = nullptr;
+mon::FaultMonitor* monitor = nullptr;
+mon::FaultFit<float>* fit = nullptr;
 mon::FaultCurve<float> curves[most_curves];
 
 double time = 0.0;
@@ -55,9 +57,11 @@ double kernel[4 * window], velocity_knots[11], position_knots[4], prior[inputs];
 double forgetting_factor;
 // The bank: sizes of each curve, how many, the number of its fault and element, and shifts of all
 // curves one behind the other. On the controller it is constant and lies in flash.
-double bank_sizes[most_curves * most_nodes], bank_nodes[most_curves], bank_group[most_curves];
+double bank_sizes[most_curves * most_nodes], bank_nodes[most_curves];
+int bank_group[most_curves];
 float bank_shifts[384 * joints * 47];
 unsigned bank_curves, bank_keys;
+double chance[most_curves];
 // Gain of the plant's cylinders; another one is a fault.
 double plant_gain = 0.9;
 // The host reads these.
@@ -169,19 +173,17 @@ extern "C" void setup() {
   mon::MonitorSettings watched;  // as bsnn_arx_bank's, but that it knows sooner what is normal
   watched.watch = {settings.interval * h, 4.0, 4.0, 20.0, 100};
   watched.passing = 0.06;
-  watched.independent = 12.0;
-  watched.discrepancy = 0.15;
   watched.blocks = 25;
   watched.most_samples = block;
-  watched.most_curves = watched.most_keys = most_curves;
-  monitor = new mon::FaultMonitor<float>(joints, int(parameters), watched);
+  monitor = new mon::FaultMonitor(joints, int(parameters), watched);
+  fit = new mon::FaultFit<float>(joints, int(parameters), most_curves);
   monitor->reset(150.0);
   leg->core.keep(block);
   monitor_bytes = unsigned(taken) - heap_bytes;
   const float* shifts = bank_shifts;
   for (unsigned i = 0; i < bank_curves; ++i) {
     const int nodes = int(bank_nodes[i]);
-    curves[i] = {nodes, bank_sizes + i * most_nodes, shifts, int(bank_group[i])};
+    curves[i] = {nodes, bank_sizes + i * most_nodes, shifts};
     shifts += (nodes - 1) * joints * int(parameters);
   }
 }
@@ -224,13 +226,18 @@ extern "C" void take_block() {
 }
 
 extern "C" void sum_sample() { monitor->sum(1); }
-extern "C" void begin_look() { monitor->begin_look(curves, int(bank_curves), int(bank_keys)); }
-extern "C" void fit_curve() { look_done = monitor->look(1); }
+extern "C" void begin_look() {
+  fit->begin(curves, int(bank_curves), monitor->look(), monitor->normal(), 0.15);
+}
+extern "C" void fit_curve() { look_done = fit->advance(1); }
 
 extern "C" void find() {
-  const mon::Finding all = monitor->finding();
-  const double values[] = {double(all.curve), all.size,  all.spread, all.cost,
-                           all.without,       all.noise, all.chance};
+  const int best = fit->best();
+  mon::chances(fit->cost(), bank_group, fit->curves(), 20.0, 12.0, fit->noise(), chance,
+               int(bank_keys));
+  const double values[] = {double(best),      fit->size()[best], fit->spread()[best],
+                           fit->cost()[best], fit->without(),    fit->noise(),
+                           chance[bank_group[best]]};
   for (int i = 0; i < 7; ++i) found[i] = values[i];
   late_bytes = unsigned(taken) - heap_bytes - monitor_bytes;
 }

@@ -1,0 +1,61 @@
+"""Conditions that a sound machine passes through, as temperatures of the oil; they are no wear."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leglab.base.fault_names import ALL
+from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
+
+# Name of each, and the faults of the bank whose sizes, in one unit, are its values.
+CONDITIONS: Mapping[str, tuple[str, ...]] = {"oil_temperature": ("cold_oil", "hot_oil")}
+
+
+def with_conditions(bank: FaultBank) -> FaultBank:
+    """The bank with `CONDITIONS` in place of the faults that they consist of.
+
+    A machine may be at any value of a condition when it is first seen: there is a curve upwards
+    and one downwards from each.
+    """
+    curves = [c for c in bank.curves if not any(c.fault in own for own in CONDITIONS.values())]
+    for name, faults in CONDITIONS.items():
+        parts = [c for c in bank.curves if c.fault in faults and c.element == ALL]
+        nodes: dict[float, np.ndarray] = {}
+        for part in parts:
+            nodes |= {float(x): y for x, y in zip(part.sizes, part.shifts, strict=True)}
+        sizes = sorted(nodes)
+        for i, origin in enumerate(sizes):
+            for way in (sizes[i:], sizes[i::-1]):
+                if len(way) < 2:
+                    continue
+                shifts = np.array([nodes[size] - nodes[origin] for size in way])
+                curves.append(
+                    FaultCurve(
+                        fault=name,
+                        element=ALL,
+                        meaning=parts[0].meaning,
+                        sizes=np.array(way),
+                        shifts=shifts,
+                        explains=min(part.explains for part in parts),
+                    )
+                )
+    return FaultBank(curves=tuple(curves))
+
+
+def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
+    """The curves of each condition in a bank."""
+    found = {name: tuple(c for c in bank.curves if c.fault == name) for name in CONDITIONS}
+    return {name: FaultBank(curves=curves) for name, curves in found.items() if curves}
+
+
+def joint_by_joint(
+    bank: FaultBank, moments: Moments, normal: np.ndarray, discrepancy: float
+) -> tuple[float, np.ndarray]:
+    """Cost and values, (joints,), of a condition with a value of its own for each joint's map."""
+    cost, values = 0.0, np.zeros(len(normal))
+    for joint in range(len(normal)):
+        fit = bank.fit(moments, normal, discrepancy, joint)
+        best = int(np.argmin(fit.cost))
+        cost += float(fit.cost[best])
+        values[joint] = fit.size[best]
+    return cost, values

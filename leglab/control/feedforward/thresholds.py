@@ -1,0 +1,67 @@
+"""Numbers that were chosen of names while driving and of slow wear, each with its reason.
+
+Those that a user may set are defaults in `FaultMonitor`'s and `HealthMonitor`'s configurations.
+Times are of machines whose valves and oil settle within some tens of milliseconds, as those of
+every servo valve of the catalogue do; squared errors and sizes are ratios, of any machine.
+"""
+
+# What is judged.
+
+# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
+# Specimens of tolerance 0.1 leave as much.
+DISCREPANCY = 0.15
+# Mean square error of a joint, over the normal one, from which on a change concerns it [1]: far
+# beyond the scatter of the mean of some hundred samples, of which twenty count as one.
+CHANGED = 2.0
+# The same, of the map before the change, from which on a change that nothing explains is told: an
+# RMS error of three times the normal one is no motion that the map has seen less of.
+UNEXPLAINED = 10.0
+# Faults within this factor of the most probable one are told with it, at most so many in all: what
+# the samples do not tell apart is not told by one name, and more names say nothing.
+ALIKE, TOLD = 4.0, 3
+# Standard deviations from the middle to the ends of an interval of 90 %.
+NINETY = 1.645
+# Weight of a squared parameter about the learner's against the squared errors of the samples: the
+# map stays where the motion does not show it.
+RIDGE = 1e-2
+
+# A change at once.
+
+# Times after an onset at which the bank is asked [s]: often at first, as the evidence grows. The
+# case is closed at the last one, or once a name has stood for `STEADY` [s]: the machine may change
+# again.
+_EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
+LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
+STEADY = 2.0
+# From when to when after an onset an explanation may become less good, as more is seen, and the
+# evidence for it and for its name less [s].
+GROWN, PROVEN = (0.1, 0.4), (0.1, 0.6)
+# Samples right after an onset do not count: valves and oil pass over to their new state [s].
+PASSING = 0.06
+# Blocks that are kept to look back at, from an alarm on: half a second, more than the slowest alarm
+# takes.
+BLOCKS = 25
+# How long after its onset a change that nothing explains is told, and over what time [s]: a stride
+# and half of one, since a motion never made before errs for a part of it.
+PATIENCE, RECENT = 1.3, 0.65
+# So many faults are proposed at a look: each is a map that learns, in the time of a period.
+CONTENDERS = 3
+# What comes later corrects nothing: the learner has found its own way by then [s].
+LATE = 1.0
+# So many changes are remembered: each adds a curve to the bank.
+MOST_STANDING = 4
+# Share of what is learned of a change that must go for it to count as undone: what is left is then
+# within the doubt of the size.
+UNDONE = 0.7
+
+# Slow wear.
+
+# Looks that are judged together: one alone may be of an odd motion.
+TOGETHER = 3
+# Looks whose sizes are kept: days are a coarser line.
+MOST_LOOKS = 1024
+# Looks on a line, at least; from so many on the later half of them is the line, since wear that
+# grows faster and faster is shown too good by all.
+FEWEST, MANY = 4, 16
+# Both ends of an interval of a line together leave out so much.
+OUTSIDE = 0.1
