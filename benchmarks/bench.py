@@ -14,7 +14,7 @@ import typer
 
 from benchmarks.suite import history, suite
 from benchmarks.suite.page import HEAD, page, summary
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.cli.conventions import execute
 from leglab.cli.options import Json
@@ -58,9 +58,9 @@ def bench(
 ) -> None:
     """Measures speed and accuracy beside their peers, and writes a page."""
     if not 1 <= repeat <= 100:
-        raise LeglabError(f"repeat is {repeat}; allowed: 1 to 100")
+        raise SettingsError(f"repeat is {repeat}; allowed: ", given=repeat, allowed="1 to 100")
     if quick and keep:
-        raise LeglabError("--keep is for figures of whole measurements; here it is with --quick")
+        raise SettingsError("--keep is for figures of whole measurements; here it is with --quick")
     parts = suite.chosen_parts(part)
     with claimed_folder(out):
         if stored:

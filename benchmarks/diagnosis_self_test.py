@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks import results
 from benchmarks.self_test import exact, rough
 from benchmarks.self_test.figures import save_figures
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import check_jobs
 from leglab.cli.terminal import progress
@@ -23,7 +23,8 @@ def measure(options: argparse.Namespace) -> Any:
     """Scores, and of rough or visible faults the confidences."""
     for name, least in (("cases", 1), ("seed", 0)):
         if getattr(options, name) < least:
-            raise LeglabError(f"{name} is {getattr(options, name)}; allowed: {least} or more")
+            told = f"{name} is {getattr(options, name)}; allowed: "
+            raise SettingsError(told, given=getattr(options, name), allowed=f"{least} or more")
     check_jobs(options.jobs)
     where = {"processes": options.jobs, "scheduler": options.scheduler}
     with claimed_folder(options.out), progress("self-test", options.cases) as show:

@@ -13,7 +13,7 @@ from dataclasses import fields
 import numpy as np
 from pydantic import Field
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.base.settings import Configuration
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.control.backstepping.adaptation import Adaptation
@@ -235,7 +235,7 @@ class AdaptiveBackstepping:
 def _stacked(measurement: Measurement) -> np.ndarray:
     """Positions and both pressures, (3, joints)."""
     if measurement.pressure_a is None or measurement.pressure_b is None:
-        raise LeglabError(f"controller {_NAME!r} needs measured pressures, there are none")
+        raise ModelError(f"controller {_NAME!r} needs measured pressures, there are none")
     return np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.base.fault_names import FaultEvent, FaultTrend
 from leglab.control import ControllerSetup, Measurement, register_controller
 from leglab.control.feedforward.fault_monitor import (
@@ -66,7 +66,7 @@ class BankController(AdaptiveController):
 
     def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
         if setup.fault_bank is None:
-            raise LeglabError(f"controller {self.name!r} needs a bank of faults of the machine")
+            raise ModelError(f"controller {self.name!r} needs a bank of faults of the machine")
         self.plays = config.plays
         super().__init__(setup, config)
         bank = setup.fault_bank()

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.control import ControllerSetup, Measurement, register_controller
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.feedforward.adaptive import AdaptiveFeedforward
@@ -85,7 +85,7 @@ class PressureController(AdaptiveController):
         """
         pressures = (measurement.pressure_a, measurement.pressure_b, measurement.supply_pressure)
         if any(pressure is None for pressure in pressures):
-            raise LeglabError(f"controller {self.name!r} needs measured pressures, there are none")
+            raise ModelError(f"controller {self.name!r} needs measured pressures, there are none")
         super().reset(measurement)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.control.feedforward.motion import ReferenceMotion
 from leglab.controllers.pd import Pd, PdConfiguration
@@ -48,7 +48,7 @@ class ExactInverse:
         """
         if self.commands is None:
             if self._find is None:
-                raise LeglabError("controller 'exact_inverse' needs the machine of the run")
+                raise ModelError("controller 'exact_inverse' needs the machine of the run")
             self.commands = self._find()
         self._pd.reset(measurement)
         self._motion.clear()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.control import ControllerSetup, Measurement, ReferencePoint, register_controller
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 from leglab.identification import Rls
@@ -31,7 +31,7 @@ class Oracle(AdaptiveController):
         config = config.model_copy(update={"supervised": False, "stop_time": 0.0})
         super().__init__(setup, config)
         if setup.foreknowledge.bench_runs is None:
-            raise LeglabError(f"controller {self.name!r} needs recordings of the changed machine")
+            raise ModelError(f"controller {self.name!r} needs recordings of the changed machine")
         learns = config.model_copy(update={"stop_time": None})
         self._maps = [
             run.identify(self._adaptation(setup, learns, Rls(initial_gain=_PRIOR)))

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
-from leglab.base.output import write_atomically
+from leglab.base.errors import LeglabError, SettingsError
+from leglab.base.output import cannot_write, write_atomically
 from leglab.base.recording import Recording
 from rigs.bench import FAULTS, FaultyBench, HiddenValue, detuned, references
 
@@ -55,10 +55,11 @@ def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[HiddenVal
         LeglabError: A fault or a motion is not known, or the time is too short.
     """
     if not settings.seconds >= 1.0:
-        raise LeglabError(f"seconds is {settings.seconds:g}; allowed: 1 or more")
+        told = f"seconds is {settings.seconds:g}; allowed: "
+        raise SettingsError(told, given=settings.seconds, allowed="1 or more")
     for name in settings.effects:
         if name not in FAULTS:
-            raise unknown_name("fault of the rig", name, FAULTS)
+            raise SettingsError.unknown("fault of the rig", name, FAULTS)
     rng = np.random.default_rng([settings.seed, 0])
     plant = FaultyBench()
     detuned(plant, rng)
@@ -66,7 +67,7 @@ def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[HiddenVal
     motions = references(rng, settings.seconds)
     for name in settings.motions:
         if name not in motions:
-            raise unknown_name("motion of the rig", name, motions)
+            raise SettingsError.unknown("motion of the rig", name, motions)
     found = {}
     for i, name in enumerate(settings.motions):
         found[name] = plant.record(motions[name], np.random.default_rng([settings.seed, 1, i]))
@@ -111,7 +112,7 @@ def write_rig(settings: RigSettings, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise LeglabError(f"{folder}: cannot be written: {error.strerror}") from error
+        raise cannot_write(folder, error) from error
     paths = []
     for i, (name, recording) in enumerate(recordings.items()):
         rng = np.random.default_rng([settings.seed, 2, i])

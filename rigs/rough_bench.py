@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from leglab.base.errors import unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.recording import Recording
 from rigs._native import rough_bench as native
 from rigs.bench import NULL_SHIFT, TOLERANCES, HiddenValue, references
@@ -547,9 +547,9 @@ def with_fault(
         LeglabError: The fault or the word for sizes does not exist.
     """
     if name not in FAULTS:
-        raise unknown_name("fault of the rough bench", name, FAULTS)
+        raise SettingsError.unknown("fault of the rough bench", name, FAULTS)
     if sizes not in SIZES:
-        raise unknown_name("range of sizes", sizes, SIZES)
+        raise SettingsError.unknown("range of sizes", sizes, SIZES)
     fault = FAULTS[name]
     return fault.change(bench, fault.size.draw(rng, sizes), rng)
 

@@ -6,7 +6,7 @@ surroundings, as cold as the oil was, cool it. Choices of this project: 250 J/K 
 air and, with the oil, to the tank.
 """
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import Options, ParameterChange, Severity, register_scenario
 
 THERMAL_CAPACITY = 250.0  # J/K
@@ -31,7 +31,7 @@ def cold_start(options: Options) -> tuple[ParameterChange, ...]:
         LeglabError: A ramp is asked for.
     """
     if options.ramp_duration:
-        raise LeglabError("scenario 'cold_start' starts cold, so it has no ramp_duration")
+        raise SettingsError("scenario 'cold_start' starts cold, so it has no ramp_duration")
     return tuple(
         ParameterChange(parameter=parameter, kind="set", value=value, start=0.0)
         for parameter, value in (

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from benchmarks.self_test.outcomes import run_missing
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
 from leglab.diagnosis.intake.recordings import held_out_choice
@@ -185,7 +185,8 @@ def self_test(
     """
     unknown = set(kinds) - set(_SHARES)
     if unknown:
-        raise LeglabError(f"unknown kind of case {sorted(unknown)}; allowed: {', '.join(_SHARES)}")
+        told = f"unknown kind of case {sorted(unknown)}; allowed: "
+        raise SettingsError(told, given=sorted(unknown), allowed=_SHARES)
     counts = {k: max(1, round(_SHARES[k] * count)) for k in _SHARES if k in set(kinds)}
     names = set(Library(Machine(MODEL)).names)
     todo = cases(counts, seed, sorted(set(FAULTS) & names))

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SimulationError
 from leglab.jobs.engine import answers
 from leglab.jobs.work import Work
 
@@ -75,7 +75,7 @@ def run_missing(
             progress(f"{kind} {number}", len(found), len(cases))
     if problems:
         others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise LeglabError(f"{problems[0]}{others}; the other outcomes are in {path}")
+        raise SimulationError(f"{problems[0]}{others}; the other outcomes are in {path}")
     return [found[key(case)] for case in cases]
 
 

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
 from benchmarks.self_test.outcomes import run_missing
-from leglab.base.errors import unknown_name
+from leglab.base.errors import SettingsError
 from leglab.diagnosis.effects.hypothesis import Library
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
@@ -57,7 +57,7 @@ class RoughTestSettings:
 
     def __post_init__(self) -> None:
         if self.sizes not in SIZES:
-            raise unknown_name("range of sizes", self.sizes, SIZES)
+            raise SettingsError.unknown("range of sizes", self.sizes, SIZES)
 
     @property
     def name(self) -> str:
@@ -252,7 +252,7 @@ def rough_self_test(
     kinds = tuple(kinds)
     for kind in kinds:
         if kind not in SHARES:
-            raise unknown_name("kind of case", kind, SHARES)
+            raise SettingsError.unknown("kind of case", kind, SHARES)
     counts = {k: max(1, round(share * count)) for k, share in SHARES.items() if k in kinds}
     todo = rough_cases(counts, settings, Library(Machine(MODEL)).names)
     hidden = {(case.kind, case.number): case.faults for case in todo}

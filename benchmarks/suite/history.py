@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.suite.suite import ROOT, Measured, Ratio, Value, machine
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, SimulationError
 from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 
@@ -59,7 +59,8 @@ def read_history(path: Path | None = None) -> list[Entry]:
             ratios = {str(name): float(value) for name, value in content.pop("ratios").items()}
             found.append(Entry(**content, ratios=ratios))
         except (ValueError, TypeError, LookupError, AttributeError) as error:
-            raise LeglabError(f"{path}, line {number}: is no entry of the history") from error
+            told = f"{path}, line {number}: is no entry of the history"
+            raise FileError(told, given=path) from error
     return found
 
 
@@ -71,7 +72,7 @@ def entry_of(measured: Sequence[Measured], found: Sequence[Value]) -> Entry:
     """
     records = [m.record for m in measured if m.record]
     if not records or not found:
-        raise LeglabError("nothing was measured that could be kept")
+        raise SimulationError("nothing was measured that could be kept")
     return Entry(
         commit=records[-1]["commit"],
         date=records[-1]["date"],

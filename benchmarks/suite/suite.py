@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from benchmarks import results
 from benchmarks.registry import BENCHMARKS, ROOT, Benchmark, shown
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.input import read_json
 from leglab.jobs.engine import Progress
 
@@ -391,7 +391,7 @@ def chosen_parts(names: Sequence[str] | None) -> list[Benchmark]:
     known = {part.name: part for part in PARTS}
     for name in names or ():
         if name not in known:
-            raise unknown_name("part of the benchmark", name, known)
+            raise SettingsError.unknown("part of the benchmark", name, known)
     return [part for part in PARTS if not names or part.name in names]
 
 

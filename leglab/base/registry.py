@@ -130,7 +130,7 @@ class FactoryRegistry(Registry[Configured[Entry]]):
             given = getattr(configuration, "__qualname__", repr(configuration))
             raise SettingsError(
                 f"{self.kind} {name!r}: configuration is {given}; allowed: ",
-                given=configuration,
+                given=given,
                 allowed="a subclass of leglab.Configuration, which refuses unknown settings",
             )
 

@@ -63,12 +63,12 @@ def parameters(
     as_json: Json = False,
 ) -> None:
     """Shows the physical parameters of the plugins: units, defaults, bounds, sources."""
-    from leglab.base.errors import unknown_name
+    from leglab.base.errors import SettingsError
     from leglab.machine.parameters import markdown_tables, plugin_tables
 
     tables = plugin_tables()
     if plugin is not None and plugin not in tables:
-        raise unknown_name("plugin", plugin, tables)
+        raise SettingsError.unknown("plugin", plugin, tables)
     chosen = [tables[plugin]] if plugin else list(tables.values())
     if as_json:
         print_json({entry.plugin: entry.to_json() for entry in chosen})

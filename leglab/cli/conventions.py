@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
 from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, errors
 
@@ -226,7 +226,7 @@ def _check_opengl() -> None:
     """Refuses a MUJOCO_GL that MuJoCo refuses with a traceback when it is imported."""
     chosen = os.environ.get("MUJOCO_GL", "")
     if chosen.lower().strip() not in ("", *_OPENGL):
-        raise LeglabError(f"MUJOCO_GL is {chosen!r}; allowed: {', '.join(_OPENGL)}")
+        raise SettingsError(f"MUJOCO_GL is {chosen!r}; allowed: ", given=chosen, allowed=_OPENGL)
 
 
 def _written_to_the_end() -> bool:

@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import FileError, SettingsError
 from leglab.base.output import new_file
 from leglab.cli.options import Columns, Json
 from leglab.cli.terminal import errors, output, print_json, print_wide
@@ -68,13 +68,14 @@ def convert(
 
     # First of all what costs nothing to check.
     if to is not None and to not in data.FORMATS:
-        raise unknown_name("format", to, data.FORMATS)
+        raise FileError.unknown("format", to, data.FORMATS)
     form = to or data.format_of(target)
     for file in filter(None, (target, layout)):
         if file.exists() and not overwrite:
-            raise LeglabError(f"{file} exists; --overwrite replaces it")
+            raise FileError(f"{file} exists; --overwrite replaces it", given=file)
     if layout is not None and form not in ("csv", "plotjuggler"):
-        raise LeglabError(f"--layout goes with csv and plotjuggler, not with {form}")
+        told = f"--layout goes with csv and plotjuggler, not with {form}"
+        raise SettingsError(told, given=form, allowed=("csv", "plotjuggler"))
     timestep = None
     if (source / RECORDING).is_file():
         run = read_run(source)
@@ -83,8 +84,8 @@ def convert(
             timestep = run.configuration.settings.get("timestep")
         source = source / RECORDING
     if model is not None and form not in _SHOWING:
-        allowed = " or ".join(_SHOWING)
-        raise LeglabError(f"{form} cannot show a machine; --model goes with {allowed}")
+        told = f"{form} cannot show a machine; --model goes with {' or '.join(_SHOWING)}"
+        raise SettingsError(told, given=form, allowed=_SHOWING)
     recording = data.read(source, columns=columns)
     lost = data.losses(recording, target, form)
     scene = None

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.output import check_apart, check_folder, new_folder
 from leglab.cli.options import (
     Columns,
@@ -51,7 +51,7 @@ def diagnose(
     if effect:
         _check_effects(effect)
     if model is None or not recordings:
-        raise LeglabError("diagnose needs a model and at least one recording")
+        raise SettingsError("diagnose needs a model and at least one recording")
     from leglab.diagnosis.improve import improved_model
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
     from leglab.diagnosis.search.pipeline import DiagnosisSettings
@@ -67,9 +67,8 @@ def diagnose(
     before = read_recordings(healthy, columns) if healthy else None
     both = {path.resolve() for path in recordings} & {path.resolve() for path in healthy or []}
     if both:
-        raise LeglabError(
-            f"{min(both).name} is given as a recording and as --healthy; allowed: one of both"
-        )
+        told = f"{min(both).name} is given as a recording and as --healthy; allowed: "
+        raise SettingsError(told, given=min(both), allowed="one of both")
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
     made = ("diagnosis.html", "improved.xml", "figures")
     with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as partial:
@@ -110,4 +109,4 @@ def _check_effects(names: list[str]) -> None:
     known = sorted({effect.name for effect in all_effects() if effect.nameable})
     for name in names:
         if name not in known:
-            raise unknown_name("effect", name, known)
+            raise SettingsError.unknown("effect", name, known)

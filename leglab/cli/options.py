@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 
 if TYPE_CHECKING:
     from leglab.runs.preparation import RunSettings
@@ -157,7 +157,8 @@ def check_jobs(jobs: int, name: str = "jobs") -> None:
     """Raises `LeglabError` for no processes, or far more than there are cores."""
     most = 16 * (os.cpu_count() or 1)
     if jobs != -1 and not 1 <= jobs <= most:
-        raise LeglabError(f"{name} is {jobs}; allowed: 1 to {most}, or -1 for one a core")
+        allowed = f"1 to {most}, or -1 for one a core"
+        raise SettingsError(f"{name} is {jobs}; allowed: ", given=jobs, allowed=allowed)
 
 
 def names_of(kind: str) -> tuple[str, ...]:

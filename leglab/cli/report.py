@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, load_plugins
 from leglab.cli.terminal import complain, make_many, output, print_json, progress, tell
@@ -96,20 +96,21 @@ def report(
         _report_sweep(folders[0], out, wanted, overwrite=overwrite, as_json=as_json)
         return
     if films is not None:
-        raise LeglabError("--films is for the page of a sweep; a page of runs has one film")
+        raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
     if scenario is None:
         given = [name for name, value in own.items() if value is not None]
         if given:
-            raise LeglabError(f"{given[0]} says what to run: it needs --scenario")
+            told = f"{given[0]} says what to run: it needs --scenario"
+            raise SettingsError(told, given=given[0])
         if not folders:
-            raise LeglabError("report needs the folder of at least one run, or --scenario")
+            raise SettingsError("report needs the folder of at least one run, or --scenario")
         place = out or (folders[0] if len(folders) == 1 else Path("out/report"))
         check_out(place, overwrite=overwrite)
         span = duration
         check_runs(folders)
     else:
         if folders:
-            raise LeglabError("report takes folders of runs or --scenario, not both")
+            raise SettingsError("report takes folders of runs or --scenario, not both")
         check_jobs(jobs)
         place, span = out or Path("out/report"), None
         check_out(place, overwrite=True)
@@ -165,7 +166,8 @@ def _report_sweep(
     from leglab.report.sweep.page import MOST_FILMS, worst_runs, write_sweep_page
 
     if not 0 <= wanted.count <= MOST_FILMS:
-        raise LeglabError(f"films is {wanted.count}; allowed: 0 to {MOST_FILMS}")
+        told = f"films is {wanted.count}; allowed: "
+        raise SettingsError(told, given=wanted.count, allowed=f"0 to {MOST_FILMS}")
     place = out or folder
     check_out(place, overwrite=overwrite)
     films: dict[int, Path] = {}

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.cli import options, terminal
 
 
@@ -119,7 +119,7 @@ def query(
     from leglab.runs.sweeps.query import ask
 
     if csv is not None and as_json:
-        raise LeglabError("query takes --csv or --json, not both")
+        raise SettingsError("query takes --csv or --json, not both")
     answer = ask(folder, sql)
     if as_json:
         terminal.print_json(answer.records())

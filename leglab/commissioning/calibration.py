@@ -131,7 +131,7 @@ def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
             cylinder = Cylinder(simulation.cylinder_parameters(actuator))
             states.append(cylinder.steady_state(0.0, force))
         except LeglabError as error:
-            raise LeglabError(f"actuator {actuator!r} cannot hold its joint: {error}") from error
+            raise error.at(f"actuator {actuator!r} cannot hold its joint") from error
     spools = np.array([state.spool for state in states])
     simulation.set_pressures(
         np.array([state.pressure_a for state in states]),

@@ -5,7 +5,7 @@ import copy
 import mujoco
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.simulation import Simulation
@@ -25,9 +25,8 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
         LeglabError: An actuator is no cylinder.
     """
     for name in simulation.native:
-        raise LeglabError(
-            f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
-        )
+        told = f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
+        raise ModelError(told, given=name, allowed="a cylinder")
     sheets = [simulation.cylinder_parameters(name) for name in simulation.actuators]
 
     def row(name: str) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import ModelError, SettingsError, SimulationError
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 
@@ -116,7 +116,7 @@ class NominalMachine:
         properties = [name for name in vars(NominalMachine) if not name.startswith("_")]
         for name, value in known.items():
             if name not in properties:
-                raise unknown_name("property of a nominal machine", name, properties)
+                raise SettingsError.unknown("property of a nominal machine", name, properties)
             self.__dict__[name] = value
 
     @cached_property
@@ -193,9 +193,10 @@ class NominalMachine:
         """Standard deviation of a measured pressure [Pa]."""
         raise self._missing("pressure_noise")
 
-    def _missing(self, name: str) -> LeglabError:
-        given = ", ".join(sorted(n for n in self.__dict__ if not n.startswith("_"))) or "nothing"
-        return LeglabError(f"the controller needs {name!r} of the machine, which gives {given}")
+    def _missing(self, name: str) -> ModelError:
+        known = sorted(n for n in self.__dict__ if not n.startswith("_"))
+        told = f"the controller needs {name!r} of the machine, which gives "
+        return ModelError(told + (", ".join(known) or "nothing"), given=name, allowed=known)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,16 +242,19 @@ class ControllerSetup:
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) != len(self.joints):
-            raise LeglabError(f"joints {self.joints!r} of a controller must be distinct names")
+            told = f"joints {self.joints!r} of a controller must be "
+            raise SettingsError(told, given=self.joints, allowed="distinct names")
         if not (self.control_period > 0 and math.isfinite(self.control_period)):
-            raise LeglabError(f"control_period {self.control_period!r} s must be positive")
+            told = f"control_period {self.control_period!r} s must be "
+            raise SettingsError(told, given=self.control_period, allowed="positive")
         object.__setattr__(self, "joints", tuple(self.joints))
 
-    def wrong_length(self, name: str, values: Sequence, controller: str) -> LeglabError:
+    def wrong_length(self, name: str, values: Sequence, controller: str) -> SettingsError:
         """Builds the error for a setting that needs one value a joint and has another number."""
-        return LeglabError(
-            f"controller {controller!r}: setting {name!r} has {len(values)} values, needed is one "
-            f"for each of {', '.join(self.joints)}"
+        return SettingsError(
+            f"controller {controller!r}: setting {name!r} has {len(values)} values, needed is ",
+            given=values,
+            allowed=f"one for each of {', '.join(self.joints)}",
         )
 
 
@@ -293,21 +297,20 @@ def _check_contract(name: str, factory: Any) -> None:
     """Raises `LeglabError` where a class is no controller; a function makes one later."""
     if not inspect.isclass(factory):
         return
+    where = f"controller {name!r}: {factory.__qualname__}"
     for method, count in _METHODS.items():
         own = getattr(factory, method, None)
         wanted = ", ".join(("measurement", "reference")[:count])
         if not callable(own):
-            raise LeglabError(
-                f"controller {name!r}: {factory.__qualname__} has no method {method!r}; needed are "
-                "reset(measurement) and command(measurement, reference)"
-            )
+            told = f"{where} has no method {method!r}; needed are "
+            needed = "reset(measurement) and command(measurement, reference)"
+            raise SettingsError(told, given=factory.__qualname__, allowed=needed)
+        taken = inspect.signature(own)
         try:
-            inspect.signature(own).bind(None, *range(count))
+            taken.bind(None, *range(count))
         except TypeError:
-            raise LeglabError(
-                f"controller {name!r}: {factory.__qualname__}.{method} takes "
-                f"{inspect.signature(own)}; needed is {method}({wanted})"
-            ) from None
+            told = f"{where}.{method} takes {taken}; needed is "
+            raise SettingsError(told, given=str(taken), allowed=f"{method}({wanted})") from None
 
 
 def controller_names() -> tuple[str, ...]:
@@ -362,22 +365,21 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
     shape = getattr(command, "shape", None)
     if shape != (len(joints),):
         got = f"shape {shape}" if shape is not None else f"{type(command).__name__}"
-        raise LeglabError(
-            f"controller {controller!r} gave {got} at {time:.6g} s, allowed is an array of shape "
-            f"({len(joints)},)"
-        )
+        told = f"controller {controller!r} gave {got} at {time:.6g} s, allowed is "
+        raise SimulationError(told, given=got, allowed=f"an array of shape ({len(joints)},)")
     if command.dtype.kind not in "fiu":
-        raise LeglabError(
-            f"controller {controller!r} gave an array of {command.dtype} at {time:.6g} s, allowed "
-            "are numbers"
-        )
+        got = f"an array of {command.dtype}"
+        told = f"controller {controller!r} gave {got} at {time:.6g} s, allowed are "
+        raise SimulationError(told, given=got, allowed="numbers")
     # One dot product instead of isfinite and all: NaN and infinity survive it.
     if not math.isfinite(command.dot(command)):
         finite = np.isfinite(command)
         if not finite.all():
             joint = int(np.argmin(finite))
-            raise LeglabError(
+            raise SimulationError(
                 f"controller {controller!r} gave {command[joint]} for joint {joints[joint]!r} at "
-                f"{time:.6g} s, allowed are numbers in [-1, 1]"
+                f"{time:.6g} s, allowed are ",
+                given=float(command[joint]),
+                allowed="numbers in [-1, 1]",
             )
     return command

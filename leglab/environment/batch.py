@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from leglab._native.batch import Batch as Core
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError, SettingsError, SimulationError
 from leglab.control import (
     Controller,
     ControllerSetup,
@@ -228,16 +228,19 @@ class Batch:
         """
         values = np.asarray(action, dtype=float)
         if values.shape != self.command.shape:
-            raise LeglabError(f"action has shape {values.shape}, allowed is {self.command.shape}")
+            allowed = str(self.command.shape)
+            told = f"action has shape {values.shape}, allowed is "
+            raise SettingsError(told, given=values.shape, allowed=allowed)
         if not np.isfinite(values).all():
             machine = int(np.argmin(np.isfinite(values).all(axis=1)))
-            raise LeglabError(
-                f"action of machine {machine} is not finite; allowed: numbers in [-1, 1]"
-            )
+            told = f"action of machine {machine} is not finite; allowed: "
+            raise SettingsError(told, given=values[machine], allowed="numbers in [-1, 1]")
         moves = np.ones(self.count, dtype=bool) if rests is None else ~rests
         over = moves & (self.terminated | self.truncated)
         if over.any():
-            raise LeglabError(f"the episode of machine {int(np.argmax(over))} is over: reset it")
+            machine = int(np.argmax(over))
+            told = f"the episode of machine {machine} is over: reset it"
+            raise SimulationError(told, given=machine)
         if rests is not None:
             values = np.where(moves[:, None], values, self.action)
         self.action = values.clip(-1.0, 1.0)
@@ -265,9 +268,8 @@ class Batch:
         np.copyto(self.truncated, ~self.terminated & (self.steps >= self._last), where=moves)
         reward = np.asarray(self._reward(self.transition()), dtype=float)
         if reward.shape != (self.count,):
-            raise LeglabError(
-                f"the reward of a batch has shape {reward.shape}, allowed is ({self.count},)"
-            )
+            told = f"the reward of a batch has shape {reward.shape}, allowed is "
+            raise SettingsError(told, given=reward.shape, allowed=f"({self.count},)")
         return np.where(moves & ~self.diverged, reward, 0.0)
 
     def transition(self) -> Transition:
@@ -305,7 +307,7 @@ class Batch:
         sampled = loop.machine
         assert sampled is not None
         if not sampled.exact:
-            raise LeglabError(
+            raise ModelError(
                 "the model gives its sensors faults of their own, which a batch does not know: "
                 "use leglab.environment.load"
             )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import SCENARIOS, Scenario
 from leglab.runs.preparation import RunSettings, scenario_of
 
@@ -44,9 +44,11 @@ class Episode:
         if not scenario.changes:
             if self.drawn:
                 return scenario
-            raise LeglabError(f"scenario {scenario.name!r} changes nothing, so it has no onset")
+            told = f"scenario {scenario.name!r} changes nothing, so it has no onset"
+            raise SettingsError(told, given=scenario.name)
         if not (self.onset >= 0 and math.isfinite(self.onset)):
-            raise LeglabError(f"onset {self.onset!r} s is not allowed, must be >= 0")
+            told = f"onset {self.onset!r} s is not allowed, must be "
+            raise SettingsError(told, given=self.onset, allowed=">= 0")
         first = min(change.start for change in scenario.changes)
         changes = tuple(replace(c, start=self.onset + (c.start - first)) for c in scenario.changes)
         return replace(scenario, changes=changes)
@@ -78,7 +80,7 @@ class Episodes:
         else:
             draws = {name: _checked(name, value) for name, value in randomize.items()}
             if "severity" in draws and "scenario" in draws:
-                raise LeglabError(
+                raise SettingsError(
                     "randomize draws severity and scenario, whose severities have different "
                     "units: give a function that returns both"
                 )
@@ -101,7 +103,7 @@ class Episodes:
         drawn = {"seed": self.random.randint(_SEEDS), **self._draw(self.random)}
         for name in drawn:
             if name not in RANDOM:
-                raise unknown_name("random quantity of an episode", name, RANDOM)
+                raise SettingsError.unknown("random quantity of an episode", name, RANDOM)
         onset = drawn.pop("onset", self.base.onset)
         drawn["seed"] = int(drawn["seed"])
         settings = replace(self.base.settings, **drawn)
@@ -111,18 +113,19 @@ class Episodes:
 def _checked(name: str, value: Any) -> Callable[[np.random.RandomState], Any]:
     """Returns what draws one quantity."""
     if name not in RANDOM:
-        raise unknown_name("random quantity of an episode", name, RANDOM)
+        raise SettingsError.unknown("random quantity of an episode", name, RANDOM)
     if name == "scenario":
         names = (value,) if isinstance(value, str) else tuple(value)
         for each in names:
             SCENARIOS.get(each)
         if not names:
-            raise LeglabError("randomize 'scenario': no name to draw from")
+            raise SettingsError("randomize 'scenario': no name to draw from")
         return lambda random: names[random.randint(len(names))]
     try:
         low, high = (float(end) for end in value)
         if not -math.inf < low <= high < math.inf:
             raise ValueError
     except (TypeError, ValueError):
-        raise LeglabError(f"randomize {name!r}: {value!r} is no range (low, high)") from None
+        told = f"randomize {name!r}: {value!r} is no "
+        raise SettingsError(told, given=value, allowed="range (low, high)") from None
     return lambda random: random.uniform(low, high)

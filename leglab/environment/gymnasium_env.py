@@ -9,7 +9,7 @@ from dm_control.rl.control import FLAT_OBSERVATION_KEY
 from dm_env import TimeStep, specs
 from gymnasium import spaces
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.machine.display import LiveWindow, check_display, has_display
 
 if TYPE_CHECKING:
@@ -57,10 +57,9 @@ class LegEnv(gymnasium.Env):
         height: int = 480,
     ) -> None:
         if render_mode not in (None, *RENDER_MODES):
-            raise LeglabError(
-                f"render_mode {render_mode!r} is not allowed; choose one of "
-                f"{', '.join(RENDER_MODES)}, or None"
-            )
+            modes = f"{', '.join(RENDER_MODES)}, or None"
+            told = f"render_mode {render_mode!r} is not allowed; choose one of {modes}"
+            raise SettingsError(told, given=render_mode, allowed=RENDER_MODES)
         if render_mode == "human":
             check_display("render_mode 'human'", 'use render_mode="rgb_array" and MUJOCO_GL=egl')
         shown = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
@@ -69,7 +68,7 @@ class LegEnv(gymnasium.Env):
         self._env = env
         cameras = [env.physics.model.ptr.camera(i).name for i in range(env.physics.model.ncam)]
         if camera not in (*cameras, USUAL_CAMERA):
-            raise unknown_name("camera", camera, [*cameras, USUAL_CAMERA])
+            raise SettingsError.unknown("camera", camera, [*cameras, USUAL_CAMERA])
         self._camera: str | int = camera if camera in cameras else FREE_CAMERA
         self._size = {"width": width, "height": height}
         self._window: LiveWindow | None = None

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.environment.episodes import Draw, Episode, Episodes
 from leglab.environment.rewards import Reward, chosen_reward
@@ -156,15 +156,20 @@ def _plan(
 ) -> _Plan:
     """Checks settings, as of `load`; `run` are those of a run that pass through."""
     if action not in ACTIONS:
-        raise LeglabError(f"action {action!r} is not allowed; choose one of {', '.join(ACTIONS)}")
+        told = f"action {action!r} is not allowed; choose one of "
+        raise SettingsError(told, given=action, allowed=ACTIONS)
     if action != "residual" and (controller is not None or controller_config):
-        raise LeglabError(f"a controller acts with action='residual' only; here it is {action!r}")
+        told = f"a controller acts with action='residual' only; here it is {action!r}"
+        raise SettingsError(told, given=action, allowed=("residual",))
     if not 0 < residual_scale <= 2:
-        raise LeglabError(f"residual_scale {residual_scale!r} is outside (0, 2]")
+        told = f"residual_scale {residual_scale!r} is outside "
+        raise SettingsError(told, given=residual_scale, allowed="(0, 2]")
     if not error_limit > 0:
-        raise LeglabError(f"error_limit {error_limit!r} rad is not allowed, must be > 0")
+        told = f"error_limit {error_limit!r} rad is not allowed, must be "
+        raise SettingsError(told, given=error_limit, allowed="> 0")
     if not all(0 <= ahead < math.inf for ahead in preview):
-        raise LeglabError(f"preview {tuple(preview)} s is not allowed, all must be >= 0")
+        told = f"preview {tuple(preview)} s is not allowed, all must be "
+        raise SettingsError(told, given=tuple(preview), allowed=">= 0")
     timing = {} if control_period is None else {"control_period": control_period}
     settings = RunSettings(
         scenario=scenario,
@@ -233,9 +238,11 @@ def make_batch(
         LeglabError: If a name or a setting does not fit, or a package is missing.
     """
     if num_envs < 1:
-        raise LeglabError(f"num_envs {num_envs} is not allowed, must be 1 or more")
+        told = f"num_envs {num_envs} is not allowed, must be "
+        raise SettingsError(told, given=num_envs, allowed="1 or more")
     if threads is not None and threads < 1:
-        raise LeglabError(f"threads {threads} is not allowed, must be 1 or more")
+        told = f"threads {threads} is not allowed, must be "
+        raise SettingsError(told, given=threads, allowed="1 or more")
     _require("dm_control.mujoco")
     _require("gymnasium")
     from leglab.environment.batch import Batch, episodes_of

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import unknown_name
+from leglab.base.errors import SettingsError
 from leglab.control import ReferencePoint
 
 # Joint errors [rad] with full reward, and with a tenth of it.
@@ -83,5 +83,5 @@ def chosen_reward(reward: str | Reward) -> Reward:
     if callable(reward):
         return reward
     if reward not in REWARDS:
-        raise unknown_name("reward", reward, REWARDS)
+        raise SettingsError.unknown("reward", reward, REWARDS)
     return REWARDS[reward]

@@ -7,7 +7,7 @@ import numpy as np
 from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
-from leglab.base.errors import LeglabError, SimulationError
+from leglab.base.errors import SettingsError, SimulationError
 from leglab.base.scenario import Scenario
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.torque import TorqueLoop
@@ -246,7 +246,9 @@ def _flat_spec(named: Mapping[str, specs.Array]) -> Mapping[str, specs.Array]:
 def _checked_action(action: np.ndarray, joints: int) -> np.ndarray:
     values = np.asarray(action, dtype=float)
     if values.shape != (joints,):
-        raise LeglabError(f"action has shape {values.shape}, allowed is ({joints},)")
+        told = f"action has shape {values.shape}, allowed is "
+        raise SettingsError(told, given=values.shape, allowed=f"({joints},)")
     if not np.isfinite(values).all():
-        raise LeglabError(f"action {values.tolist()} is not finite; allowed: numbers in [-1, 1]")
+        told = f"action {values.tolist()} is not finite; allowed: "
+        raise SettingsError(told, given=values, allowed="numbers in [-1, 1]")
     return values.clip(-1.0, 1.0)

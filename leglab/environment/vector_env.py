@@ -8,7 +8,7 @@ from dm_env import StepType, TimeStep, specs
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError, SimulationError
 from leglab.environment.batch import Batch
 from leglab.environment.gymnasium_env import FRAME_RATE, RENDER_MODES
 
@@ -37,9 +37,8 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(self, batch: Batch, *, autoreset: str = "next_step") -> None:
         if autoreset not in AUTORESETS:
-            raise LeglabError(
-                f"autoreset {autoreset!r} is not allowed; choose one of {', '.join(AUTORESETS)}"
-            )
+            told = f"autoreset {autoreset!r} is not allowed; choose one of "
+            raise SettingsError(told, given=autoreset, allowed=AUTORESETS)
         self.batch = batch
         self.num_envs = batch.count
         self.metadata = {
@@ -76,15 +75,15 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         if options and options.get("reset_mask") is not None:
             chosen = np.asarray(options["reset_mask"], dtype=bool)
             if chosen.shape != (self.num_envs,) or not self._begun:
-                raise LeglabError(
-                    f"reset_mask has shape {chosen.shape}, allowed is ({self.num_envs},) after a "
-                    "first reset of all"
-                )
+                allowed = f"({self.num_envs},) after a first reset of all"
+                told = f"reset_mask has shape {chosen.shape}, allowed is "
+                raise SettingsError(told, given=chosen.shape, allowed=allowed)
         seeds = [None] * self.num_envs if seed is None else seed
         if isinstance(seeds, (int, np.integer)):
             seeds = [int(seeds) + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
-            raise LeglabError(f"{len(seeds)} seeds for {self.num_envs} machines")
+            told = f"{len(seeds)} seeds for {self.num_envs} machines"
+            raise SettingsError(told, given=len(seeds), allowed=str(self.num_envs))
         for i, each in enumerate(seeds):
             if each is not None and chosen[i]:
                 self.batch.reseed(i, int(each))
@@ -101,7 +100,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
             LeglabError: The actions have another shape or are not finite, or nothing was reset.
         """
         if not self._begun:
-            raise LeglabError("step before reset")
+            raise SimulationError("step before reset")
         batch = self.batch
         over = batch.terminated | batch.truncated
         again = bool(over.any())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.identification import checks
 
 if TYPE_CHECKING:
@@ -47,14 +47,14 @@ class Basis(checks.Settings):
         object.__setattr__(self, "knots", tuple(float(k) for k in self.knots))
         least = 2 if self.kind == "full" else 6
         if len(self.knots) < least:
-            raise LeglabError(
-                f"basis has {len(self.knots)} knots: kind {self.kind!r} needs at least {least}"
-            )
+            told = f"basis has {len(self.knots)} knots: kind {self.kind!r} needs "
+            raise SettingsError(told, given=self.knots, allowed=f"at least {least}")
         for left, right in zip(self.knots, self.knots[1:], strict=False):
             checks.number("basis knot", right, above=left)
         checks.number("basis knot", self.knots[0])
         if self.middle_piece == "printed" and not self.equidistant:
-            raise LeglabError("basis middle_piece is 'printed': needs equidistant knots")
+            told = "basis middle_piece is 'printed': needs "
+            raise SettingsError(told, given=self.knots, allowed="equidistant knots")
 
     @classmethod
     def uniform(
@@ -135,9 +135,10 @@ class Basis(checks.Settings):
 
         w = np.asarray(weights, dtype=float)
         if w.shape != (self.count,):
-            raise LeglabError(f"weights have shape {w.shape}: must be ({self.count},)")
+            told = f"weights have shape {w.shape}: must be "
+            raise SettingsError(told, given=w.shape, allowed=f"({self.count},)")
         if self.middle_piece == "printed":
-            raise LeglabError("basis middle_piece is 'printed': it jumps and is no B-spline")
+            raise SettingsError("basis middle_piece is 'printed': it jumps and is no B-spline")
         if self.kind == "paper":  # the dropped outer splines have weight zero
             w = np.concatenate(([0.0, 0.0], w, [0.0, 0.0]))
         return BSpline(self.extended_knots, w + bias, DEGREE, extrapolate=True)

@@ -8,7 +8,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from leglab._native import identification as native
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.checks import a_number, a_whole
@@ -49,9 +49,8 @@ class Bsnn(checks.Settings):
         if len(self.learning_constant) == 1:
             object.__setattr__(self, "learning_constant", self.learning_constant * inputs)
         if len(self.learning_constant) != inputs:
-            raise LeglabError(
-                f"bsnn has {len(self.learning_constant)} learning constants: must be {inputs}"
-            )
+            told = f"bsnn has {len(self.learning_constant)} learning constants: must be "
+            raise SettingsError(told, given=self.learning_constant, allowed=str(inputs))
         for eta in self.learning_constant:
             checks.number("bsnn learning_constant", eta, least=0.0)
         super().__post_init__()

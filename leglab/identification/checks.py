@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,29 +44,33 @@ def number(
 ) -> None:
     """Requires a finite number with above < value, least <= value <= most."""
     if not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise LeglabError(f"{where} is {value!r}: must be a finite number")
+        raise _wrong(where, value, "a finite number")
     if value <= above:
-        raise LeglabError(f"{where} is {value!r}: must be above {above:g}")
+        raise _wrong(where, value, f"above {above:g}")
     if not least <= value <= most:
-        raise LeglabError(f"{where} is {value!r}: must lie in [{least:g}, {most:g}]")
+        raise _wrong(where, value, f"[{least:g}, {most:g}]", "lie in")
+
+
+def _wrong(where: str, value: object, allowed: str, verb: str = "be") -> SettingsError:
+    return SettingsError(f"{where} is {value!r}: must {verb} ", given=value, allowed=allowed)
 
 
 def whole(where: str, value: int, *, least: int, most: int = 2**31 - 1) -> None:
     """Requires an integer in [least, most]."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise LeglabError(f"{where} is {value!r}: must be an integer in [{least}, {most}]")
+        raise _wrong(where, value, f"an integer in [{least}, {most}]")
 
 
 def choice(where: str, value: object, known: Iterable[str]) -> None:
     """Requires one of the known names."""
     known = tuple(known)
     if value not in known:
-        raise unknown_name(where, value, known)
+        raise SettingsError.unknown(where, value, known)
 
 
 def interval(where: str, value: Sequence[float]) -> None:
     """Requires a pair (lower, upper) of finite numbers with lower < upper."""
     if len(value) != 2:
-        raise LeglabError(f"{where} is {value!r}: must be a pair (lower, upper)")
+        raise _wrong(where, value, "a pair (lower, upper)")
     number(f"{where} lower end", value[0])
     number(f"{where} upper end", value[1], above=value[0])

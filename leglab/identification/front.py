@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError, SettingsError
 from leglab.identification import checks
 
 Array = NDArray[np.float64]
@@ -29,7 +29,8 @@ class Identifier:
         self.settings = settings
         self.joints = joints
         if isinstance(joints, bool) or not isinstance(joints, int) or joints < 1:
-            raise LeglabError(f"joints is {joints!r}: must be an integer of at least 1")
+            told = f"joints is {joints!r}: must be "
+            raise SettingsError(told, given=joints, allowed="an integer of at least 1")
         self._bank = self._banks[settings.scalar](settings, joints)
         self.inputs = int(self._bank.inputs)
         self._single = joints == 1 and self.inputs == 1
@@ -165,10 +166,9 @@ class Identifier:
         if y_initial is not None:
             initial = _array("y_initial", y_initial, shape).reshape(-1, self.joints)
             if not self.lags <= len(initial) <= len(u_array):
-                raise LeglabError(
-                    f"y_initial has {len(initial)} samples: must have {self.lags} (the lags of "
-                    f"the model) to {len(u_array)} (those of u)"
-                )
+                told = f"y_initial has {len(initial)} samples: must have "
+                allowed = f"{self.lags} (the lags of the model) to {len(u_array)} (those of u)"
+                raise RecordingError(told, given=len(initial), allowed=allowed)
             _require_finite("y_initial", initial)
         _require_finite("u", u_array)
         prediction = np.empty((len(u_array), self.joints))
@@ -250,11 +250,13 @@ class Identifier:
 
     def _arrays(self, u: ArrayLike, y: ArrayLike, missing: str) -> tuple[Array, Array]:
         if missing not in ("raise", "skip"):
-            raise LeglabError(f"missing is {missing!r}: must be 'raise' or 'skip'")
+            told = f"missing is {missing!r}: must be 'raise' or 'skip'"
+            raise SettingsError(told, given=missing, allowed=("raise", "skip"))
         u_array = _array("u", u, self._u_shape((None,)))
         y_array = _array("y", y, (None, self.joints) if self.joints > 1 else (None,))
         if len(u_array) != len(y_array):
-            raise LeglabError(f"u has {len(u_array)} samples and y {len(y_array)}: must agree")
+            told = f"u has {len(u_array)} samples and y {len(y_array)}: must agree"
+            raise RecordingError(told, given=(len(u_array), len(y_array)))
         if missing == "raise":
             _require_finite("u", u_array)
             _require_finite("y", y_array)
@@ -271,7 +273,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     try:
         array = np.ascontiguousarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise LeglabError(f"{name} is not an array of numbers") from None
+        raise RecordingError(f"{name} is not ", given=name, allowed="an array of numbers") from None
     if array.ndim == 1 and shape == ():
         array = array.reshape(np.shape(value))
     fits = array.ndim == len(shape) and all(
@@ -279,14 +281,18 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     )
     if not fits and not (shape == () and array.size == 1):
         wanted = ", ".join("N" if want is None else str(want) for want in shape)
-        raise LeglabError(f"{name} has shape {array.shape}: must be ({wanted})")
+        told = f"{name} has shape {array.shape}: must be "
+        raise RecordingError(told, given=array.shape, allowed=f"({wanted})")
     return array
 
 
 def _require_finite(name: str, array: Array) -> None:
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
-        raise LeglabError(
-            f"{name} is {array[tuple(bad[0])]} at index {bad[0][0]} ({len(bad)} values are not "
-            "finite): must be finite; `run` can skip such samples"
+        value = float(array[tuple(bad[0])])
+        raise RecordingError(
+            f"{name} is {value} at index {bad[0][0]} ({len(bad)} values are not finite): must be "
+            "finite; `run` can skip such samples",
+            given=value,
+            allowed="finite",
         )

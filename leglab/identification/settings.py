@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.identification import checks
 from leglab.identification.checks import a_number, a_whole
 
@@ -84,9 +84,8 @@ class Rls(checks.Settings):
         object.__setattr__(self, "gain_bound", bound)
         checks.number("rls gain_bound", bound, least=self.initial_gain)
         if self.change is not None and self.change.gain > bound:
-            raise LeglabError(
-                f"change gain is {self.change.gain!r}: must not exceed gain_bound {bound!r}"
-            )
+            told = f"change gain is {self.change.gain!r}: must not exceed "
+            raise SettingsError(told, given=self.change.gain, allowed=f"gain_bound {bound!r}")
 
     @classmethod
     def adaptive(cls, initial_gain: float = 1e4) -> "Rls":
@@ -127,6 +126,5 @@ class Guard(checks.Settings):
     def check_inputs(self, inputs: int) -> None:
         """Requires limits for all of `inputs` inputs or for none."""
         if self.input_limits and len(self.input_limits) != inputs:
-            raise LeglabError(
-                f"guard has limits for {len(self.input_limits)} inputs: the model has {inputs}"
-            )
+            told = f"guard has limits for {len(self.input_limits)} inputs: the model has "
+            raise SettingsError(told, given=len(self.input_limits), allowed=str(inputs))

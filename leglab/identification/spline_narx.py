@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leglab._native import identification as native
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.checks import a_number, a_whole
@@ -87,9 +87,11 @@ class SplineNarxSettings(checks.Settings):
         checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
         names = self.names
         if len(set(names)) != len(names):
-            raise LeglabError(f"signal names are {', '.join(names)}: must differ")
+            told = f"signal names are {', '.join(names)}: must differ"
+            raise SettingsError(told, given=tuple(names))
         if not self.features:
-            raise LeglabError("features is empty: the model needs at least one")
+            told = "features is empty: the model needs "
+            raise SettingsError(told, given=self.features, allowed="at least one")
         threshold = self.resynchronise_above
         threshold = self.output.half_range / 2 if threshold is None else threshold
         object.__setattr__(self, "resynchronise_above", threshold)
@@ -148,7 +150,7 @@ class SplineNarxSettings(checks.Settings):
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            raise unknown_name("signal", name, self.names)
+            raise SettingsError.unknown("signal", name, self.names)
         return self.names.index(name)
 
     def _block(self, feature: Feature) -> ParameterBlock:
@@ -174,15 +176,16 @@ class SplineNarxSettings(checks.Settings):
         least = 1 if block.signal == 0 and block.feature != "constant" else 0
         name = self.output.name
         if block.lag < least or (block.factor_signal == 0 and block.factor_lag < 1):
-            raise LeglabError(
-                f"a {block.feature} feature has lag 0 of the output {name!r}: must be at least 1"
-            )
+            told = f"a {block.feature} feature has lag 0 of the output {name!r}: must be "
+            raise SettingsError(told, given=0, allowed="at least 1")
         if block.feature != "hammerstein" or block.basis is None:
             return
         if block.signal == 0:
-            raise LeglabError(f"a hammerstein feature is of output {name!r}: must be of an input")
+            told = f"a hammerstein feature is of output {name!r}: must be "
+            raise SettingsError(told, given=name, allowed="of an input")
         if block.basis.kind != "full":
-            raise LeglabError("a hammerstein feature has basis kind 'paper': must be 'full'")
+            told = "a hammerstein feature has basis kind 'paper': must be 'full'"
+            raise SettingsError(told, given=block.basis.kind, allowed=("full",))
 
 
 class SplineNarx(Identifier):
@@ -223,7 +226,8 @@ class SplineNarx(Identifier):
                 self.settings._index(name)
             for i, signal in enumerate(signals):
                 if signal.name not in at:
-                    raise LeglabError(f"operating point lacks signal {signal.name!r}")
+                    told = f"operating point lacks signal {signal.name!r}"
+                    raise SettingsError(told, given=tuple(at), allowed=self.settings.names)
                 point[i] = (at[signal.name] - signal.centre) / signal.half_range
         parameters = np.atleast_2d(self.parameters)[joint]
         gains = np.zeros((len(signals), self.lags + 1))
@@ -262,7 +266,7 @@ class SplineNarx(Identifier):
         names = [s.name for s in self.settings.inputs]
         name = names[0] if signal is None else signal
         if name not in names:
-            raise unknown_name("input", name, names)
+            raise SettingsError.unknown("input", name, names)
         gains = self.linearise(joint, at)
         return linear.transfer_function(gains[0, 1:], gains[1 + names.index(name)], timestep)
 
@@ -285,7 +289,8 @@ class SplineNarx(Identifier):
         """
         chosen, block = self.settings.features[feature], self.settings.blocks[feature]
         if not isinstance(chosen, Spline | Hammerstein):
-            raise LeglabError(f"feature {feature} is {type(chosen).__name__}: it has no spline")
+            told = f"feature {feature} is {type(chosen).__name__}: it has no spline"
+            raise SettingsError(told, given=feature, allowed=("Spline", "Hammerstein"))
         parameters = np.atleast_2d(self.parameters)[joint]
         before = self.settings.blocks[:feature]
         if isinstance(chosen, Spline):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from leglab._native import identification as native
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 from leglab.identification import checks
@@ -92,7 +92,7 @@ def restore(identifier: Identifier, path: str | Path) -> None:
     for what, want, have in zip(("model", "joints", "settings"), wanted, found, strict=True):
         if want != have:
             detail = "" if what == "settings" else f" {have!r}, the identifier {want!r}"
-            raise LeglabError(f"{path} has other {what}{detail}: must agree")
+            raise FileError(f"{path} has other {what}{detail}: must agree", given=path)
     _set_state(identifier, state, path)
 
 
@@ -101,38 +101,43 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
     first, _, rest = content.partition(b"\n")
     magic, _, version = first.partition(b" ")
     if magic != MAGIC:
-        raise LeglabError(f"{path} is no saved identifier")
+        raise FileError(f"{path} is no saved identifier", given=path)
     if version != b"%d" % VERSION:
         shown = version[:20].decode(errors="replace")
-        raise LeglabError(f"{path} has version {shown!r}: this leglab reads {VERSION}")
+        told = f"{path} has version {shown!r}: this leglab reads "
+        raise FileError(told, given=shown, allowed=str(VERSION))
     line, _, state = rest.partition(b"\n")
     try:
         header = parse_json(line)
         if header["model"] not in _MODELS:
-            raise unknown_name("model", header["model"], _MODELS)
+            raise FileError.unknown("model", header["model"], _MODELS)
         checks.whole("joints", header["joints"], least=1)
         header["settings"] = _decode(header["settings"])
         size, digest = header["size"], header["sha256"]
         layout = (header["state_version"], header["byte_order"])
     except LeglabError as error:
-        raise LeglabError(f"{path} is damaged: {error}") from None
+        raise FileError(f"{path} is damaged: {error}", given=path) from None
     except _MALFORMED:
-        raise LeglabError(f"{path} is truncated or damaged in its header") from None
+        raise FileError(f"{path} is truncated or damaged in its header", given=path) from None
     if layout != (native.STATE_VERSION, sys.byteorder):
-        raise LeglabError(
-            f"{path} holds state version {layout[0]!r}, {layout[1]!r}-endian: this leglab reads "
-            f"{native.STATE_VERSION}, {sys.byteorder!r}-endian"
+        raise FileError(
+            f"{path} holds state version {layout[0]!r}, {layout[1]!r}-endian: this leglab reads ",
+            given=path,
+            allowed=f"{native.STATE_VERSION}, {sys.byteorder!r}-endian",
         )
     if len(state) != size:
-        raise LeglabError(f"{path} is truncated: {len(state)} of {size!r} bytes of state")
+        told = f"{path} is truncated: {len(state)} of {size!r} bytes of state"
+        raise FileError(told, given=path)
     if hashlib.sha256(state).hexdigest() != digest:
-        raise LeglabError(f"{path} is damaged: the checksum of its state does not agree")
+        told = f"{path} is damaged: the checksum of its state does not agree"
+        raise FileError(told, given=path)
     # One joint tells the size of all, before memory is taken for them.
     joint = len(_build(path, header, 1)._bank.state())
     if joint * header["joints"] != len(state):
-        raise LeglabError(
+        raise FileError(
             f"{path} is damaged: {len(state)} bytes of state, its settings need "
-            f"{joint} for each of {header['joints']} joints"
+            f"{joint} for each of {header['joints']} joints",
+            given=path,
         )
     return header, state
 
@@ -141,16 +146,16 @@ def _build(path: str | Path, header: dict[str, Any], joints: int) -> Identifier:
     try:
         return _MODELS[header["model"]](header["settings"], joints=joints)
     except LeglabError as error:
-        raise LeglabError(f"{path} is damaged: {error}") from None
+        raise FileError(f"{path} is damaged: {error}", given=path) from None
     except _MALFORMED as error:
-        raise LeglabError(f"{path} is damaged: its settings cannot be") from error
+        raise FileError(f"{path} is damaged: its settings cannot be", given=path) from error
 
 
 def _set_state(identifier: Identifier, state: bytes, path: str | Path) -> None:
     try:
         identifier._bank.load_state(state)
     except ValueError as error:
-        raise LeglabError(f"{path} is damaged: {error} cannot be") from None
+        raise FileError(f"{path} is damaged: {error} cannot be", given=path) from None
 
 
 def _encode(value: Any) -> Any:

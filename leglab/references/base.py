@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 
@@ -32,14 +32,12 @@ class Joint:
 
     def __post_init__(self) -> None:
         if not self.lower <= self.rest <= self.upper:
-            raise LeglabError(
-                f"joint {self.name!r}: rest position {self.rest:g} rad is outside "
-                f"[{self.lower:g}, {self.upper:g}] rad"
-            )
+            told = f"joint {self.name!r}: rest position {self.rest:g} rad is outside "
+            allowed = f"[{self.lower:g}, {self.upper:g}] rad"
+            raise SettingsError(told, given=self.rest, allowed=allowed)
         if not self.velocity_limit > 0:
-            raise LeglabError(
-                f"joint {self.name!r}: velocity limit {self.velocity_limit:g} rad/s is not > 0"
-            )
+            told = f"joint {self.name!r}: velocity limit {self.velocity_limit:g} rad/s is not "
+            raise SettingsError(told, given=self.velocity_limit, allowed="> 0")
 
 
 class Samples(NamedTuple):
@@ -86,7 +84,8 @@ class Reference:
         """
         times = np.asarray(times, dtype=np.float64)
         if times.ndim != 1:
-            raise LeglabError(f"times of a reference have shape {times.shape}, allowed is (n,)")
+            told = f"times of a reference have shape {times.shape}, allowed is "
+            raise SettingsError(told, given=times.shape, allowed="(n,)")
         samples = self.motion(times)
         self._check(times, samples)
         return samples
@@ -103,9 +102,11 @@ class Reference:
             if bad.any():
                 row, column = np.argwhere(bad)[0]
                 joint = self.joints[column]
-                raise LeglabError(
+                raise SettingsError(
                     f"reference {self.name!r}: joint {joint.name!r} {verb} "
-                    f"{values[row, column]:.4g} {unit} at {times[row]:.4g} s, {limit(joint)}"
+                    f"{values[row, column]:.4g} {unit} at {times[row]:.4g} s, ",
+                    given=float(values[row, column]),
+                    allowed=limit(joint),
                 )
 
     @staticmethod
@@ -158,7 +159,7 @@ def make_reference(
     seeded = {} if seed is None else {"seed": seed}
     build, settings = REFERENCES.configured(name, config, **seeded)
     if not joints:
-        raise LeglabError(f"reference {name!r} needs at least one joint")
+        raise SettingsError(f"reference {name!r} needs at least one joint")
     motion, period = build(tuple(joints), settings)
     return Reference(name=name, joints=tuple(joints), period=period, motion=motion)
 
@@ -196,10 +197,8 @@ def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> l
     """
     indices = [i for i, joint in enumerate(joints) if joint.name in known]
     if not indices:
-        raise LeglabError(
-            f"reference {name!r} moves {', '.join(known)}, none of which is among the joints "
-            f"{', '.join(joint.name for joint in joints)}"
-        )
+        told = f"reference {name!r} moves {', '.join(known)}, none of which is among the joints "
+        raise SettingsError(told, given=tuple(known), allowed=(joint.name for joint in joints))
     return indices
 
 
@@ -222,5 +221,5 @@ def selected(joints: Sequence[Joint], names: Sequence[str] | None, reference: st
         return np.ones(len(known))
     for name in names:
         if name not in known:
-            raise unknown_name(f"joint of reference {reference!r}", name, known)
+            raise SettingsError.unknown(f"joint of reference {reference!r}", name, known)
     return np.array([float(name in names) for name in known])

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.scenario import Phase
@@ -72,7 +72,7 @@ def tracking_figure(
     """
     joints = recording.tracked
     if not joints:
-        raise LeglabError("no tracking to draw: no joint has '_position' and '_reference'")
+        raise RecordingError("no tracking to draw: no joint has '_position' and '_reference'")
     # Columns of long runs are large, and may be read from a file: few are held at a time.
     error = recording.stack(joints, "reference")
     error -= recording.stack(joints, "position")
@@ -120,7 +120,7 @@ def pressure_figure(
     """
     joints = _joints_with_pressures(recording)
     if not joints:
-        raise LeglabError("no pressures to draw: no column ends in '_pressure_a'")
+        raise RecordingError("no pressures to draw: no column ends in '_pressure_a'")
     supply = "supply_pressure" in recording
     names = [f"{joint}_pressure_{side}" for joint in joints for side in "ab"]
     names += ["supply_pressure"] * supply
@@ -172,7 +172,7 @@ def command_figure(
         if (values := recording.command_of(joint)) is not None
     }
     if not largest:
-        raise LeglabError("no commands to draw: no column ends in '_command'")
+        raise RecordingError("no commands to draw: no column ends in '_command'")
     actuators = [str(recording.actuator_of(joint)) for joint in largest]
     limit = min(1.08, 1.1 * max(largest.values()))
     with style():
@@ -298,7 +298,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
     """
     controllers = list(dict.fromkeys(result["metrics"]["controller"] for result in results))
     if not any(value for result in results for value in result["windowed_error_rad"]):
-        raise LeglabError("no windowed error to draw: no run lasts a window")
+        raise RecordingError("no windowed error to draw: no run lasts a window")
     looks = itertools.cycle(itertools.product(_DASHES, SERIES))
     lines = []
     with style():

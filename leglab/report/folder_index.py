@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes, read_json
 from leglab.base.output import write_atomically
 from leglab.report.page.outcome import outcome
@@ -78,9 +78,9 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
             be written.
     """
     if path.is_dir():
-        raise LeglabError(f"{str(path)!r} is a folder; give the name of a page")
+        raise FileError(f"{str(path)!r} is a folder; give the name of a page", given=path)
     if path.exists() and _OURS.encode() not in read_bytes(path):
-        raise LeglabError(f"{str(path)!r} is no index of leglab: it is left as it is")
+        raise FileError(f"{str(path)!r} is no index of leglab: it is left as it is", given=path)
     entries = _find_entries(folder, path.parent)
     text = _page(entries, folder.resolve().name)
     write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
@@ -110,7 +110,7 @@ def _page(entries: list[Entry], name: str) -> str:
 def _find_entries(folder: Path, base: Path) -> list[Entry]:
     """Returns what lies below a folder by its path, with links relative to the folder `base`."""
     if not folder.is_dir():
-        raise LeglabError(f"{str(folder)!r} is not a folder")
+        raise FileError(f"{str(folder)!r} is not a folder", given=folder)
     found: list[Entry] = []
     for place, folders, files in os.walk(folder):  # links to folders are not followed
         folders.sort()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, ModelError, SettingsError
 from leglab.base.scenario import scenario_names
 from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.preparation import RunSettings, check_controllers
@@ -67,9 +67,10 @@ def adaptation_plan(
     """
     check_controllers(controllers)
     if not controllers:
-        raise LeglabError("no controllers to compare; give one or more")
+        raise SettingsError("no controllers to compare; give ", allowed="one or more")
     if not 1 <= specimens <= _MOST_SPECIMENS:
-        raise LeglabError(f"specimens is {specimens}; allowed: 1 to {_MOST_SPECIMENS}")
+        told = f"specimens is {specimens}; allowed: "
+        raise SettingsError(told, given=specimens, allowed=f"1 to {_MOST_SPECIMENS}")
     settings: dict[str, Any] = {
         "model": model,
         "duration": DURATION,
@@ -81,7 +82,7 @@ def adaptation_plan(
     known = faults()
     for name in only or ():
         if name not in known:
-            raise unknown_name("fault of the benchmark", name, known)
+            raise SettingsError.unknown("fault of the benchmark", name, known)
     for name, sizes in known.items():
         if only is not None and name not in only:
             continue
@@ -91,7 +92,8 @@ def adaptation_plan(
         except LeglabError:  # The model has no such part: the bench has no pump.
             missing.append(name)
     if not possible:
-        raise LeglabError(f"model {model!r} can have none of {', '.join(missing) or 'no faults'}")
+        told = f"model {model!r} can have none of {', '.join(missing) or 'no faults'}"
+        raise ModelError(told, given=model)
     names = list(dict.fromkeys([STATIC, PD, *controllers]))
     shared: dict[str, Any] = {"controller": names, "seed": {"count": specimens}}
     blocks = [

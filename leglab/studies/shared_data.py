@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import leglab
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError
 
 
 def shared_data(part: str) -> Path:
@@ -22,7 +22,8 @@ def shared_data(part: str) -> Path:
     for folder in folders:
         if (folder / part).exists():
             return folder / part
-    raise LeglabError(
+    raise FileError(
         f"no {part} in {', '.join(map(str, folders))}: the data are not part of this project; "
-        "set LEGLAB_DATA to the folder that has them"
+        "set LEGLAB_DATA to the folder that has them",
+        given=part,
     )

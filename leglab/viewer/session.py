@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.scenario import ParameterChange, Scenario
 from leglab.base.units import error_unit
 from leglab.machine.changes import Bodies
@@ -115,7 +115,7 @@ class Session:
             LeglabError: If there is none of this name.
         """
         if name not in self.sliders:
-            raise unknown_name("slider", name, self.sliders)
+            raise SettingsError.unknown("slider", name, self.sliders)
         slider = self.sliders[name]
         value = min(max(value, slider.lowest), slider.highest)
         if value == self.values[name]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leglab._native.monitor import Bank, Moments
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError, SettingsError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,14 +46,14 @@ class FaultCurve:
         where = f"fault {self.fault!r} of {self.element!r}"
         steps = np.diff(self.sizes)
         if len(self.sizes) < 2 or not (np.all(steps > 0) or np.all(steps < 0)):
-            raise LeglabError(f"{where}: sizes {np.asarray(self.sizes)!r} are not monotone")
+            told = f"{where}: sizes {np.asarray(self.sizes)!r} are not "
+            raise ModelError(told, given=self.sizes, allowed="monotone")
         if self.shifts.ndim != 3 or len(self.shifts) != len(self.sizes):
-            raise LeglabError(
-                f"{where}: shifts have shape {self.shifts.shape}, allowed is "
-                f"({len(self.sizes)}, joints, parameters)"
-            )
+            told = f"{where}: shifts have shape {self.shifts.shape}, allowed is "
+            wanted = f"({len(self.sizes)}, joints, parameters)"
+            raise ModelError(told, given=self.shifts.shape, allowed=wanted)
         if not np.isfinite(self.shifts).all() or np.any(self.shifts[0] != 0):
-            raise LeglabError(f"{where}: shifts must be finite, and zero at the healthy size")
+            raise ModelError(f"{where}: shifts must be finite, and zero at the healthy size")
 
     def shift(self, size: float) -> np.ndarray:
         """Shift at a size, (joints, parameters); beyond the ends that of the end."""
@@ -97,7 +97,8 @@ class FaultBank:
     def __post_init__(self) -> None:
         shapes = {curve.shifts.shape[1:] for curve in self.curves}
         if len(shapes) != 1:
-            raise LeglabError(f"curves of a fault bank have shapes {sorted(shapes)}: need one")
+            told = f"curves of a fault bank have shapes {sorted(shapes)}: need "
+            raise ModelError(told, given=sorted(shapes), allowed="one")
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -122,12 +123,11 @@ class FaultBank:
         """
         for fault in faults:
             if fault not in self.faults:
-                raise LeglabError(
-                    f"fault {fault!r} is not in the bank, which has {', '.join(self.faults)}"
-                )
+                told = f"fault {fault!r} is not in the bank, which has "
+                raise SettingsError(told, given=fault, allowed=self.faults)
         kept = tuple(curve for curve in self.curves if curve.fault not in faults)
         if not kept:
-            raise LeglabError("no fault would be left in the bank")
+            raise SettingsError("no fault would be left in the bank")
         return FaultBank(curves=kept)
 
     @cached_property

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
 Side = Literal["above", "below", "either"]
@@ -53,9 +53,10 @@ class EffectParameter:
 
     def __post_init__(self) -> None:
         if not self.lower <= self.nominal <= self.upper:
-            raise LeglabError(
-                f"effect parameter {self.name!r}: nominal {self.nominal:g} lies outside "
-                f"[{self.lower:g}, {self.upper:g}] {self.unit}"
+            raise SettingsError(
+                f"effect parameter {self.name!r}: nominal {self.nominal:g} lies outside ",
+                given=self.nominal,
+                allowed=f"[{self.lower:g}, {self.upper:g}] {self.unit}",
             )
 
     @classmethod
@@ -198,7 +199,8 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
     """
     for attribute in ("name", "group", "physics", "source", "excitation"):
         if not getattr(effect, attribute, ""):
-            raise LeglabError(f"effect class {effect.__qualname__} has no {attribute!r}")
+            told = f"effect class {effect.__qualname__} has no {attribute!r}"
+            raise SettingsError(told, given=effect.__qualname__)
     plugins.note(effect.__module__)
     _REGISTRY[effect.name, effect.__qualname__] = effect()
     return effect

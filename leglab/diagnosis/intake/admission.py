@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
@@ -57,12 +57,12 @@ def admit(
     if not usable:
         name, others = next(iter(entries)), len(entries) - 1
         more = f" (and {others} more recordings cannot be used)" if others else ""
-        raise LeglabError(f"{name}: {dropped[name]}{more}")
+        raise RecordingError(f"{name}: {dropped[name]}{more}", given=name)
     for name, entry in usable.items():
         for column, why in entry.lost.items():
             # A factor would save all pressures that no recording has in our unit.
             if _UNIT in why and not any(column in e.pressures for e in usable.values()):
-                raise LeglabError(f"{name}: {why}")
+                raise RecordingError(f"{name}: {why}", given=column)
     periods = {name: Clock.of(e.recording.time).period for name, e in usable.items()}
     fastest = min(periods.values())
     for name, period in periods.items():
@@ -99,15 +99,14 @@ def _check_roles(
 ) -> None:
     """Refuses what leaves nothing to judge by, or nothing to fit."""
     if held and not set(held) & set(usable):
-        raise LeglabError(
-            f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: another recording "
-            "held out"
-        )
+        told = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
+        raise RecordingError(told, given=held[0], allowed="another recording held out")
     if set(usable) <= set(held):
         if not dropped:
-            raise LeglabError("every recording is held out; allowed: at least one to fit")
+            told = "every recording is held out; allowed: "
+            raise RecordingError(told, given=held, allowed="at least one to fit")
         name, why = next(iter(dropped.items()))
-        raise LeglabError(f"{name}: {why}; no recording is left to fit")
+        raise RecordingError(f"{name}: {why}; no recording is left to fit", given=name)
 
 
 def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozenset[str]:

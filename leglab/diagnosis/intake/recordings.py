@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab import data
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.plant.model import Machine
@@ -30,9 +30,9 @@ def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[
         folder = "" if plain[path.name] == 1 else f"{path.resolve().parent.name}/"
         name = folder + path.name
         if name in found:
-            raise LeglabError(
-                f"two recordings are called {name!r}; allowed: different names, or names of "
-                "their folders"
+            told = f"two recordings are called {name!r}; allowed: "
+            raise SettingsError(
+                told, given=name, allowed="different names, or names of their folders"
             )
         found[name] = data.read(path, columns=columns, partial=True)
     return found
@@ -61,10 +61,11 @@ def split_held_out(
         for entry in wanted:
             meant = [name for name in recordings if _names(entry, name)]
             if len(meant) != 1:
-                raise unknown_name("recording", entry, recordings)
+                raise SettingsError.unknown("recording", entry, recordings)
             held += meant
         if len(set(held)) == len(recordings):
-            raise LeglabError("every recording is held out; allowed: at least one to fit")
+            told = "every recording is held out; allowed: "
+            raise SettingsError(told, given=tuple(wanted), allowed="at least one to fit")
         return recordings, tuple(held)
     machine = Machine(model)
     usable = admit(machine, recordings, (), thresholds).recordings

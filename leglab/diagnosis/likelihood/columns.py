@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SimulationError
 from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
@@ -89,7 +89,7 @@ class Errors:
         try:
             made = list(self._workers.map(_errors, hypotheses, chunksize=portion))
         except BrokenProcessPool as error:
-            raise LeglabError(
+            raise SimulationError(
                 "a process that replays was killed, perhaps for want of memory; with "
                 "OMP_NUM_THREADS=1 there is one process alone"
             ) from error

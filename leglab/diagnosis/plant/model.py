@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 import leglab.machine.plugin
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import ModelError, SettingsError
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
@@ -59,7 +59,7 @@ class Variant:
             LeglabError: If the element or the parameter does not exist.
         """
         if element not in self.elements:
-            raise unknown_name("element", element, self.elements)
+            raise SettingsError.unknown("element", element, self.elements)
         start, table = self.elements[element]
         return start + table.entry(name).offset
 
@@ -102,10 +102,8 @@ class Machine:
         self.joints = tuple(model.joint(i).name for i in range(model.njnt))
         for joint, kind in zip(self.joints, model.jnt_type, strict=True):
             if kind not in (_HINGE, _SLIDE):
-                raise LeglabError(
-                    f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those can "
-                    "be replayed"
-                )
+                told = f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those"
+                raise ModelError(f"{told} can be replayed", given=joint, allowed=("hinge", "slide"))
         self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
         data = mujoco.MjData(model)
         # A singular qpos0 (a straight linkage) must not hide a moment.
@@ -329,7 +327,7 @@ class Change:
     def command(self, actuator: str, function: CommandPath) -> None:
         """Puts a fault between the measured command and an actuator."""
         if actuator not in self.machine.actuators:
-            raise LeglabError(f"actuator {actuator!r} does not exist")
+            raise SettingsError.unknown("actuator", actuator, self.machine.actuators)
         self.commands.setdefault(actuator, []).append(function)
 
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import RecordingError
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
@@ -128,9 +128,11 @@ class Replay:
         self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:
             longest = max(float(s.time[-1] - s.time[0]) for s in series)
-            raise LeglabError(
+            raise RecordingError(
                 f"no window of {self.window:.3g} s fits: the longest recording lasts "
-                f"{longest:.3g} s; allowed: recordings without gaps, some seconds long"
+                f"{longest:.3g} s; allowed: ",
+                given=longest,
+                allowed="recordings without gaps, some seconds long",
             )
         self._threads = max(1, threads)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)

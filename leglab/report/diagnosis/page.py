@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from leglab.base.errors import LeglabError
-from leglab.base.output import write_atomically
+from leglab.base.output import cannot_write, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis.figures import look, pictures
 from leglab.report.diagnosis.words import (
@@ -55,7 +54,7 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
         for old in place.glob("*.png"):
             old.unlink()
     except OSError as error:
-        raise LeglabError(f"{place}: cannot be written: {error.strerror}") from error
+        raise cannot_write(place, error) from error
     drawn = []
     for picture in pictures(result):
         stream = io.BytesIO()

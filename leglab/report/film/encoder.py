@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.output import cannot_write, new_file, regular_file
 
 # What explains a failure best comes first; ffmpeg is told to print nothing but errors.
@@ -68,7 +68,8 @@ class Encoder:
                     stderr=self._log,
                 )
             except OSError as error:
-                raise LeglabError(f"{program} cannot be run: {error.strerror}") from error
+                told = f"{program} cannot be run: {error.strerror}"
+                raise LeglabError(told, given=program) from error
             self._patience = stack.enter_context(_Patience(self._process))
             self._stack = stack.pop_all()
 
@@ -120,17 +121,17 @@ class Encoder:
     def _failure(self) -> LeglabError:
         said = self._said()
         if self._patience.ended:
-            return LeglabError(
-                f"{self._out}: cannot be encoded: ffmpeg took nothing for {_PATIENCE:g} s"
-            )
-        if "No space left" in said:
-            return LeglabError(f"{self._out}: cannot be written: no space left on the disk")
-        if "Unknown encoder" in said:
+            said = f"ffmpeg took nothing for {_PATIENCE:g} s"
+        elif "No space left" in said:
+            told = f"{self._out}: cannot be written: no space left on the disk"
+            return FileError(told, given=self._out)
+        elif "Unknown encoder" in said:
             return LeglabError(
                 "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
                 "to use the one that comes with imageio-ffmpeg"
             )
-        return LeglabError(f"{self._out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}")
+        told = f"{self._out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}"
+        return FileError(told, given=self._out)
 
 
 class _Patience:
@@ -169,7 +170,8 @@ def check_film(path: Path) -> None:
         LeglabError: The name does not end with .mp4, or a file stands there that is no film.
     """
     if path.suffix.lower() != ".mp4":
-        raise LeglabError(f"{path}: a film needs a name that ends with .mp4")
+        told = f"{path}: a film needs a name that ends with "
+        raise FileError(told, given=path, allowed=".mp4")
     try:
         with regular_file(path).open("rb") as stream:
             head = stream.read(8)
@@ -178,7 +180,7 @@ def check_film(path: Path) -> None:
     except OSError as error:
         raise cannot_write(path, error) from error
     if head and head[4:] != b"ftyp":
-        raise LeglabError(f"{path}: is no film: it is left as it is")
+        raise FileError(f"{path}: is no film: it is left as it is", given=path)
 
 
 def _ffmpeg() -> str:
@@ -204,7 +206,7 @@ def film_bytes(film: Path, most: int) -> bytes:
     try:
         content = film.read_bytes()
     except OSError as error:
-        raise LeglabError(f"{film}: cannot be read: {error.strerror}") from error
+        raise FileError(f"{film}: cannot be read: {error.strerror}", given=film) from error
     if len(content) <= most:
         return content
     seconds = _seconds(film)
@@ -242,7 +244,7 @@ def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[
         _ask(film, before=before, after=(*after, str(made)))
         return made.read_bytes()
     except OSError as error:
-        raise LeglabError(f"{film}: cannot be encoded: {error.strerror}") from error
+        raise FileError(f"{film}: cannot be encoded: {error.strerror}", given=film) from error
     finally:
         made.unlink(missing_ok=True)
 
@@ -262,12 +264,11 @@ def _ask(film: Path, *, before: Sequence[str] = (), after: Sequence[str]) -> str
             command, capture_output=True, text=True, check=False, timeout=_PATIENCE_OF_A_FILM
         )
     except subprocess.TimeoutExpired:
-        raise LeglabError(
-            f"{film}: cannot be encoded: ffmpeg took more than {_PATIENCE_OF_A_FILM:g} s"
-        ) from None
+        told = f"{film}: cannot be encoded: ffmpeg took more than {_PATIENCE_OF_A_FILM:g} s"
+        raise FileError(told, given=film) from None
     except OSError as error:
-        raise LeglabError(f"{film}: cannot be encoded: {error.strerror}") from error
+        raise FileError(f"{film}: cannot be encoded: {error.strerror}", given=film) from error
     if done.returncode:
         lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-        raise LeglabError(f"{film}: cannot be encoded: {lines[-1]}")
+        raise FileError(f"{film}: cannot be encoded: {lines[-1]}", given=film)
     return done.stdout

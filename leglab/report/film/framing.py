@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from leglab.base.errors import unknown_name
+from leglab.base.errors import SettingsError
 from leglab.report.film.look import Rect
 
 FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
@@ -52,7 +52,7 @@ def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direct
     names = [model.camera(i).name for i in range(model.ncam)]
     if camera not in names:
         if camera != DEFAULT_CAMERA:
-            raise unknown_name("camera", camera, [*names, DEFAULT_CAMERA])
+            raise SettingsError.unknown("camera", camera, [*names, DEFAULT_CAMERA])
         view = model.vis.global_
         return Direction(float(view.azimuth), float(view.elevation))
     forward = -data.cam_xmat[names.index(camera)].reshape(3, 3)[:, 2]

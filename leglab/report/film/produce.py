@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.report.film.encoder import Encoder, check_film
 from leglab.report.film.framing import DEFAULT_CAMERA
 from leglab.report.film.look import MAX_RUNS, SIZE
@@ -54,7 +54,8 @@ def render_film(
     """
     folders, out = [Path(folder) for folder in folders], Path(out)
     if not 1 <= len(folders) <= MAX_RUNS:
-        raise LeglabError(f"{len(folders)} runs side by side; allowed: 1 to {MAX_RUNS}")
+        told = f"{len(folders)} runs side by side; allowed: "
+        raise SettingsError(told, given=len(folders), allowed=f"1 to {MAX_RUNS}")
     check_film(out)
     first, last = _span([load_track(folder) for folder in folders], start, duration)
     count = max(round((last - first) * FRAME_RATE), 1)
@@ -104,9 +105,9 @@ def _span(
         latest = min(latest + 2.0, max(track.planned_end for track in tracks))
     first = earliest if start is None else start
     if duration is not None and not (duration > 0 and np.isfinite(duration)):
-        raise LeglabError(f"duration = {duration:g} s; allowed: more than 0")
+        told = f"duration = {duration:g} s; allowed: "
+        raise SettingsError(told, given=duration, allowed="more than 0")
     if not earliest <= first < latest:
-        raise LeglabError(
-            f"start = {first:g} s; allowed: within the runs, {earliest:g} to {latest:g} s"
-        )
+        allowed = f"within the runs, {earliest:g} to {latest:g} s"
+        raise SettingsError(f"start = {first:g} s; allowed: ", given=first, allowed=allowed)
     return first, latest if duration is None else min(first + duration, latest)

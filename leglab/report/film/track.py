@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from leglab import data
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.fault_names import FaultEvent, FaultTrend
 from leglab.base.recording import Recording
 from leglab.report.film.look import TIMES
@@ -147,16 +147,19 @@ def load_track(folder: Path) -> Track:
     """
     for name in (record.CONFIGURATION, record.RECORDING):
         if not (folder / name).exists():
-            raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
+            why = f"is not the folder of a run: it has no {name}"
+            raise FileError(f"{str(folder)!r} {why}", given=folder)
     path = folder / record.CONFIGURATION
     run = record.read(record.RunConfiguration, path)
     settings = run.settings
     if not {"model", "scenario", "controller"} <= set(settings):
-        raise LeglabError(f"{path}: it has no settings with model, scenario, controller")
+        why = "it has no settings with model, scenario, controller"
+        raise FileError(f"{path}: {why}", given=path)
     recording = data.read(folder / record.RECORDING)
     joints = recording.tracked
     if not joints:
-        raise LeglabError(f"{str(folder)!r}: no joint of the recording has a reference")
+        why = "no joint of the recording has a reference"
+        raise RecordingError(f"{str(folder)!r}: {why}", given=folder)
     actuators = (recording.actuator_of(joint) or joint for joint in joints)
     metrics_file = folder / record.METRICS
     known = metrics_file.exists()

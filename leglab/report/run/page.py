@@ -8,7 +8,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.output import cannot_write, claimed_folder, write_atomically
 from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import asset, render
@@ -59,9 +59,10 @@ def check_out(folder: Path, *, overwrite: bool) -> None:
         LeglabError: There is a report and it may not be replaced, or the path is no folder.
     """
     if folder.exists() and not folder.is_dir():
-        raise LeglabError(f"{str(folder)!r} is not a folder")
+        raise FileError(f"{str(folder)!r} is not a folder", given=folder)
     if (folder / PAGE).exists() and not overwrite:
-        raise LeglabError(f"{str(folder / PAGE)!r} exists; remove it or give --overwrite")
+        told = f"{str(folder / PAGE)!r} exists; remove it or give --overwrite"
+        raise FileError(told, given=folder / PAGE)
 
 
 def write_report(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.studies.replication.paper import Array
 
 SUBSTEPS = 5
@@ -90,9 +90,9 @@ def simulate(
     signal = excitation or Excitation()
     holds = round(signal.sampling_time / signal.hold)
     if holds < 1 or abs(holds * signal.hold - signal.sampling_time) > 1e-9:
-        raise LeglabError(
-            f"sampling_time {signal.sampling_time} s is no multiple of hold {signal.hold} s"
-        )
+        told = f"sampling_time {signal.sampling_time} s is no "
+        allowed = f"multiple of hold {signal.hold} s"
+        raise SettingsError(told, given=signal.sampling_time, allowed=allowed)
     deviation = np.sqrt(signal.variance)
     noise = np.stack(
         [np.random.default_rng(s).normal(signal.mean, deviation, holds * n_samples) for s in seeds]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.studies.replication import deployed, experiments, page, paper
 from leglab.studies.replication.online import BETTER_FIT
 from leglab.studies.replication.plant import simulate
@@ -90,7 +90,8 @@ def replicate(
     """
     for name, value, least in (("instances", instances, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise LeglabError(f"{name} is {value!r}: must be an integer of at least {least}")
+            told = f"{name} is {value!r}: must be "
+            raise SettingsError(told, given=value, allowed=f"an integer of at least {least}")
     say = progress or (lambda line: None)
     sheet = page.Page(Path(out), "The paper's experiment replicated")
 
