@@ -11,7 +11,7 @@ import numpy as np
 
 from leglab._native.loop import Reports
 from leglab._native.loop import Rows as RowTaker
-from leglab.base.errors import LeglabError, SimulationError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.scenario import Scenario
 from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
 from leglab.control.contract import diagnostics_of
@@ -149,9 +149,11 @@ class Loop:
         self.simulation = simulation or preparation.machine()
         self.period = preparation.sensors.control_period
         if scenario.duration > _MOST_PERIODS * self.period:
-            raise LeglabError(
+            raise SettingsError(
                 f"duration {scenario.duration:g} s has more than {_MOST_PERIODS:g} control periods "
-                f"of {self.period:g} s; allowed: at most {_MOST_PERIODS * self.period:g} s"
+                f"of {self.period:g} s; allowed: ",
+                given=scenario.duration,
+                allowed=f"at most {_MOST_PERIODS * self.period:g} s",
             )
         self.count = round(scenario.duration / self.period) + 1
         self.watch: Callable[[int], None] | None = None
@@ -205,9 +207,10 @@ class Loop:
             except LeglabError:
                 raise
             except Exception as error:  # Anybody's code: what was recorded until here is kept.
-                raise LeglabError(
+                raise SimulationError(
                     f"controller {self.settings.controller!r} failed at {measurement.time:.6g} s: "
-                    f"{type(error).__name__}: {error}"
+                    f"{type(error).__name__}: {error}",
+                    given=self.settings.controller,
                 ) from error
         period = self.present
         period.number, period.measurement = number, measurement
@@ -340,7 +343,7 @@ class Loop:
             self.watch = None
             self.close()
         if rows == 0:
-            raise LeglabError(failure)
+            raise SimulationError(failure)
         return Ending(rows=rows, wall_time=wall_time, failure=failure)
 
     def _run(
@@ -417,7 +420,7 @@ class Loop:
             trial.reset()
             history = trial.run()
             if history.failure:
-                raise LeglabError(f"no exact commands were found: {history.failure}")
+                raise SimulationError(f"no exact commands were found: {history.failure}")
             return -history.error, history.diagnostics["feedback"]
 
         return exact_commands(try_out, slope, start, self.period, changes)

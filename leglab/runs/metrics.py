@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError, RecordingError, SettingsError
 from leglab.base.scale import rms
 from leglab.base.scenario import Phase
 
@@ -34,7 +34,8 @@ def percentile(error: np.ndarray, percent: float) -> np.ndarray:
         LeglabError: The percentage is outside [0, 100].
     """
     if not 0 <= percent <= 100:
-        raise LeglabError(f"percentile {percent!r} is outside [0, 100]")
+        told = f"percentile {percent!r} is outside "
+        raise SettingsError(told, given=percent, allowed="[0, 100]")
     return np.percentile(np.abs(_samples(error)), percent, axis=0, overwrite_input=True)
 
 
@@ -66,12 +67,14 @@ def phase_table(
     """
     error = _samples(error)
     if error.shape != (len(time), len(joints)):
-        raise LeglabError(
-            f"error has shape {error.shape}, {len(time)} samples of {len(joints)} joints need "
-            f"({len(time)}, {len(joints)})"
+        raise RecordingError(
+            f"error has shape {error.shape}, {len(time)} samples of {len(joints)} joints need ",
+            given=error.shape,
+            allowed=f"({len(time)}, {len(joints)})",
         )
     if "all" in joints:
-        raise LeglabError("a joint named 'all' cannot be told from all joints: rename it")
+        told = "a joint named 'all' cannot be told from all joints: rename it"
+        raise ModelError(told, given="all")
     table = []
     for phase, part in _parts(time, phases):
         row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
@@ -155,7 +158,7 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
         LeglabError: The window is not positive.
     """
     if not window > 0:
-        raise LeglabError(f"window {window!r} s must be positive")
+        raise SettingsError(f"window {window!r} s must be ", given=window, allowed="positive")
     error = _samples(error)
     slack = _ROUNDING * _first_period(time)
     result = np.empty(len(time))
@@ -238,9 +241,11 @@ def _samples(error: np.ndarray) -> np.ndarray:
     """Returns the error as a float array of shape (n, joints), n >= 1, without NaN or infinity."""
     error = np.asarray(error, dtype=np.float64)
     if error.ndim != 2 or error.size == 0:
-        raise LeglabError(f"error has shape {error.shape}, allowed is (n, joints) with n >= 1")
+        told = f"error has shape {error.shape}, allowed is "
+        raise RecordingError(told, given=error.shape, allowed="(n, joints) with n >= 1")
     finite = np.isfinite(error)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
-        raise LeglabError(f"error, row {row}, joint {column}: {error[row, column]} is not finite")
+        told = f"error, row {row}, joint {column}: {error[row, column]} is not "
+        raise RecordingError(told, given=float(error[row, column]), allowed="finite")
     return error

@@ -15,7 +15,7 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
@@ -97,7 +97,8 @@ def scenario_of(settings: RunSettings) -> Scenario:
         LeglabError: If the seed, the name or an option of the scenario is not allowed.
     """
     if settings.seed < 0:
-        raise LeglabError(f"seed {settings.seed} is negative; allowed: 0 or more")
+        told = f"seed {settings.seed} is negative; allowed: "
+        raise SettingsError(told, given=settings.seed, allowed="0 or more")
     scenario = get_scenario(
         settings.scenario,
         duration=settings.duration,
@@ -123,7 +124,7 @@ def check_controllers(names: Sequence[str]) -> None:
     for i, name in enumerate(names):
         CONTROLLERS.get(name)
         if name in names[:i]:
-            raise LeglabError(f"controllers: {name!r} is given twice")
+            raise SettingsError(f"controllers: {name!r} is given twice", given=name)
 
 
 class Preparation:

@@ -6,11 +6,12 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError
 from leglab.base.fault_names import FaultEvent, FaultTrend, Name
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
 from leglab.base.output import write_atomically
+from leglab.base.settings import first_problem
 from leglab.base.units import error_unit
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
@@ -233,7 +234,5 @@ def read(model: type[_Content], path: Path) -> _Content:
     try:
         return model.model_validate(read_json(path))
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "content"
-        message = problem["msg"][:1].lower() + problem["msg"][1:]
-        raise LeglabError(f"{path}: {where}: {message}") from error
+        where, reason = first_problem(error)
+        raise FileError(f"{path}: {where or 'content'}: {reason}", given=path) from error

@@ -7,8 +7,9 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.input import parse_toml, read_bytes
+from leglab.base.settings import first_problem
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
 
@@ -41,7 +42,7 @@ def read_settings(path: Path) -> dict[str, Any]:
         try:
             found = parse_toml(content)
         except ValueError as error:
-            raise LeglabError(f"{path}: is not TOML: {error}") from error
+            raise SettingsError(f"{path}: is not TOML: {error}", given=path) from error
         found = _without_tables(found, str(path))
     return checked(found, str(path))
 
@@ -54,18 +55,16 @@ def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """
     for name in values:
         if name not in _NAMES:
-            raise LeglabError(f"{where}: {unknown_name('setting of a run', name, _NAMES)}")
+            raise SettingsError.unknown("setting of a run", name, _NAMES).at(where)
     if "scenario" not in values:
-        raise LeglabError(f"{where}: needs the setting 'scenario'")
+        raise SettingsError(f"{where}: needs the setting 'scenario'", allowed=("scenario",))
     types = get_type_hints(RunSettings)
     for name, value in values.items():
         try:
             TypeAdapter(types[name]).validate_python(value, strict=True)
         except ValidationError as error:
-            problem = error.errors(include_url=False)[0]["msg"]
-            raise LeglabError(
-                f"{where}: setting {name!r} is {value!r}: {problem[:1].lower()}{problem[1:]}"
-            ) from None
+            told = f"{where}: setting {name!r} is {value!r}: "
+            raise SettingsError(told, given=value, allowed=first_problem(error)[1]) from None
     return dict(values)
 
 
@@ -85,16 +84,16 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
         name, equals, text = entry.partition("=")
         section, dot, key = name.strip().partition(".")
         if not (equals and dot and key and section in SECTIONS):
-            raise LeglabError(
-                f"--set {entry!r}: allowed is SECTION.SETTING=VALUE with one of the sections "
-                f"{', '.join(SECTIONS)}"
-            )
+            form = "SECTION.SETTING=VALUE with one of the sections"
+            told = f"--set {entry!r}: allowed is {form} "
+            raise SettingsError(told, given=entry, allowed=SECTIONS)
         target = found[SECTIONS[section]]
         *tables, last = key.split(".")
         for table in tables:
             target = target.setdefault(table, {})
             if not isinstance(target, dict):
-                raise LeglabError(f"--set {entry!r}: {table!r} has a value already")
+                told = f"--set {entry!r}: {table!r} has a value already"
+                raise SettingsError(told, given=entry)
         target[last] = _value(text.strip())
     return found
 
@@ -112,9 +111,8 @@ def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
             found[section] = own.pop(_NAME)
         beside = found.get(SECTIONS[section], {})
         if not isinstance(beside, dict):
-            raise LeglabError(
-                f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: a table"
-            )
+            told = f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: "
+            raise SettingsError(told, given=beside, allowed="a table")
         found[SECTIONS[section]] = {**beside, **own}
     return found
 
