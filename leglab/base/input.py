@@ -15,7 +15,7 @@ def read_bytes(path: str | Path, most: int = -1) -> bytes:
     """Returns the content of a file, or the beginning of so many bytes.
 
     Raises:
-        LeglabError: It cannot be read, or is no regular file: a pipe would be waited for.
+        FileError: It cannot be read, or is no regular file: a pipe would be waited for.
     """
     try:
         # Not to wait for a pipe's other end before it is known to be one.
@@ -42,7 +42,7 @@ def read_json(path: str | Path) -> Any:
     """Returns the content of a JSON file.
 
     Raises:
-        LeglabError: It cannot be read, is not JSON, nested too deep, or a number is not finite.
+        FileError: It cannot be read, is not JSON, nested too deep, or a number is not finite.
     """
     try:
         return parse_json(read_bytes(path))

@@ -34,7 +34,7 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         write: Writes the content into the binary stream that it is given.
 
     Raises:
-        LeglabError: The folder does not exist or cannot be written to, the disk is full, or the
+        FileError: The folder does not exist or cannot be written to, the disk is full, or the
             path is no regular file.
     """
     path = Path(path)
@@ -69,7 +69,7 @@ def new_file(path: Path) -> Iterator[Path]:
         An empty file with the same suffix.
 
     Raises:
-        LeglabError: Another process is writing the file, or it cannot be written or replaced.
+        FileError: Another process is writing the file, or it cannot be written or replaced.
     """
     try:
         real = regular_file(path)
@@ -105,7 +105,7 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
         overwrite: Whether earlier results may be replaced.
 
     Raises:
-        LeglabError: It exists and may not be replaced, holds something else, or is the working
+        FileError: It exists and may not be replaced, holds something else, or is the working
             folder or one that holds it.
     """
     try:
@@ -127,7 +127,7 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
     """Refuses a folder that holds what is read: with earlier results it would be replaced.
 
     Raises:
-        LeglabError: Names the input.
+        FileError: Names the input.
     """
     real = os.path.realpath(folder)
     for path in inputs:
@@ -153,7 +153,7 @@ def new_folder(
         An empty folder beside it.
 
     Raises:
-        LeglabError: As `check_folder`, another process is writing the folder, or it cannot be
+        FileError: As `check_folder`, another process is writing the folder, or it cannot be
             written.
     """
     real = Path(os.path.realpath(folder))
@@ -192,7 +192,7 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
         An empty folder inside it, which goes at the end: files are made there and moved.
 
     Raises:
-        LeglabError: Another process is writing to the folder, or it cannot be written to.
+        FileError: Another process is writing to the folder, or it cannot be written to.
     """
     with _folder(folder, folder), _claimed(folder / _LOCK, folder) as alone:
         try:
@@ -290,7 +290,7 @@ def regular_file(path: Path) -> Path:
     """Returns the file itself, behind links; refuses what no file may replace.
 
     Raises:
-        LeglabError: It is a folder, a device, a pipe or a socket.
+        FileError: It is a folder, a device, a pipe or a socket.
         OSError: It cannot be looked at.
     """
     real = Path(os.path.realpath(path))

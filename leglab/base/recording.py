@@ -145,7 +145,7 @@ class Recording:
             The axes, below each other, of a new figure of `matplotlib.pyplot`.
 
         Raises:
-            LeglabError: A column does not exist, or there is none to draw.
+            RecordingError: A column does not exist, or there is none to draw.
         """
         if not columns:
             endings = ("_position", "_reference", "_command")
@@ -186,7 +186,7 @@ class Recording:
         """Time between two samples [s].
 
         Raises:
-            LeglabError: There is one sample only, or the intervals differ; names the row.
+            RecordingError: There is one sample only, or the intervals differ; names the row.
         """
         if self.time.size < 2:
             raise RecordingError("a recording of one sample has no sampling period")
@@ -279,7 +279,7 @@ class Recording:
             Samples, in the column's unit. Shape (n, len(elements)).
 
         Raises:
-            LeglabError: A column does not exist.
+            RecordingError: A column does not exist.
         """
         return np.column_stack([self[f"{element}_{quantity}"] for element in elements])
 
@@ -287,7 +287,7 @@ class Recording:
         """Returns a recording with these columns alone, in this order.
 
         Raises:
-            LeglabError: A column does not exist.
+            RecordingError: A column does not exist.
         """
         columns = {name: self[name] for name in names}
         return Recording(time=self.time, columns=columns, metadata=self.metadata)
@@ -296,7 +296,7 @@ class Recording:
         """Returns the samples with start <= time < end [s].
 
         Raises:
-            LeglabError: There is no such sample.
+            RecordingError: There is no such sample.
         """
         first, last = np.searchsorted(self.time, (start, end))
         if first >= last:

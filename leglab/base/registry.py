@@ -46,7 +46,7 @@ class Registry(Generic[Entry]):
                 twice (a module that runs as a script is imported under its own name as well).
 
         Raises:
-            LeglabError: Another definition has this name already.
+            SettingsError: Another definition has this name already.
         """
         if isinstance(defined_by, Path):
             definition = str(defined_by.resolve()), ""
@@ -74,7 +74,7 @@ class Registry(Generic[Entry]):
         """Returns the entry of this name.
 
         Raises:
-            LeglabError: There is none; the known names are listed, and plug-ins that failed.
+            SettingsError: There is none; the known names are listed, and plug-ins that failed.
         """
         self._load()
         if name not in self._entries:
@@ -153,7 +153,7 @@ class FactoryRegistry(Registry[Configured[Entry]]):
             **defaults: Settings that hold unless `config` has them, where the factory knows them.
 
         Raises:
-            LeglabError: The name or a setting is not known, or a value is not allowed.
+            SettingsError: The name or a setting is not known, or a value is not allowed.
         """
         entry = self.get(name)
         known = {k: v for k, v in defaults.items() if k in entry.configuration.model_fields}

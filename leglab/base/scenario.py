@@ -355,7 +355,7 @@ def get_scenario(
             scenario changes.
 
     Raises:
-        LeglabError: The name is not known, or an option is not allowed for this scenario.
+        SettingsError: The name is not known, or an option is not allowed for this scenario.
     """
     entry = SCENARIOS.get(name)
     if element is not None and not entry.per_joint:

@@ -46,7 +46,7 @@ def validate_configuration(
         The validated configuration.
 
     Raises:
-        LeglabError: A key is unknown or missing, or a value is not allowed; one line names the
+        SettingsError: A key is unknown or missing, or a value is not allowed; one line names the
             key, the value and what is allowed.
     """
     try:

@@ -109,7 +109,7 @@ class NominalMachine:
         known: Values by the names of the properties below, for a machine that is known by numbers.
 
     Raises:
-        LeglabError: A name is none of the properties.
+        SettingsError: A name is none of the properties.
     """
 
     def __init__(self, **known: Any) -> None:
@@ -277,7 +277,7 @@ def register_controller(
             without it the controller has none, and its class is called with the setup alone.
 
     Raises:
-        LeglabError: The class lacks a method, a method takes other arguments, or `configuration`
+        SettingsError: The class lacks a method, a method takes other arguments, or `configuration`
             is no such subclass.
     """
     add = CONTROLLERS.register(name, summary=summary, configuration=configuration)
@@ -294,7 +294,7 @@ _METHODS = {"reset": 1, "command": 2}
 
 
 def _check_contract(name: str, factory: Any) -> None:
-    """Raises `LeglabError` where a class is no controller; a function makes one later."""
+    """Raises `SettingsError` where a class is no controller; a function makes one later."""
     if not inspect.isclass(factory):
         return
     where = f"controller {name!r}: {factory.__qualname__}"
@@ -334,7 +334,7 @@ def make_controller(
         config: Its settings; what is left out has its default.
 
     Raises:
-        LeglabError: The name or a setting is not known, or a value is not allowed.
+        SettingsError: The name or a setting is not known, or a value is not allowed.
     """
     factory, settings = CONTROLLERS.configured(name, config)
     bare = CONTROLLERS.get(name).configuration is Configuration
@@ -358,7 +358,7 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
         time: Time of the measurement [s].
 
     Raises:
-        LeglabError: It is no array of shape (joints,), or has a NaN or an infinity; names the
+        SimulationError: It is no array of shape (joints,), or has a NaN or an infinity; names the
             controller, the time and the joint.
     """
     joints = setup.joints

@@ -66,7 +66,7 @@ def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) ->
         gaps. Shape (n,).
 
     Raises:
-        LeglabError: Stamps go backwards; names the topic and the message.
+        RecordingError: Stamps go backwards; names the topic and the message.
     """
     stamps, values = series.stamps, series.columns[name]
     if np.array_equal(stamps, clock):

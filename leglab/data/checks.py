@@ -109,7 +109,7 @@ def to_recording(
         repair: Whether safe repairs are made; they are noted in the metadata under "repairs".
 
     Raises:
-        LeglabError: The time axis is not valid; the first reason is given, and how many more.
+        RecordingError: The time axis is not valid; the first reason is given, and how many more.
     """
     if repair:
         table, notes = drop_redundant_rows(table)

@@ -23,7 +23,7 @@ def to_arrays(
         Arrays of shape (n,) by column name.
 
     Raises:
-        LeglabError: A column is named twice or is not numeric.
+        RecordingError: A column is named twice or is not numeric.
     """
     names = table.column_names
     found: dict[str, np.ndarray] = {}

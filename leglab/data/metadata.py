@@ -20,7 +20,7 @@ def check_notes(metadata: Mapping[str, Any]) -> None:
     """Checks that the notes to which reading appends are lists.
 
     Raises:
-        LeglabError: "alignment" or "repairs" is something else.
+        RecordingError: "alignment" or "repairs" is something else.
     """
     for key in ("alignment", "repairs"):
         if not isinstance(metadata.get(key, []), list):

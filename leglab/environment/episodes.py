@@ -36,7 +36,7 @@ class Episode:
         """Builds the scenario, all its changes shifted together to the onset.
 
         Raises:
-            LeglabError: If an option is not allowed or a change ends after the episode.
+            SettingsError: If an option is not allowed or a change ends after the episode.
         """
         scenario = scenario_of(self.settings)
         if self.onset is None:
@@ -69,7 +69,7 @@ class Episodes:
         random: Source of the draws; `reseed` replaces it.
 
     Raises:
-        LeglabError: If a name or a range is not allowed.
+        SettingsError: If a name or a range is not allowed.
     """
 
     def __init__(self, base: Episode, randomize: Mapping[str, Any] | Draw | None) -> None:
@@ -96,7 +96,7 @@ class Episodes:
         """Draws the next episode.
 
         Raises:
-            LeglabError: If the callable gives a name that is not allowed.
+            SettingsError: If the callable gives a name that is not allowed.
         """
         if self._draw is None:
             return self.base

@@ -78,7 +78,7 @@ def chosen_reward(reward: str | Reward) -> Reward:
     """Returns a reward by name, or the function itself.
 
     Raises:
-        LeglabError: If there is none of this name.
+        SettingsError: If there is none of this name.
     """
     if callable(reward):
         return reward

@@ -33,7 +33,7 @@ class Basis(checks.Settings):
             middle piece as Eq. 9 prints it, which jumps at the knots. Equidistant knots only.
 
     Raises:
-        LeglabError: The knots do not increase, are too few, or a choice is unknown.
+        SettingsError: The knots do not increase, are too few, or a choice is unknown.
     """
 
     owner: ClassVar = "basis"
@@ -128,7 +128,7 @@ class Basis(checks.Settings):
             bias: Added to the output.
 
         Raises:
-            LeglabError: The middle piece is the printed one, which is no spline, or the number
+            SettingsError: The middle piece is the printed one, which is no spline, or the number
                 of weights is wrong.
         """
         from scipy.interpolate import BSpline  # takes half a second

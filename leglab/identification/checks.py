@@ -1,4 +1,4 @@
-"""Checks shared by the settings and the front-end; each raises `LeglabError` in one line."""
+"""Checks shared by the settings and the front-end; each raises `SettingsError` in one line."""
 
 import math
 from collections.abc import Iterable, Sequence

@@ -217,7 +217,7 @@ class SplineNarx(Identifier):
             (1 + inputs, lags + 1); row 0 is the output, its first entry zero.
 
         Raises:
-            LeglabError: A signal is missing in `at`, or unknown.
+            SettingsError: A signal is missing in `at`, or unknown.
         """
         signals = self.settings.signals
         point = np.zeros(len(signals))
@@ -285,7 +285,7 @@ class SplineNarx(Identifier):
             joint: Which joint.
 
         Raises:
-            LeglabError: The feature has no spline.
+            SettingsError: The feature has no spline.
         """
         chosen, block = self.settings.features[feature], self.settings.blocks[feature]
         if not isinstance(chosen, Spline | Hammerstein):

@@ -43,7 +43,7 @@ def save(identifier: Identifier, path: str | Path) -> None:
     """Writes the identifier to `path`, all or nothing: an interrupted write leaves the old file.
 
     Raises:
-        LeglabError: The file cannot be written.
+        FileError: The file cannot be written.
     """
     state = identifier._bank.state()
     header = {
@@ -72,7 +72,7 @@ def load(path: str | Path) -> Identifier:
     The file may come from anywhere: what no identifier can be is refused.
 
     Raises:
-        LeglabError: The file is missing, truncated, damaged or of another version.
+        FileError: The file is missing, truncated, damaged or of another version.
     """
     header, state = _read(Path(path))
     model = _build(path, header, header["joints"])
@@ -84,7 +84,7 @@ def restore(identifier: Identifier, path: str | Path) -> None:
     """Puts the saved state into an identifier of the same settings; untouched if it fails.
 
     Raises:
-        LeglabError: As `load`, or the file is of another model, settings or number of joints.
+        FileError: As `load`, or the file is of another model, settings or number of joints.
     """
     header, state = _read(Path(path))
     wanted = (type(identifier).__name__, identifier.joints, identifier.settings)

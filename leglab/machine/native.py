@@ -61,7 +61,7 @@ class NativeActuator:
             moments: Its lever arms in the rest pose, (nv,).
 
         Raises:
-            LeglabError: It is of a kind that a run cannot command, moves several joints, or has no
+            ModelError: It is of a kind that a run cannot command, moves several joints, or has no
                 limit; one line names it and what is allowed.
         """
         joint = _joint_of(model, number, moments)

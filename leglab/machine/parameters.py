@@ -60,7 +60,7 @@ class Parameter:
         """Returns the value as float.
 
         Raises:
-            LeglabError: If it is not finite or out of bounds; `where` names the element.
+            SettingsError: If it is not finite or out of bounds; `where` names the element.
         """
         number = float(value)
         above = number >= self.minimum if self.minimum_allowed else number > self.minimum
@@ -95,7 +95,7 @@ class PluginTable:
         """Looks a parameter or state up by name.
 
         Raises:
-            LeglabError: If the plugin has no such entry; lists those that exist.
+            SettingsError: If the plugin has no such entry; lists those that exist.
         """
         if name in self.parameters:
             return self.parameters[name]
@@ -199,7 +199,7 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
     """Parameters of one instance in table order, shape (n,): `values` over the nominal ones.
 
     Raises:
-        LeglabError: If a name is unknown, a value is out of bounds, or a required one is missing.
+        SettingsError: If a name is unknown, a value is out of bounds, or a required one is missing.
     """
     table = plugin_tables()[plugin]
     for name in values:
@@ -228,7 +228,7 @@ def placed_parameters(
         Values by element and name, in the parameter's own unit.
 
     Raises:
-        LeglabError: There is no such element or parameter, or a value is out of bounds.
+        SettingsError: There is no such element or parameter, or a value is out of bounds.
     """
     tables = plugin_tables()
     owned = {element: tables[plugin].parameters for element, plugin in elements.items()}

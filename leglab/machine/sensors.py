@@ -91,7 +91,7 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
     """Splits a control period into whole time steps.
 
     Raises:
-        LeglabError: If period or latency is no multiple of the time step, or the latency is longer.
+        SettingsError: Period or latency is no multiple of the time step, or the latency is longer.
     """
     if config.control_period / timestep > _MOST_STEPS:
         least = f"at least {config.control_period / _MOST_STEPS:g} s"
@@ -399,7 +399,7 @@ class Encoders:
         """Sets a fault of an encoder from now on.
 
         Raises:
-            LeglabError: If joint or name do not exist or the value is out of bounds.
+            SettingsError: If joint or name do not exist or the value is out of bounds.
         """
         index = self._index(element, name)
         self._values[index] = FAULTS[name].check(value, f"encoder of joint {element!r}")

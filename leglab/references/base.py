@@ -79,7 +79,7 @@ class Reference:
             Position, velocity and acceleration.
 
         Raises:
-            LeglabError: A joint would leave its range or exceed its velocity limit; names the
+            SettingsError: A joint would leave its range or exceed its velocity limit; names the
                 joint, the time, the value and the limit.
         """
         times = np.asarray(times, dtype=np.float64)
@@ -154,7 +154,7 @@ def make_reference(
         seed: Of a random trajectory, unless `config` has its own.
 
     Raises:
-        LeglabError: The name or a setting is not known or not allowed, or no joint moves.
+        SettingsError: The name or a setting is not known or not allowed, or no joint moves.
     """
     seeded = {} if seed is None else {"seed": seed}
     build, settings = REFERENCES.configured(name, config, **seeded)
@@ -193,7 +193,7 @@ def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> l
     """Returns the indices of the joints that a motion knows.
 
     Raises:
-        LeglabError: It knows none of them.
+        SettingsError: It knows none of them.
     """
     indices = [i for i, joint in enumerate(joints) if joint.name in known]
     if not indices:
@@ -214,7 +214,7 @@ def selected(joints: Sequence[Joint], names: Sequence[str] | None, reference: st
         Shape (joints,).
 
     Raises:
-        LeglabError: A name is not among the joints.
+        SettingsError: A name is not among the joints.
     """
     known = [joint.name for joint in joints]
     if names is None:

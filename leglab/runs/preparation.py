@@ -94,7 +94,7 @@ def scenario_of(settings: RunSettings) -> Scenario:
     """Builds the scenario that settings ask for.
 
     Raises:
-        LeglabError: If the seed, the name or an option of the scenario is not allowed.
+        SettingsError: If the seed, the name or an option of the scenario is not allowed.
     """
     if settings.seed < 0:
         told = f"seed {settings.seed} is negative; allowed: "
@@ -119,7 +119,7 @@ def check_controllers(names: Sequence[str]) -> None:
     """Refuses names of controllers that are not known, or given twice.
 
     Raises:
-        LeglabError: Names the first one.
+        SettingsError: Names the first one.
     """
     for i, name in enumerate(names):
         CONTROLLERS.get(name)
@@ -193,7 +193,7 @@ class Preparation:
         References for a leg give way to `multisine` where no joint is one of a leg.
 
         Raises:
-            LeglabError: The machine has nothing that the scenario changes; lists those that fit.
+            SettingsError: The machine has nothing that the scenario changes; lists those that fit.
         """
         known = fitted(scenario, self.nominal)
         if known.reference in LEG_REFERENCES and not set(self.nominal.joints) & set(GAIT):
@@ -226,7 +226,7 @@ class Preparation:
             tolerance: Relative standard deviation of its parameters [1].
 
         Raises:
-            LeglabError: If a cylinder cannot hold its joint there.
+            ModelError: If a cylinder cannot hold its joint there.
         """
         check_tolerance(tolerance)
         if tolerance or simulation.varied:

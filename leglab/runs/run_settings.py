@@ -51,7 +51,7 @@ def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Returns settings whose names and types are those of `RunSettings`.
 
     Raises:
-        LeglabError: Names the setting, its value and what is allowed.
+        SettingsError: Names the setting, its value and what is allowed.
     """
     for name in values:
         if name not in _NAMES:
@@ -77,7 +77,7 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
             values as TOML writes them, anything else as text.
 
     Raises:
-        LeglabError: An entry has another form.
+        SettingsError: An entry has another form.
     """
     found = {**values, **{name: _copied(values.get(name)) for name in SECTIONS.values()}}
     for entry in entries:

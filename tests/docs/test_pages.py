@@ -18,7 +18,13 @@ from tests.helpers.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
 HOW_TO = [f"docs/guides/{name}.md" for name in ("controller", "effect", "model", "scenario")]
-PAGES = ("docs/start/first_hour.md", "docs/start/tutorial.md", "docs/guides/sweeps.md", *HOW_TO)
+PAGES = (
+    "docs/start/first_hour.md",
+    "docs/start/tutorial.md",
+    "docs/guides/sweeps.md",
+    "docs/reference/errors.md",
+    *HOW_TO,
+)
 # Their shell lines take hours or install things: Python runs, commands are only looked up.
 OTHERS = ("README.md", "docs/start/getting_started.md")
 INSTALLATION = (
@@ -30,7 +36,7 @@ NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", 
 
 
 # Of each kind one.
-QUICK = ("README.md", "docs/guides/scenario.md")
+QUICK = ("README.md", "docs/guides/scenario.md", "docs/reference/errors.md")
 
 
 def _from_end_to_end(page, *options):

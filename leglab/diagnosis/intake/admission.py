@@ -47,7 +47,7 @@ def admit(
     fit and one of them to judge; else the diagnosis goes without these pressures.
 
     Raises:
-        LeglabError: No recording can be used, or none of those that are to be held out, or to be
+        RecordingError: No recording can be used, or none of those that are to be held out, or to be
             fitted; names recording, column, what was found and what is allowed.
     """
     held = tuple(name for name in held_out if name in recordings)

@@ -86,7 +86,7 @@ class Replay:
         threads: Of the rollouts.
 
     Raises:
-        LeglabError: No window fits into the recordings.
+        RecordingError: No window fits into the recordings.
 
     Attributes:
         cuts: The recordings with the samples at which windows start.

@@ -44,7 +44,7 @@ def channels(
     """Measured outputs that all recordings share: positions, then chamber pressures.
 
     Raises:
-        LeglabError: A joint's position or an actuator's command is missing; lists both sides.
+        RecordingError: A joint's position or an actuator's command is missing; lists both sides.
     """
     shared = set.intersection(*(set(r.columns) for r in recordings.values()))
     missing = [column for column in machine.columns if column not in shared]
