@@ -72,8 +72,3 @@ class SimulationError(LeglabError):
 
 class FileError(LeglabError):
     """A file or folder is not there, cannot be read or written, or has another format."""
-
-
-def unknown_name(kind: str, name: object, known: Iterable[str]) -> LeglabError:
-    """As `SettingsError.unknown`."""
-    return SettingsError.unknown(kind, name, known)

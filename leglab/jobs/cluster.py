@@ -16,7 +16,7 @@ from dataclasses import asdict, replace
 from typing import Any
 from uuid import uuid4
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.input import parse_json
 from leglab.jobs.runner import Answered, Runner, Task, Terms
 
@@ -106,15 +106,17 @@ class Cluster(AbstractContextManager[Any]):
         try:
             self._client = Client(self._address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise LeglabError(
-                f"scheduler {self._address!r} cannot be reached: {error}; allowed: for instance "
-                "tcp://127.0.0.1:8786"
+            raise SettingsError(
+                f"scheduler {self._address!r} cannot be reached: {error}; allowed: ",
+                given=self._address,
+                allowed="for instance tcp://127.0.0.1:8786",
             ) from error
         try:
             self._client.wait_for_workers(1, timeout=_PATIENCE)
         except TimeoutError as error:
             self._client.close()
-            raise LeglabError(f"scheduler {self._address!r} has no workers") from error
+            told = f"scheduler {self._address!r} has no workers"
+            raise SettingsError(told, given=self._address) from error
 
     def __exit__(self, *_: object) -> None:
         """Forgets what has not been made."""
@@ -161,9 +163,8 @@ class Cluster(AbstractContextManager[Any]):
         try:
             yield
         except (OSError, CancelledError) as error:
-            raise LeglabError(
-                f"scheduler {self._address!r} is gone: the same command goes on from here"
-            ) from error
+            told = f"scheduler {self._address!r} is gone: the same command goes on from here"
+            raise SimulationError(told, given=self._address) from error
 
     def _found(self, future: Any, count: int) -> tuple[list[dict[str, Any]], str]:
         """So many answers, and what made them."""
@@ -176,9 +177,8 @@ class Cluster(AbstractContextManager[Any]):
             if isinstance(problem, KilledWorker):
                 told = {"error": "the workers that made it ended each time", "kind": "died"}
                 return [told] * count, self._address
-            raise LeglabError(
-                f"scheduler {self._address!r}: a worker cannot work: {problem}"
-            ) from problem
+            reason = f"scheduler {self._address!r}: a worker cannot work: {problem}"
+            raise SimulationError(reason, given=self._address) from problem
         text = future.result()
         try:
             content = parse_json(text)

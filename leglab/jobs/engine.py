@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.jobs.fingerprint import fingerprint
 from leglab.jobs.runner import Answered, Runner, Task, Terms
 from leglab.jobs.work import Work, answer_of, name_of
@@ -63,7 +63,7 @@ def executor(workers: int, scheduler: str | None, terms: Terms) -> AbstractConte
         count = (os.cpu_count() or 1) if workers == -1 else workers
         return Processes(count, terms.limited(count))
     if workers != -1:
-        raise LeglabError("workers are processes of this machine: they go without a scheduler")
+        raise SettingsError("workers are processes of this machine: they go without a scheduler")
     from leglab.jobs.cluster import Cluster
 
     return Cluster(scheduler, terms)

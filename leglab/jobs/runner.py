@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SimulationError
 from leglab.base.input import parse_json
 
 _START_TIME = 120.0  # s: a process that has imported nothing by then never will
@@ -187,13 +187,13 @@ class Runner:
                 raise DiedError("nothing more is asked of it") from error
             reason = str(error) or f"it said nothing for {_START_TIME:g} s"
             self._end()
-            raise LeglabError(f"a process cannot be started: {reason}") from error
+            raise SimulationError(f"a process cannot be started: {reason}") from error
         if "refused" in found:
             self._end()
-            raise LeglabError(f"a process cannot be started: {found['refused']}")
+            raise SimulationError(f"a process cannot be started: {found['refused']}")
         if found.get("code") != terms.code:
             self._end()
-            raise LeglabError(
+            raise SimulationError(
                 f"{os.uname().nodename}: the leglab there is of other code than the one here: "
                 "install the same version with the same plug-ins"
             )

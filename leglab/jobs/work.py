@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError
 
 # Takes and gives what JSON can hold.
 Work = Callable[[dict[str, Any]], Any]
@@ -37,17 +37,15 @@ def name_of(work: Work) -> str:
     module = sys.modules.get(work.__module__)
     name = getattr(work, "__qualname__", "")
     if getattr(module, name, None) is not work:
-        raise LeglabError(
-            f"{name or work!r} cannot be called by another process; allowed: a function defined "
-            "at the top of a module or file"
-        )
+        allowed = "a function defined at the top of a module or file"
+        told = f"{name or work!r} cannot be called by another process; allowed: "
+        raise SettingsError(told, given=name, allowed=allowed)
     if work.__module__ != "__main__":
         return f"{work.__module__}:{name}"
     file = getattr(module, "__file__", None)
     if file is None:
-        raise LeglabError(
-            f"{name} is defined at a prompt, where no other process finds it; allowed: one process"
-        )
+        told = f"{name} is defined at a prompt, where no other process finds it; allowed: "
+        raise SettingsError(told, given=name, allowed="one process")
     return f"{Path(file).resolve()}:{name}"
 
 
@@ -61,10 +59,10 @@ def work_of(name: str) -> Work:
     try:
         module = plugins.imported(place)
     except ImportError as error:
-        raise LeglabError(f"{place} cannot be imported: {error}") from error
+        raise SettingsError(f"{place} cannot be imported: {error}", given=place) from error
     work = getattr(module, function, None)
     if not callable(work):
-        raise LeglabError(f"{place} has no function {function!r}")
+        raise SettingsError(f"{place} has no function {function!r}", given=function)
     return work
 
 

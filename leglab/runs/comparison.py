@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab import __version__
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
@@ -60,15 +60,16 @@ class Comparison:
 
     def __post_init__(self) -> None:
         if not 1 <= self.seeds <= _MOST_SEEDS:
-            raise LeglabError(f"seeds is {self.seeds}; allowed: 1 to {_MOST_SEEDS}")
+            told = f"seeds is {self.seeds}; allowed: "
+            raise SettingsError(told, given=self.seeds, allowed=f"1 to {_MOST_SEEDS}")
         check_tolerance(self.tolerance)
         for kind in ("scenarios", "controllers"):
             names = getattr(self, kind)
             if not names:
-                raise LeglabError(f"no {kind} to compare; give one or more")
+                raise SettingsError(f"no {kind} to compare; give ", allowed="one or more")
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
-                raise LeglabError(f"{kind}: {twice[0]!r} is given twice")
+                raise SettingsError(f"{kind}: {twice[0]!r} is given twice", given=twice[0])
         check_controllers(self.controllers)
         for run in self.runs():
             scenario_of(run)
@@ -144,7 +145,7 @@ def run_all(
                 told = f"{run.scenario} · {run.controller} · seed {run.seed}"
                 progress(len(stored), len(runs), told)
     if problems and len(problems) == len(runs):
-        raise LeglabError(problems[0])
+        raise SimulationError(problems[0])
     return [stored[number] for number in range(len(runs))]
 
 

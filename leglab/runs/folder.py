@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from leglab import data
-from leglab.base.errors import LeglabError
+from leglab.base.errors import (
+    FileError,
+    LeglabError,
+    RecordingError,
+    SettingsError,
+    SimulationError,
+)
 from leglab.base.input import read_json
 from leglab.base.output import check_folder, claimed_folder, new_folder
 from leglab.base.recording import Recording
@@ -198,12 +204,12 @@ def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
             does not have the form of a run's; the message names the file and the entry.
     """
     if not folders:
-        raise LeglabError("nothing to report: give the folder of at least one run")
+        raise SettingsError("nothing to report: give the folder of at least one run")
     seen: set[Path] = set()
     runs = []
     for folder in folders:
         if folder.resolve() in seen:
-            raise LeglabError(f"the folder {str(folder)!r} is given twice")
+            raise SettingsError(f"the folder {str(folder)!r} is given twice", given=folder)
         seen.add(folder.resolve())
         runs.append(read_run(folder))
     return tuple(replace(run, label=x) for run, x in zip(runs, _labels(runs), strict=True))
@@ -218,7 +224,8 @@ def check_runs(folders: Sequence[Path]) -> None:
     for folder in folders:
         for name in RUN_FILES:
             if not (folder / name).is_file():
-                raise LeglabError(f"{str(folder)!r} is not the folder of a run: it has no {name}")
+                told = f"{str(folder)!r} is not the folder of a run: it has no {name}"
+                raise FileError(told, given=folder)
 
 
 def read_run(folder: Path) -> ReportedRun:
@@ -236,16 +243,17 @@ def read_run(folder: Path) -> ReportedRun:
         for key in ("rms_rad", "peak_rad"):
             missing = {*joints, "all"} - getattr(phase, key).keys()
             if missing:
-                raise LeglabError(
+                raise FileError(
                     f"{folder / 'metrics.json'}: phase {phase.name!r}: {key} lacks "
-                    f"{sorted(missing)[0]!r}"
+                    f"{sorted(missing)[0]!r}",
+                    given=folder,
                 )
     for joint in joints:
         for quantity in ("position", "reference"):
             if f"{joint}_{quantity}" not in recording:
-                raise LeglabError(
-                    f"{folder / 'recording.parquet'}: no column {f'{joint}_{quantity}'!r}"
-                )
+                absent = f"{joint}_{quantity}"
+                told = f"{folder / 'recording.parquet'}: no column {absent!r}"
+                raise RecordingError(told, given=absent, allowed=recording.columns)
     return ReportedRun(
         folder=folder,
         label=metrics.controller,
@@ -291,7 +299,7 @@ def check_settings(runs: Sequence[RunSettings]) -> None:
             or a controller is given twice.
     """
     if not runs:
-        raise LeglabError("no controllers to run; give one or more")
+        raise SettingsError("no controllers to run; give ", allowed="one or more")
     check_controllers([run.controller for run in runs])
     for run in runs:
         scenario_of(run)
@@ -344,7 +352,7 @@ def make_runs(
         workers = min(jobs, max(len(todo), 1))
         for number, answer, _ in answers(make_folder, given, workers=workers):
             if "result" not in answer:
-                raise LeglabError(str(answer.get("error")))
+                raise SimulationError(str(answer.get("error")))
             done += 1
             if progress:
                 progress(done, len(runs), f"{runs[number].scenario} · {runs[number].controller}")

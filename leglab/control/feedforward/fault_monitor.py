@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab._native.monitor import Moments, Monitor
-from leglab.base.errors import LeglabError
+from leglab.base.errors import ModelError
 from leglab.base.fault_names import UNKNOWN, FaultEvent, FaultName
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.control.feedforward.judge import Explanation, JudgeConfiguration, judge, report, say
@@ -144,9 +144,8 @@ class FaultMonitor:
     ) -> None:
         had = bank.curves[0].shifts.shape[1]
         if had != len(joints):
-            raise LeglabError(
-                f"the bank of faults is of {had} joints, the machine has {len(joints)}"
-            )
+            told = f"the bank of faults is of {had} joints, the machine has "
+            raise ModelError(told, given=had, allowed=str(len(joints)))
         self._bank, self._joints, self._config = bank, joints, config
         self._standings = Standings(bank)
         self._core = Monitor(

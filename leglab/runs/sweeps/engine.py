@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from leglab import __version__
 from leglab.base import plugins
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, RecordingError, SettingsError, SimulationError
 from leglab.base.notebook import html_table, panels
 from leglab.base.output import cannot_write, claimed_folder
 from leglab.jobs.engine import Executor, Progress, executor, terms_of
@@ -88,7 +88,8 @@ class SweepResult:
             told = "of the whole run"
             rows = ask(self.folder, _ERRORS.format("rms_rad")).rows
         if not rows:
-            raise LeglabError(f"{str(self.folder)!r} holds no run with an error to draw")
+            told = f"{str(self.folder)!r} holds no run with an error to draw"
+            raise RecordingError(told, given=self.folder)
         scenarios = list(dict.fromkeys(row[0] for row in rows))
         axes = panels(len(scenarios), height=0.5 + 0.3 * len({row[1] for row in rows}))
         for axis, scenario in zip(axes, scenarios, strict=True):
@@ -210,7 +211,8 @@ def record_runs(
     _recall(plan, folder)
     for number in numbers:
         if not 0 <= number < len(plan):
-            raise LeglabError(f"there is no run {number}; allowed: 0 to {len(plan) - 1}")
+            told = f"there is no run {number}; allowed: "
+            raise SettingsError(told, given=number, allowed=f"0 to {len(plan) - 1}")
     keeping = [recording_folder(folder.resolve(), number) for number in numbers]
     requests = [
         (number, _request(plan, number, place))
@@ -220,7 +222,7 @@ def record_runs(
         for count, (number, answer, _) in enumerate(answered(iter(requests)), 1):
             place = recording_folder(folder.resolve(), number)
             if "result" not in answer and not place.is_dir():
-                raise LeglabError(f"run {number}: {answer.get('error')}")
+                raise SimulationError(f"run {number}: {answer.get('error')}", given=number)
             if progress:
                 progress(count, len(requests), f"run {number}")
     return keeping
@@ -255,9 +257,8 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
         elif there.models != record.models:
             problem = "was begun with other files of its models"
         if problem:
-            raise LeglabError(
-                f"{str(folder)!r} {problem}: give another folder, or --overwrite to begin anew"
-            )
+            told = f"{str(folder)!r} {problem}: give another folder, or --overwrite to begin anew"
+            raise FileError(told, given=folder)
         return
     try:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
@@ -266,7 +267,8 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
     leftover = {"runs", "recordings", store.DATASET, store.PROPOSALS}
     strange = any(not (name in leftover or name.startswith("journal-")) for name in others)
     if strange and not store.replaces(folder):
-        raise LeglabError(f"{str(folder)!r} holds no sweep but other files: give another")
+        told = f"{str(folder)!r} holds no sweep but other files: give another"
+        raise FileError(told, given=folder)
     store.empty(folder)
     store.write_json(record, folder / store.SWEEP)
 

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal, get_type_hints
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.input import parse_toml, read_bytes, read_json
-from leglab.base.settings import Configuration, validate_configuration
+from leglab.base.settings import Configuration, first_problem, validate_configuration
 from leglab.commissioning.setup import model_digest
 from leglab.control.contract import CONTROLLERS
 from leglab.machine.changes import check_tolerance
@@ -254,9 +254,8 @@ class SweepPlan:
                 self.tuned.append(points)
                 self._blocks[i] = replace(runs, tuned=points)
         if len(self) > MOST_RUNS:
-            raise LeglabError(
-                f"{name}: asks for {len(self):,} runs; allowed: at most {MOST_RUNS:,}"
-            )
+            told = f"{name}: asks for {len(self):,} runs; allowed: "
+            raise SettingsError(told, given=len(self), allowed=f"at most {MOST_RUNS:,}")
         self._content = found
 
     def __len__(self) -> int:
@@ -311,7 +310,8 @@ class SweepPlan:
         """
         found = self._values(number)
         if found is None:
-            raise LeglabError(f"{self._name}: run {number}: its settings are not proposed yet")
+            told = f"{self._name}: run {number}: its settings are not proposed yet"
+            raise SettingsError(told, given=number)
         return found
 
     def _values(self, number: int, *, ends: bool = False) -> dict[str, Any] | None:
@@ -368,9 +368,7 @@ class SweepPlan:
             try:
                 models.setdefault(settings.model, checks(settings))
             except LeglabError as error:
-                raise LeglabError(
-                    f"{self._name}: run {number} ({self._told(given)}): {error}"
-                ) from (error)
+                raise error.at(f"{self._name}: run {number} ({self._told(given)})") from error
         return models
 
     def _told(self, given: Mapping[str, Any]) -> str:
@@ -458,16 +456,16 @@ def read_plan(path: str | Path) -> SweepPlan:
     path = Path(path)
     content = read_bytes(path, _MOST_FILE + 1)
     if len(content) > _MOST_FILE:
-        raise LeglabError(f"{path}: has more than {_MOST_FILE:,} bytes")
+        raise FileError(f"{path}: has more than {_MOST_FILE:,} bytes", given=path)
     if path.suffix == ".json":
         kept = read_json(path)
         if not isinstance(kept, dict) or not isinstance(kept.get("plan"), dict):
-            raise LeglabError(f"{path}: holds no plan of a sweep")
+            raise FileError(f"{path}: holds no plan of a sweep", given=path)
         return SweepPlan(kept["plan"], str(path))
     try:
         found = parse_toml(content)
     except ValueError as error:
-        raise LeglabError(f"{path}: is not TOML: {error}") from error
+        raise SettingsError(f"{path}: is not TOML: {error}", given=path) from error
     return SweepPlan(found, str(path))
 
 
@@ -484,24 +482,27 @@ def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:
     }
     for name in ranges:
         if name in grid:
-            raise LeglabError(f"{where}: {name!r} stands in grid and in ranges")
+            raise SettingsError(f"{where}: {name!r} stands in grid and in ranges", given=name)
     if ranges and block.points is None:
-        raise LeglabError(f"{where}: ranges need 'points', the number of points to draw")
+        raise SettingsError(f"{where}: ranges need 'points', the number of points to draw")
     if block.points is not None and not ranges:
-        raise LeglabError(f"{where}: points is {block.points}, but there are no ranges")
+        told = f"{where}: points is {block.points}, but there are no ranges"
+        raise SettingsError(told, given=block.points)
     proposed = block.draw in ("tpe", "gp")
     if proposed and (block.tune is None or not ranges):
-        raise LeglabError(f"{where}: draw is {block.draw!r}: needs ranges and tune.metric")
+        told = f"{where}: draw is {block.draw!r}: needs ranges and tune.metric"
+        raise SettingsError(told, given=block.draw)
     if block.tune is not None:
         if not proposed:
-            raise LeglabError(f"{where}: tune needs draw = 'tpe' or 'gp', not {block.draw!r}")
+            told = f"{where}: tune needs draw = 'tpe' or 'gp', not {block.draw!r}"
+            raise SettingsError(told, given=block.draw, allowed=("tpe", "gp"))
         if block.tune.metric not in FIGURES:
-            raise LeglabError(
-                f"{where}: tune: {unknown_name('number', block.tune.metric, FIGURES)}"
-            )
+            error = SettingsError.unknown("number", block.tune.metric, FIGURES)
+            raise error.at(f"{where}: tune")
     settings = {**shared, **own}
     if "scenario" not in {*settings, *grid}:
-        raise LeglabError(f"{where}: needs 'scenario', in settings or grid")
+        told = f"{where}: needs 'scenario', in settings or grid"
+        raise SettingsError(told, allowed=("scenario",))
     return _Runs(
         settings=settings,
         grid=grid,
@@ -521,21 +522,22 @@ def _flat(
         full = f"{prefix}{name}"
         owner, _, key = full.partition(".")
         if owner not in _FIELDS or (key and owner not in MAPPINGS):
-            raise LeglabError(f"{where}: {unknown_name('setting of a run', full, _FIELDS)}")
+            raise SettingsError.unknown("setting of a run", full, _FIELDS).at(where)
         is_leaf = not isinstance(value, dict) or (leaf is not None and {*value} <= leaf and value)
         if is_leaf and (key or owner not in MAPPINGS):
             found[full] = value
         elif isinstance(value, dict) and owner in MAPPINGS:
             found |= _flat(value, where, leaf=leaf, prefix=f"{full}.")
         else:
-            raise LeglabError(f"{where}: {full} is {value!r}; {_allowed_form(owner)}")
+            told = f"{where}: {full} is {value!r}; allowed: "
+            raise SettingsError(told, given=value, allowed=_allowed_form(owner))
     return found
 
 
 def _allowed_form(owner: str) -> str:
     if owner in MAPPINGS:
-        return f"allowed: a table, or {owner}.NAME"
-    return "allowed: a value or a list of values"
+        return f"a table, or {owner}.NAME"
+    return "a value or a list of values"
 
 
 def _list(name: str, value: Any, where: str) -> Sequence[Any]:
@@ -544,11 +546,12 @@ def _list(name: str, value: Any, where: str) -> Sequence[Any]:
         count = validate_configuration(Count, value, place)
         value = list(range(count.first, count.first + count.count))
     if not isinstance(value, list) or not value:
-        raise LeglabError(f"{place} is {value!r}; allowed: a list, or {{ first = 0, count = 10 }}")
+        allowed = "a list, or { first = 0, count = 10 }"
+        raise SettingsError(f"{place} is {value!r}; allowed: ", given=value, allowed=allowed)
     keys = [json.dumps(item, default=str) for item in value]
     for i, key in enumerate(keys):
         if key in keys[:i] and len(keys) < 10_000:
-            raise LeglabError(f"{place}: {value[i]!r} is given twice")
+            raise SettingsError(f"{place}: {value[i]!r} is given twice", given=value[i])
     for i, item in enumerate(value):
         _check_value(name, item, f"{place}[{i}]")
     return value
@@ -559,14 +562,15 @@ def _range(name: str, value: Any, where: str) -> Range:
     if isinstance(value, list) and len(value) == 2:
         value = {"low": value[0], "high": value[1]}
     if not isinstance(value, dict):
-        raise LeglabError(
-            f"{place} is {value!r}; allowed: [low, high] or {{ low = 1, high = 10, log = true }}"
-        )
+        allowed = "[low, high] or { low = 1, high = 10, log = true }"
+        raise SettingsError(f"{place} is {value!r}; allowed: ", given=value, allowed=allowed)
     found = validate_configuration(Range, value, place)
     if not found.low < found.high:
-        raise LeglabError(f"{place}: low {found.low:g} is not below high {found.high:g}")
+        told = f"{place}: low {found.low:g} is not "
+        raise SettingsError(told, given=found.low, allowed=f"below high {found.high:g}")
     if found.log and found.low <= 0:
-        raise LeglabError(f"{place}: low is {found.low:g}; with log = true allowed: more than 0")
+        told = f"{place}: low is {found.low:g}; with log = true allowed: "
+        raise SettingsError(told, given=found.low, allowed="more than 0")
     for end in (found.low, found.high):
         _check_value(name, end, place)
     return found
@@ -579,14 +583,15 @@ def _check_values(values: Mapping[str, Any], where: str) -> None:
 
 def _check_value(name: str, value: Any, place: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
-        raise LeglabError(f"{place} is {value!r}; allowed: a finite number")
+        told = f"{place} is {value!r}; allowed: "
+        raise SettingsError(told, given=value, allowed="a finite number")
     if name not in _FIELDS:
         return  # of a table: checked by the model of its owner
     try:
         _adapter(name).validate_python(value, strict=True)
     except ValidationError as error:
-        message = error.errors(include_url=False)[0]["msg"]
-        raise LeglabError(f"{place} is {value!r}: {message[:1].lower()}{message[1:]}") from None
+        reason = first_problem(error)[1]
+        raise SettingsError(f"{place} is {value!r}: ", given=value, allowed=reason) from None
 
 
 @cache

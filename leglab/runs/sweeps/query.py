@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.notebook import data_frame, html_table
 from leglab.base.output import write_atomically
 from leglab.runs.sweeps import store
@@ -121,12 +121,13 @@ def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
                 statements = database.extract_statements(sql)
                 kinds = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
                 if len(statements) != 1 or statements[0].type not in kinds:
-                    raise LeglabError("allowed is one SELECT, for instance: SELECT * FROM runs")
+                    allowed = "one SELECT, for instance: SELECT * FROM runs"
+                    raise SettingsError("allowed is ", given=sql, allowed=allowed)
                 found = database.execute(statements[0])
                 names = tuple(column[0] for column in found.description or ())
                 return Answer(names=names, rows=tuple(found.fetchall()))
             except duckdb.Error as error:
-                raise LeglabError(f"SQL: {_line(error)}") from error
+                raise SettingsError(f"SQL: {_line(error)}", given=sql) from error
 
         yield answered
 

@@ -9,6 +9,7 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from leglab.base.errors import LeglabError
+from leglab.base.settings import first_problem
 from leglab.runs.preparation import RunSettings, scenario_of
 from leglab.runs.sweeps.outcome import Outcome
 from leglab.runs.sweeps.plan import MAPPINGS, SweepPlan
@@ -102,9 +103,8 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
         try:
             outcome = Outcome.model_validate(answer["result"])
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"]))
-            problem = "ended early", f"it gave no valid figures: {where}: {first['msg']}"
+            where, reason = first_problem(error)
+            problem = "ended early", f"it gave no valid figures: {where}: {reason}"
     else:
         problem = str(answer.get("kind", "died")), str(answer.get("error", "it gave no answer"))
     if outcome is None:

@@ -28,9 +28,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, Field, ValidationError
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import parse_json, read_bytes, read_json
 from leglab.base.output import cannot_write, remove, write_atomically
+from leglab.base.settings import first_problem
 from leglab.data.files import first_line
 from leglab.runs.sweeps.rows import FAILED, PARTITION
 
@@ -109,7 +110,7 @@ def read_record(folder: Path) -> SweepRecord:
         LeglabError: The folder holds none, or the file does not have the form.
     """
     if not is_sweep(folder):
-        raise LeglabError(f"{str(folder)!r} holds no sweep: it has no {SWEEP}")
+        raise FileError(f"{str(folder)!r} holds no sweep: it has no {SWEEP}", given=folder)
     return _read(SweepRecord, folder / SWEEP)
 
 
@@ -117,9 +118,8 @@ def _read(model: Any, path: Path) -> Any:
     try:
         return model.model_validate(read_json(path))
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "content"
-        raise LeglabError(f"{path}: {where}: {problem['msg']}") from error
+        where, reason = first_problem(error)
+        raise FileError(f"{path}: {where or 'content'}: {reason}", given=path) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,9 +179,10 @@ class Rows:
                 }
                 return pa.table(columns, pa.schema([self.schema.field(name) for name in names]))
         except (pa.ArrowException, OSError, KeyError, ValueError) as error:
-            raise LeglabError(
+            raise FileError(
                 f"{path}: is damaged ({first_line(error)}); leglab sweep removes it and makes its "
-                "runs again"
+                "runs again",
+                given=path,
             ) from error
 
 
@@ -205,7 +206,7 @@ def read_rows(folder: Path, schema: pa.Schema) -> Rows:
             break
     for problem in problems:
         if problem:
-            raise LeglabError(f"{problem}; leglab sweep removes it and makes its runs again")
+            raise FileError(f"{problem}; leglab sweep removes it and makes its runs again")
     return Rows(
         files=files,
         late=pa.Table.from_pylist(lines, schema=schema),
