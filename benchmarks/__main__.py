@@ -11,7 +11,7 @@ import time
 
 from benchmarks import results
 from benchmarks.registry import BENCHMARKS, ROOT, Benchmark, benchmark
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.cli.terminal import complain
 
 
@@ -52,12 +52,12 @@ def make_results(names: list[str]) -> None:
     """
     kept = [one for one in BENCHMARKS.values() if one.kept]
     if unknown := [name for name in names if not benchmark(name).kept]:
-        raise LeglabError(f"docs/data keeps no {', '.join(unknown)}")
+        raise SettingsError(f"docs/data keeps no {', '.join(unknown)}", given=tuple(unknown))
     failed = [one.name for one in kept if one.name in (names or BENCHMARKS) and not make(one)]
     print("tables of README.md and docs", flush=True)
     tables = subprocess.run([sys.executable, "-m", "tests.tables", "--write"], cwd=ROOT)
     if failed or tables.returncode:
-        raise LeglabError(f"not made: {', '.join(failed) or 'tables'}")
+        raise SimulationError(f"not made: {', '.join(failed) or 'tables'}")
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from benchmarks import results
 from benchmarks.adaptation_tables import ADAPTIVE, CALIBRATED, Cells, by_rig, claims
 from benchmarks.specimens import TOLERANCE
 from leglab import RunSettings
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SimulationError
 from leglab.base.scenario import get_scenario, scenario_names
 from leglab.runs.comparison import run_all
 from leglab.runs.sweeps.engine import run_sweep
@@ -151,7 +151,7 @@ def _row(cells: Cells, case: tuple[str, float | None, str], run: dict[str, Any])
     """
     (name, size, controller), metrics = case, run["metrics"]
     if not metrics["phases"]:
-        raise LeglabError(f"{name}, {controller}: {metrics['failure']}")
+        raise SimulationError(f"{name}, {controller}: {metrics['failure']}")
     found = metrics["adaptation"]
     before, end = found["before_rad"], found["end_rad"]
     row = {

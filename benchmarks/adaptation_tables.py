@@ -16,7 +16,7 @@ from scipy import stats
 
 from benchmarks import live_names, pressures, results
 from leglab import controller_names, scenario_names
-from leglab.base.errors import LeglabError
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import scenario_summary
 from leglab.cli.catalogue import severity_text
 from leglab.control import controller_summary
@@ -522,4 +522,5 @@ def main() -> None:
     elif name in known:
         print("\n".join(known[name](by_rig(results.load("adaptation_results")))))
     else:
-        raise LeglabError(f"no table {name!r}; allowed: {', '.join(known)}, goals, origin")
+        allowed = (*known, "goals", "origin")
+        raise SettingsError(f"no table {name!r}; allowed: ", given=name, allowed=allowed)

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import results
 from benchmarks.registry import ROOT
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.studies.shared_data import shared_data
 
 HEAD = ("machine", "known", "said", "names and sets", "judged", "s")
@@ -207,7 +207,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     cases = {case.name: case for case in CASES}
     for name in options.cases:
         if name not in cases:
-            raise unknown_name("case", name, cases)
+            raise SettingsError.unknown("case", name, cases)
     chosen = [cases[name] for name in options.cases] or CASES
     return [run(case, options.out, options.patience) for case in chosen]
 

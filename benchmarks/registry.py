@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from leglab.base.errors import LeglabError, unknown_name
+from leglab.base.errors import LeglabError, SettingsError
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "docs" / "data"
@@ -154,7 +154,7 @@ def benchmark(name: str) -> Benchmark:
         LeglabError: There is none.
     """
     if name not in BENCHMARKS:
-        raise unknown_name("benchmark", name, BENCHMARKS)
+        raise SettingsError.unknown("benchmark", name, BENCHMARKS)
     return BENCHMARKS[name]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import typer
 
 from leglab.base.causes import CAUSES
-from leglab.base.errors import unknown_name
+from leglab.base.errors import SettingsError
 from leglab.base.settings import documented_settings
 from leglab.cli.terminal import output, plain_table, print_json, print_wide, tell
 
@@ -28,7 +28,8 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
         if name in names():
             found[kind] = details_of(name, model) if kind == "effect" else details_of(name)
     if not found:
-        raise unknown_name("name", name, {n for names, _ in kinds.values() for n in names()})
+        known = {n for names, _ in kinds.values() for n in names()}
+        raise SettingsError.unknown("name", name, known)
     if as_json:
         print_json(found)
         return

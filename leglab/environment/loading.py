@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from leglab.base.errors import LeglabError, SettingsError
+from leglab.base.errors import LeglabError, ModelError, SettingsError
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.environment.episodes import Draw, Episode, Episodes
 from leglab.environment.rewards import Reward, chosen_reward
@@ -204,9 +204,11 @@ def _cylinders(preparation: Preparation) -> NominalCylinders:
     """Data sheets for torque actions; refuses a machine with other drives."""
     if preparation.nominal.native:
         name = next(iter(preparation.nominal.native))
-        raise LeglabError(
+        raise ModelError(
             f"action 'torque' needs cylinders, and actuator {name!r} is none; allowed: 'valve', "
-            "which is the torque of a motor, and 'residual'"
+            "which is the torque of a motor, and 'residual'",
+            given=name,
+            allowed=("valve", "residual"),
         )
     return preparation.controller_setup.machine.cylinders
 
