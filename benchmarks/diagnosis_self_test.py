@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks import results
 from benchmarks.self_test import exact, rough
 from benchmarks.self_test.figures import save_figures
-from leglab.base.errors import LeglabError, SettingsError
+from leglab.base.errors import SettingsError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import check_jobs
 from leglab.cli.terminal import progress
