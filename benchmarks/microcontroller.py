@@ -30,6 +30,7 @@ from leglab.control.feedforward.fault_monitor import MonitorConfiguration
 from leglab.control.feedforward.inverse_map import InverseMap
 from leglab.control.feedforward.judge import judge
 from leglab.control.feedforward.motion import smoothing_kernel
+from leglab.control.feedforward.thresholds import BLOCKS, PASSING
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration
 from leglab.runs.fault_simulation import cases
 
@@ -317,11 +318,8 @@ class _Twin:
         self._machine, self._bank = machine, bank
         self._shape = JOINTS, machine.unsigned("parameters")
         config = {**MonitorConfiguration().model_dump(), "slow_window": 100}
-        numbers = {"sample_period": 2 / RATE, "passing": 0.06, "blocks": 25, "most_samples": BLOCK}
-        self.core = Monitor(
-            *self._shape,
-            {**config, **numbers, "most_curves": MOST_CURVES},
-        )
+        numbers = {"sample_period": 2 / RATE, "passing": PASSING, "blocks": BLOCKS}
+        self.core = Monitor(*self._shape, {**config, **numbers, "most_samples": BLOCK})
         self.core.reset(150)
 
     def take(self) -> None:

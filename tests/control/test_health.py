@@ -1,5 +1,7 @@
 """Slow wear that is followed: the line of its sizes, made-up samples, and the closed loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -150,6 +152,41 @@ def test_oil_that_warms_one_cylinder_more_than_another_is_a_condition():
         ("oil_temperature", True)
     }
     assert monitor.trends[-1].explained > 0.9
+
+
+def test_wear_is_told_with_what_the_samples_do_not_tell_apart_from_it():
+    """The machine is not the nominal one: more samples do not make a near rival less probable."""
+    rng = np.random.default_rng(26)
+    bank = make_bank(rng)
+    worn = bank.curves[0]
+    bend = 0.01 * rng.standard_normal(worn.shifts.shape[1:])
+    near = worn.shifts + (worn.sizes[:, None, None] - 1.0) / 8.0 * bend
+    rub = replace(worn, fault="rub", shifts=near)
+    base, own = rng.standard_normal((2, len(JOINTS), PARAMETERS))
+    growth = wear(worn, 10.0, 0.1)
+    monitor = monitor_of(FaultBank(curves=(worn, rub, *bank.curves[1:3], *bank.curves[-2:])))
+    stream(monitor, lambda t: base + growth(t) + 0.001 * max(t - 10.0, 0.0) * own, end=30.0)
+    (trend,) = monitor.trends
+    (rival,) = trend.rivals
+    assert (trend.fault, rival.fault) == ("leak", "rub")
+    assert trend.confidence == pytest.approx(0.67, abs=0.05)
+    assert rival.confidence == pytest.approx(1.0 - trend.confidence, abs=0.01)
+    assert f"67 %, or rub {rival.size:.3g}, 33 %" in trend.told()
+
+
+def test_wear_must_explain_what_a_map_can_say_of_it():
+    """Three quarters of the error are the fault's, and a map that says all must explain more."""
+    rng = np.random.default_rng(26)
+    bank = make_bank(rng)
+    base, own = rng.standard_normal((2, len(JOINTS), PARAMETERS))
+    growth, told = wear(bank.curves[0], 10.0, 0.1), []
+    for explains in (0.9, 1.0):
+        curves = (replace(bank.curves[0], explains=explains), *bank.curves[1:])
+        config = CONFIG.model_copy(update={"explained": 0.8})
+        monitor = monitor_of(FaultBank(curves=curves), config)
+        stream(monitor, lambda t: base + growth(t) + 0.001 * max(t - 10.0, 0.0) * own, end=30.0)
+        told.append({trend.fault for trend in monitor.trends})
+    assert told == [{"leak"}, {UNKNOWN}]
 
 
 def test_a_drift_that_the_bank_does_not_have_is_unknown():

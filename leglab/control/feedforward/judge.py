@@ -58,7 +58,7 @@ def explained_share(cost: Any, without: float, noise: float) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
-    """What a bank says of a change.
+    """How well the faults of a bank explain a change.
 
     Attributes:
         bank: The bank.
@@ -201,10 +201,8 @@ def interval(
         discrepancy: Standard deviation of the machine, as a share of the change of the size.
     """
     half = NINETY * math.hypot(sampled, discrepancy * abs(size - curve.sizes[0]))
-    return (
-        max(size - half, float(np.min(curve.sizes))),
-        min(size + half, float(np.max(curve.sizes))),
-    )
+    low, high = np.clip([size - half, size + half], np.min(curve.sizes), np.max(curve.sizes))
+    return float(low), float(high)
 
 
 _Named = TypeVar("_Named", bound=NamedFault)

@@ -1,20 +1,20 @@
-"""Numbers that were chosen of names while driving and of slow wear, each with its reason.
+"""Chosen numbers of names while driving and of slow wear, each with its reason.
 
-Those that a user may set are defaults in `FaultMonitor`'s and `HealthMonitor`'s configurations.
-Times are of machines whose valves and oil settle within some tens of milliseconds, as those of
-every servo valve of the catalogue do; squared errors and sizes are ratios, of any machine.
+Those that a user may set are defaults of `JudgeConfiguration`, `MonitorConfiguration` and
+`HealthConfiguration`. Squared errors and sizes are ratios, of any machine; times are those of
+machines whose valves and oil settle within some tens of milliseconds.
 """
 
 # What is judged.
 
-# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation.
-# Specimens of tolerance 0.1 leave as much.
+# Share of the error that a right fault leaves, since no machine is the nominal one; a deviation:
+# two parts that differ from their data by a tenth each.
 DISCREPANCY = 0.15
-# Mean square error of a joint, over the normal one, from which on a change concerns it [1]: far
-# beyond the scatter of the mean of some hundred samples, of which twenty count as one.
+# Mean square error of a joint, over the normal one, from which on a change concerns it [1]: strides
+# of a sound machine differ by less.
 CHANGED = 2.0
-# The same, of the map before the change, from which on a change that nothing explains is told: an
-# RMS error of three times the normal one is no motion that the map has seen less of.
+# The same, of the map before the change, from which on a change that nothing explains is told:
+# three times the RMS error, for there is no other evidence.
 UNEXPLAINED = 10.0
 # Faults within this factor of the most probable one are told with it, at most so many in all: what
 # the samples do not tell apart is not told by one name, and more names say nothing.
@@ -38,11 +38,10 @@ STEADY = 2.0
 GROWN, PROVEN = (0.1, 0.4), (0.1, 0.6)
 # Samples right after an onset do not count: valves and oil pass over to their new state [s].
 PASSING = 0.06
-# Blocks that are kept to look back at, from an alarm on: half a second, more than the slowest alarm
-# takes.
+# Blocks that are kept to look back at, from an alarm on: half a second at 500 Hz.
 BLOCKS = 25
 # How long after its onset a change that nothing explains is told, and over what time [s]: a stride
-# and half of one, since a motion never made before errs for a part of it.
+# of a leg and half of one, since a motion never made before may err for a moment.
 PATIENCE, RECENT = 1.3, 0.65
 # So many faults are proposed at a look: each is a map that learns, in the time of a period.
 CONTENDERS = 3
@@ -51,7 +50,7 @@ LATE = 1.0
 # So many changes are remembered: each adds a curve to the bank.
 MOST_STANDING = 4
 # Share of what is learned of a change that must go for it to count as undone: what is left is then
-# within the doubt of the size.
+# at most twice the doubt of a size.
 UNDONE = 0.7
 
 # Slow wear.
