@@ -90,7 +90,7 @@ myst:
 ---
 # `{name}`: {summary}
 
-Made by `python docs/_tools/make_scenarios.py`; not to be edited.
+Made by `python docs/_tools/make_scenarios.py`.
 
 ![clip of the walking leg with static_feedforward and with bsnn_arx]({picture}.webp)
 
@@ -106,7 +106,7 @@ on the machine as drawn{when}.
 |{"---:|" * len(SHOWN)}
 | {" | ".join(cells)} |
 
-`--severity` and its default: {severity}.
+Size (`--severity`) and its default: {severity}.
 
 ```console
 leglab run {name} --controller bsnn_arx
@@ -121,10 +121,12 @@ def index() -> str:
     pictures = "\n".join(
         f"| [`{name}`]({name}.md) | {scenario_summary(name)} |" for name in scenario_names()
     )
-    return f"""# Gallery of scenarios
+    return f"""# Scenarios
 
-Made by `python docs/_tools/make_scenarios.py`; not to be edited. What happens to the walking leg,
-scenario by scenario: a clip, the error over the run, what to look at.
+A scenario says what changes on the machine, and when. Each page has a clip of the walking leg, the
+error over the run, and what to look at.
+
+Made by `python docs/_tools/make_scenarios.py`.
 
 | scenario | what happens |
 |---|---|

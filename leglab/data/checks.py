@@ -13,7 +13,7 @@ from leglab.base.recording import Recording
 # lost) and 2 (one lost), with room for jitter on both sides.
 _GAP = 1.5
 
-MAP_HINT = "--columns FILE says what the columns are called here (docs/data_formats.md)"
+MAP_HINT = "--columns FILE says what the columns are called here (docs/guides/recordings.md)"
 """Where to go with columns that have other names."""
 
 # Kinds that leave no valid time axis: nothing can be computed before they are dealt with.
