@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 def report(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(help="Folders of runs, side by side on one page; or that of a sweep."),
+        typer.Argument(
+            help="Folders of runs, side by side on one page; or that of a sweep or a comparison."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -72,10 +74,12 @@ def report(
 
     Give the folders of runs, or a scenario: its runs are made below OUT/runs, and a run that is
     there with the same settings and code is kept. Writes report.html, which needs no other file,
-    and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the first.
+    and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the first;
+    that of a comparison its table, intervals as figures and every run.
     """
     load_plugins(load)
     from leglab.report.run.page import check_out, write_report
+    from leglab.runs.comparison import is_comparison
     from leglab.runs.folder import check_runs, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
     from leglab.runs.sweeps.store import is_sweep
@@ -94,6 +98,9 @@ def report(
         count = (3 if films is None else films) if video else 0
         wanted = _SweepFilms(count=count, start=start, duration=duration, camera=camera)
         _report_sweep(folders[0], out, wanted, overwrite=overwrite, as_json=as_json)
+        return
+    if folders and len(folders) == 1 and is_comparison(folders[0]):
+        _report_comparison(folders[0], out, overwrite=overwrite, as_json=as_json)
         return
     if films is not None:
         raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
@@ -191,6 +198,20 @@ def _report_sweep(
             written = write_sweep_page(folder, place / PAGE, films=films)
     if as_json:
         print_json({"page": str(written), "films": [str(film) for film in films.values()]})
+    else:
+        tell(f"written to {written}")
+
+
+def _report_comparison(folder: Path, out: Path | None, *, overwrite: bool, as_json: bool) -> None:
+    from leglab.report.comparison.page import write_comparison_page
+    from leglab.report.run.page import PAGE, check_out
+
+    place = out or folder
+    check_out(place, overwrite=overwrite)
+    with claimed_folder(place), progress("writing"):
+        written = write_comparison_page(folder, place / PAGE)
+    if as_json:
+        print_json({"page": str(written)})
     else:
         tell(f"written to {written}")
 

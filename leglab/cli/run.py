@@ -109,11 +109,12 @@ def compare(
 
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
     settings and code are not repeated: an interrupted comparison goes on where it was. A run that
-    fails stops no other; a line below the table says why.
+    fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
     """
     options.load_plugins(load)
+    from leglab.report.comparison.words import failures
     from leglab.report.figures import save_comparison_figure
-    from leglab.runs.comparison import Comparison, run_all
+    from leglab.runs.comparison import RUNS, SUMMARY, Comparison, run_all
     from leglab.runs.comparison import compare as summarise
 
     options.check_jobs(jobs)
@@ -131,12 +132,12 @@ def compare(
         vary=vary,
     )
     runs = comparison.runs()
-    make = partial(run_all, runs, out / "runs", jobs=jobs, scheduler=scheduler, overwrite=overwrite)
+    make = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
     with claimed_folder(out):
         results = terminal.make_many("comparing", len(runs), make)
         summary = summarise(comparison, results)
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-        write_atomically(out / "compare.json", lambda stream: stream.write(text.encode()))
+        write_atomically(out / SUMMARY, lambda stream: stream.write(text.encode()))
         if figures:
             with terminal.progress("drawing"):
                 for name in comparison.scenarios:
@@ -151,7 +152,7 @@ def compare(
     else:
         terminal.print_wide(terminal.comparison_table(summary))
         terminal.tell(f"written to {out}")
-    for line in terminal.failure_lines(summary):
+    for line in failures(summary):
         terminal.complain(line, "warning")
     if not any(result["metrics"]["completed"] for result in results):
         raise typer.Exit(terminal.FAILED)

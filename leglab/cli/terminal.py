@@ -4,7 +4,6 @@ import json
 import math
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -310,74 +309,26 @@ def fault_lines(metrics: dict[str, Any]) -> list[str]:
 
 def comparison_table(summary: dict[str, Any]) -> Table:
     """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
-    first = summary["controllers"][0]
+    from leglab.report.comparison import words
+
     table = Table(
-        title=f"RMS tracking error of all joints in {summary['unit']}, mean and half of the 95 % "
-        f"interval, {summary['seeds']} seeds: {_drawn(summary)}",
-        caption=f"ratio: error after the change, of {first}'s; end: the last whole strides of "
-        "a quarter of the run; undone: share of the damage at the end, and when 90 % were",
+        title=words.title(summary),
+        caption=words.explained(summary),
         title_justify="left",
         caption_justify="left",
         box=SIMPLE_HEAD,
     )
     table.add_column("", no_wrap=True, min_width=max(map(len, summary["controllers"])) + 2)
-    for name in ("before", "after", "ratio", "end", "undone, %", "90 % undone, s"):
+    for name in words.HEAD:
         table.add_column(name, justify="right", no_wrap=True)
-    for scenario, controllers in summary["results"].items():
-        table.add_row(f"[bold]{scenario}[/bold]")
-        for controller, cell in controllers.items():
-            failed, runs = len(cell["failures"]), cell["runs"]
-            early = f", failed {failed}/{runs}" if failed else ""
-            table.add_row(
-                f"  {controller}",
-                _interval(cell["before_rad"], 1e3, 2),
-                _interval(cell["after_rad"], 1e3, 2) + early,
-                _interval(cell["ratio"], 1.0, 3),
-                _interval(cell["end_rad"], 1e3, 2),
-                _interval(cell["recovered"], 100.0, 0),
-                _undone(cell),
-            )
-        table.add_section()
+    before = None
+    for scenario, controller, cells in words.rows(summary):
+        if scenario != before:
+            table.add_section()
+            table.add_row(Text(scenario, "bold"))
+            before = scenario
+        table.add_row(Text(f"  {controller}"), *cells)
     return table
-
-
-def failure_lines(summary: dict[str, Any]) -> list[str]:
-    """Why runs of a comparison failed, from the content of `compare.json`: a line a reason."""
-    lines = []
-    for scenario, controllers in summary["results"].items():
-        for controller, cell in controllers.items():
-            for reason, count in Counter(cell["failures"]).items():
-                runs = f"{count} of {cell['runs']} runs"
-                lines.append(f"{scenario}, {controller}: {runs} failed: {reason}")
-    return lines
-
-
-def _drawn(summary: dict[str, Any]) -> str:
-    """Differences between seeds."""
-    tolerance = summary["tolerance"]
-    drawn = [f"machine (tolerance {tolerance:g})"] if tolerance else []
-    drawn += ["time of the change and phase"] if summary["vary"] else []
-    if not drawn:
-        return "sensor noise alone (--tolerance 0.1 --vary draws machine, time and phase)"
-    return ", ".join([*drawn, "sensor noise"])
-
-
-def _interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
-    if estimate["mean"] is None:
-        return "-"
-    text = f"{unit * estimate['mean']:.{digits}f}"
-    if estimate["half_width"] is not None:
-        text += f" ± {unit * estimate['half_width']:.{digits}f}"
-    return text
-
-
-def _undone(cell: dict[str, Any]) -> str:
-    text = _interval(cell["t90_s"], 1.0, 2)
-    never = cell["never_undone"]
-    if not never:
-        return text
-    of_all = f"never {never}/{cell['runs']}"
-    return of_all if text == "-" else f"{text}, {of_all}"
 
 
 def timing_lines(asked: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:

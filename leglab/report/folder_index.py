@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import quote
 
 from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes, read_json
 from leglab.base.output import write_atomically
+from leglab.report.comparison.words import closest, seeds
 from leglab.report.page.outcome import outcome
-from leglab.report.page.shell import asset, render
+from leglab.report.page.shell import asset, file_link, render
+from leglab.runs.comparison import SUMMARY, read_comparison
 from leglab.runs.folder import read_metrics
 
 State = Literal["whole", "stopped", "broken"]
@@ -124,12 +125,13 @@ def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator
     name = "." if place == folder else place.relative_to(folder).as_posix()
 
     def entry(kind: str, mark: str, link: str, **told: Any) -> Entry:
-        target = _link(place / link, base) if link else ""
+        target = file_link(place / link, base) if link else ""
         return Entry(name=name, link=target, kind=kind, written=_written(place / mark), **told)
 
-    if "compare.json" in files:
-        link = next((f for f in sorted(files) if f.endswith(".png")), "compare.json")
-        yield entry("comparison", "compare.json", link, **_comparison(place / "compare.json"))
+    if SUMMARY in files:
+        link = "report.html" if "report.html" in files else SUMMARY
+        yield entry("comparison", SUMMARY, link, **_comparison(place, files))
+        return
     if "diagnosis.json" in files:
         link = "diagnosis.html" if "diagnosis.html" in files else "diagnosis.json"
         yield entry("diagnosis", "diagnosis.json", link, **_diagnosis(place, files))
@@ -180,17 +182,22 @@ def _milli(errors: Mapping[str, float] | None) -> float | None:
     return None if value is None else 1e3 * value
 
 
-def _comparison(path: Path) -> dict[str, Any]:
-    content = _content(path)
+def _comparison(place: Path, files: set[str]) -> dict[str, Any]:
     try:
-        return {
-            "scenario": ", ".join(map(str, content["scenarios"])),
-            "controller": ", ".join(map(str, content["controllers"])),
-            "model": str(content["model"]),
-            "told": f"{int(content['seeds'])} seeds",
-        }
-    except (ArithmeticError, LookupError, TypeError, ValueError):
-        return {"state": "broken", "told": f"{path.name} does not have the form of a comparison"}
+        content = read_comparison(place)
+    except LeglabError as error:
+        return {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
+    told = "; ".join(
+        f"{name}: {closest(content, name).partition(';')[0]}" for name in content["scenarios"]
+    )
+    if "report.html" not in files:
+        told += "; it has no page: leglab report writes one"
+    return {
+        "scenario": ", ".join(map(str, content["scenarios"])),
+        "controller": ", ".join(map(str, content["controllers"])),
+        "model": str(content["model"]),
+        "told": f"{seeds(content)}; {told}",
+    }
 
 
 def _sweep(path: Path) -> dict[str, Any]:
@@ -229,12 +236,6 @@ def _headline(path: Path) -> str:
         return ""
     found = re.search(r"<h1[^>]*>([^<]*)</h1>", head)
     return html.unescape(found.group(1)).strip() if found else ""
-
-
-def _link(path: Path, base: Path) -> str:
-    relative = os.path.relpath(path.resolve(), base.resolve())
-    # A first part with a colon would be read as a scheme.
-    return "./" + quote(Path(relative).as_posix(), errors="surrogateescape")
 
 
 def _written(path: Path) -> str:

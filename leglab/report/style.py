@@ -43,6 +43,8 @@ _STYLE: dict[Any, Any] = {
     # Vertices that are drawn at a time: dense lines took 70 MB a picture.
     "agg.path.chunksize": 1000,
     "savefig.facecolor": "white",
+    # Names are drawn as they are: a "$" in them starts no formula.
+    "text.parse_math": False,
 }
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,16 @@ from leglab.runs.sweeps.outcome import traces
 
 _MOST_SEEDS = 100_000
 
+# File that holds what `compare` returns.
+SUMMARY = "compare.json"
+# Folder of the runs.
+RUNS = "runs"
+
 # Settings in which the runs of a comparison differ.
 _VARIED = ("scenarios", "controllers", "seeds")
+# What a summary must have to be read.
+_SHARED = ("seeds", "model", "duration", "ramp_duration", "tolerance", "vary", "unit", "version")
+_ESTIMATES = ("before_rad", "after_rad", "end_rad", "ratio", "recovered", "t90_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +178,84 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
         and result.get("code") == code
     )
     return result if same else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredRun:
+    """One run of a comparison and the file that it is kept in.
+
+    Attributes:
+        result: What `run_all` returns of it; None where the file is not there or damaged.
+    """
+
+    scenario: str
+    controller: str
+    seed: int
+    path: Path
+    result: dict[str, Any] | None
+
+
+def is_comparison(folder: Path) -> bool:
+    """Whether a folder holds a comparison."""
+    return (folder / SUMMARY).is_file()
+
+
+def read_comparison(folder: Path) -> "ComparisonResult":
+    """Reads the summary of a comparison.
+
+    Raises:
+        LeglabError: The folder holds none, or the file does not have the form.
+    """
+    content = read_json(folder / SUMMARY)
+    try:
+        if not 1 <= int(content["seeds"]) <= _MOST_SEEDS:
+            raise ValueError
+        for name in _SHARED:
+            content[name]
+        for scenario in content["scenarios"]:
+            for controller in content["controllers"]:
+                cell = content["results"][scenario][controller]
+                cell["runs"], cell["failures"], cell["never_undone"]
+                for name in _ESTIMATES:
+                    for part in ("mean", "half_width"):
+                        if cell[name][part] is not None:
+                            float(cell[name][part])
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise LeglabError(f"{folder / SUMMARY} does not have the form of a comparison") from error
+    return ComparisonResult(content)
+
+
+def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
+    """The runs of a comparison as they lie in its folder, in the order of its table.
+
+    Args:
+        summary: From `read_comparison`.
+        folder: Of the comparison.
+    """
+    found = []
+    for scenario in summary["scenarios"]:
+        for controller in summary["controllers"]:
+            for seed in range(summary["seeds"]):
+                settings = RunSettings(
+                    scenario=scenario, controller=controller, model=summary["model"], seed=seed
+                )
+                path, result = _path(settings, folder / RUNS), None
+                try:
+                    content = read_json(path)
+                    same = content["settings"]["seed"] == seed and "metrics" in content
+                    result = content if same else None
+                except (LeglabError, LookupError, TypeError, ValueError):
+                    pass
+                found.append(
+                    StoredRun(
+                        scenario=scenario,
+                        controller=controller,
+                        seed=seed,
+                        path=path,
+                        result=result,
+                    )
+                )
+    return found
 
 
 def result_of(settings: dict[str, Any]) -> dict[str, Any]:

@@ -28,7 +28,15 @@ from leglab.report.diagnosis.words import (
     sections,
 )
 from leglab.report.page.wording import number
-from tests.helpers.made_up_diagnosis import CALIBRATION, diagnosis, effect, section, trace, whole
+from tests.helpers.made_up_diagnosis import (
+    CALIBRATION,
+    diagnosis,
+    effect,
+    left,
+    section,
+    trace,
+    whole,
+)
 
 HOSTILE = "<script>alert('1')</script> & \"$\\frac\" \x00"
 
@@ -71,7 +79,8 @@ def test_every_verdict_has_its_page(tmp_path, verdict, told):
     text, root = parsed(write_page(diagnosis(verdict), tmp_path, model="knee_bench"))
     page = words(root)
     assert told in page
-    titles = [term.text for term in root.iter(f"{SPACE}dt")]
+    main = root.find(f".//{SPACE}main")
+    titles = [term.text for term in main.iter(f"{SPACE}dt")]
     sure = "Left" if verdict == "nothing_missing" else "How sure"
     assert titles[:2] == ["Missing", sure]
     titles = titles[titles.index("What was looked at") :]
@@ -153,7 +162,7 @@ def test_every_effect_with_parameters_and_onset_is_told(tmp_path):
     assert "Payload begins at 4.20 s of walk." in page
     table = next(root.iter(f"{SPACE}table"))
     cells = [[cell.text or "" for cell in row] for row in table.iter(f"{SPACE}tr")]
-    assert [row[0] for row in cells[1:]] == ["valve_deadband", "payload"]
+    assert [row[0] for row in cells[1:]] == ["valve deadband", "payload"]
 
 
 def test_hostile_names_are_shown_and_do_nothing(tmp_path):
@@ -238,7 +247,7 @@ def table(path, caption):
     _, root = parsed(path)
     for found in root.iter(f"{SPACE}table"):
         if caption in "".join(found.find(f"{SPACE}caption").itertext()):
-            return [[c.text or "" for c in row] for row in found.iter(f"{SPACE}tr")]
+            return [["".join(c.itertext()) for c in row] for row in found.iter(f"{SPACE}tr")]
     raise AssertionError(f"no table {caption!r}")
 
 
@@ -274,8 +283,74 @@ def test_the_first_figure_lays_measured_over_simulated():
         assert np.allclose(drawn[2], measured - 1e3 * made.after[part])
         assert f"{made.time[part][0]:.1f} s" in axes.get_title("left")
     assert shown.figure.axes[0].get_ylabel() == "position [mrad]"
-    assert "0.3 s from a measured start" in shown.caption
+    assert "0.3 s from the measured motion and pressures, driven by" in shown.caption
+    # A bin has 50 ms: pressures have moved by the first point.
+    assert "Points are means over 50 ms" in shown.caption
     assert "that no fit has seen" in shown.caption
+
+
+def test_a_start_without_measured_pressures_is_not_told_as_one_with_them(tmp_path):
+    made = trace("walk", "knee_position", "rad", 0)
+    result = diagnosis(traces=(made,), remaining=(left("knee_position", "rad", 0.024),))
+    text, root = parsed(write_page(result, tmp_path, model="m"))
+    assert "after a start from the measured motion, RMS" in words(root)
+    assert "motion and pressures," not in text
+
+
+def test_tables_and_figures_have_the_recordings_in_one_order(tmp_path):
+    names = ("fast", "walk", "slow")
+    rows = tuple(
+        RecordingGap(name=n, held_out=n == "walk", before=b, baseline=b, after=1.0)
+        for n, b in zip(names, (3.0, 9.0, 20.0), strict=True)
+    )
+    # The largest errors of the two channels are in different recordings.
+    traces = tuple(
+        replace(made, before=made.before * (9.0 if name == worst else 1.0))
+        for channel, worst in (("knee_position", "slow"), ("hip_position", "fast"))
+        for name in names
+        for made in (trace(name, channel, "rad", 0),)
+    )
+    result = diagnosis(recordings=rows, traces=traces, whole=None)
+    wanted = ["walk", "fast", "slow"]
+    drawn = [p for p in pictures(result) if p.name == "gap" or p.name.startswith("residual_time")]
+    labels = [[t.get_text() for t in drawn[0].figure.axes[0].get_yticklabels()]]
+    labels += [[axes.get_ylabel() for axes in p.figure.axes[1::2]] for p in drawn[1:]]
+    assert labels == [["walk *", "fast", "slow"]] * 3
+    page = write_page(result, tmp_path, model="m")
+    assert [row[0] for row in table(page, "noise alone gives")[1:]] == wanted
+    assert "3 recordings: walk, fast and slow." in words(parsed(page)[1])
+
+
+def test_flows_are_told_in_units_that_a_person_reads(tmp_path):
+    flow = Estimate(
+        name="rated_flow", unit="m^3/s", value=1.25e-4, nominal=1.1e-4, interval=(1.2e-4, 1.3e-4)
+    )
+    leak = Estimate(
+        name="internal_leakage",
+        unit="m^3/s/Pa",
+        value=1.7e-12,
+        nominal=1.7e-13,
+        interval=(1.5e-12, 2e-12),
+    )
+    found = replace(effect(), parameters=(flow, leak))
+    result = diagnosis(effects=(found,), **NOT_DRAWN)
+    told = dict(facts(result))["Missing"]
+    assert "rated flow 125 cm^3/s (0.000125 m^3/s) (95 %: 120 to 130 cm^3/s)" in told
+    assert "internal leakage 0.17 cm^3/s/bar (1.7e-12 m^3/s/Pa)" in told
+    rows = table(write_page(result, tmp_path, model="m"), "Missing effects")
+    assert rows[1][2:7] == ["rated flow", "cm^3/s", "125", "120 to 130", "110"]
+
+
+def test_captions_hold_in_the_dark_where_figures_are_inverted():
+    told = " ".join(p.caption for p in pictures(diagnosis()))
+    assert not re.search(r"\b(black|white|dark|darker|light)\b", told)
+
+
+def test_an_effect_that_is_not_told_apart_from_itself_elsewhere_says_so():
+    result = diagnosis(effects=(effect("payload", "shank", rivals=("payload", "stiction")),))
+    assert "Payload is not told apart from the same at another place or stiction." in section(
+        result, "How sure"
+    )
 
 
 def test_a_channel_alone_shows_its_error_below():

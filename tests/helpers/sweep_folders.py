@@ -10,8 +10,24 @@ from leglab.runs.sweeps.rows import row_of, schema
 SIZES, SEEDS = (3.0, 25.0), 3
 
 
-def write_sweep(folder: Path, controllers=("pd", "bsnn_arx"), *, failed=(), scenario="seal_wear"):
+def write_sweep(
+    folder: Path,
+    controllers=("pd", "bsnn_arx"),
+    *,
+    failed=(),
+    untold=None,
+    scenario="seal_wear",
+    more=None,
+):
     """Writes a sweep over controllers, sizes and specimens.
+
+    Args:
+        folder: Where to; must not be there.
+        controllers: Their names.
+        failed: Numbers of runs that failed.
+        untold: Reasons by the numbers of runs that have no figures of damage.
+        scenario: Its name.
+        more: Further settings with their values.
 
     Returns:
         Made-up t90 [s] by controller and size, one a specimen; None for never.
@@ -20,6 +36,7 @@ def write_sweep(folder: Path, controllers=("pd", "bsnn_arx"), *, failed=(), scen
         "controller": list(controllers),
         "severity": list(SIZES),
         "seed": {"count": SEEDS},
+        **(more or {}),
     }
     shared = {"scenario": scenario, "model": "knee_bench", "duration": 10.0}
     plan = SweepPlan({"settings": shared, "block": [{"grid": grid}]})
@@ -44,6 +61,9 @@ def write_sweep(folder: Path, controllers=("pd", "bsnn_arx"), *, failed=(), scen
             times.setdefault((settings.controller, settings.severity), []).append(t90)
             figures = {"rms_rad": 0.01, "end_rad": 0.01 * (number + 1), "peak_rad": 0.1}
             figures |= {"recovered": 1.0 - 0.02 * number, "t90_s": t90, "came_to_s": 10.0}
+            if number in (untold or {}):
+                figures |= {"recovered": None, "t90_s": None, "not_told": untold[number]}
+                times[settings.controller, settings.severity].pop()
             answer = {"result": {**figures, "valve_travel": 5.0, "effort": 0.1}}
         books.add(row_of(plan, number, answer, "here"))
     books.compact()

@@ -10,6 +10,7 @@ import pytest
 from leglab.runs import folder as run_folders
 from leglab.runs.run import record_scenario
 from tests.cli.test_cli import leglab
+from tests.helpers.comparison_folders import write_comparison
 from tests.helpers.report_folders import Elements, write_folder
 
 
@@ -116,10 +117,7 @@ def test_the_index_lists_what_is_there_whole_or_not(tmp_path, capsys):
     (write_folder(tmp_path / "cut") / "recording.parquet").unlink()
     (write_folder(tmp_path / "bad") / "metrics.json").write_text("{}")
     write_folder(tmp_path / ".new.partial")
-    (tmp_path / "compare").mkdir()
-    (tmp_path / "compare" / "compare.json").write_text(
-        json.dumps({"scenarios": ["nominal"], "controllers": ["pd"], "model": "leg", "seeds": 3})
-    )
+    write_comparison(tmp_path / "compare")
     (tmp_path / "diagnosis").mkdir()
     (tmp_path / "diagnosis" / "diagnosis.json").write_text(
         json.dumps({"verdict": "named", "effects": [{"name": "payload", "element": "<b>"}]})

@@ -31,6 +31,7 @@ def tables(text):
     """Rows of the tables of a page by the beginning of their caption, as lists of text."""
     found = {}
     for table in re.findall(r"<table.*?</table>", text, re.DOTALL):
+        table = re.sub(r'<a class="term"[^>]*>(.*?)</a>', r"\1", table)
         caption = html.unescape(re.search(r"<caption>(.*?)</caption>", table, re.DOTALL)[1])
         rows = re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)
         cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
@@ -50,7 +51,7 @@ def test_heat_maps_show_medians_and_the_worst_runs_come_first(tmp_path):
             assert cell == ("never" if wanted is None else f"{wanted:.3g}")
     by_specimen = found["90 % undone after, s, by scenario with size and specimen (seed): pd"]
     assert by_specimen[1] == ["seal_wear, 3", "never", "0.3", "0.4"]
-    assert by_specimen[2] == ["seal_wear, 25", "0.5", "", "never"]
+    assert by_specimen[2] == ["seal_wear, 25", "0.5", "\u2013", "never"]
     worst = found["The worst runs, by the share of the damage that is undone"]
     assert [row[0] for row in worst[1:4]] == ["11", "10", "9"]
     assert worst[2][-2:] == ["never", "80"]
@@ -63,6 +64,7 @@ def test_heat_maps_show_medians_and_the_worst_runs_come_first(tmp_path):
 def test_the_headline_tells_controllers_apart(tmp_path):
     times = write_sweep(tmp_path / "s")
     text = html.unescape(re.search(r"<h1.*?>(.*?)</h1>", page(tmp_path / "s"))[1])
+    assert "with damage" not in text  # all have
     wanted = {}
     for controller, first in (("pd", 0), ("bsnn_arx", 6)):
         own = [time for (name, _), found in times.items() if name == controller for time in found]
@@ -74,6 +76,66 @@ def test_the_headline_tells_controllers_apart(tmp_path):
         )
     best, worse = (wanted[time] for time in sorted(wanted))
     assert text == f"12 runs; in the median {best}, {worse}"
+
+
+def test_runs_without_damage_are_told_apart_from_those_that_never_undo_it(tmp_path):
+    reason = "the change does no damage: it raises the error by less than a quarter"
+    write_sweep(tmp_path / "s", failed=(4,), untold=dict.fromkeys((0, 1, 2), reason))
+    text = page(tmp_path / "s")
+    headline = html.unescape(re.search(r"<h1.*?>(.*?)</h1>", text)[1])
+    assert headline.startswith("12 runs; 1 of them failed; in the median of the 8 with damage ")
+    told = html.unescape(re.sub("<[^>]*>", "", text))
+    assert f"3 runs (seal_wear, pd): {reason}." in told
+    assert "1 runs (seal_wear, pd): it failed." in told
+    heat = tables(text)["90 % undone after, s, by scenario with size and controller"]
+    assert heat[1][2] == "\u2013"
+
+
+def test_a_value_that_was_reached_is_no_never_and_values_that_are_alike_have_no_shade(tmp_path):
+    write_sweep(tmp_path / "s")
+    text = page(tmp_path / "s")
+    start = text.index("<caption>90 % undone after, s, by scenario with size and specimen")
+    table = text[start : text.index("</table>", start)]
+    fields = re.findall(r'--shade: ([\d.]+)">([^<]*)<', table)
+    never = [float(shade) for shade, value in fields if value == "never"]
+    reached = [float(shade) for shade, value in fields if value != "never"]
+    assert set(never) == {1.0}
+    assert max(reached) == 0.6
+    write_sweep(tmp_path / "one", ("pd",), untold=dict.fromkeys(range(3), "it is made up"))
+    text = page(tmp_path / "one")
+    start = text.index("<caption>undone at the end, %, by scenario with size and controller")
+    assert "--shade" not in text[start : text.index("</table>", start)]
+
+
+def test_settings_that_were_varied_have_a_table_and_a_curve(tmp_path):
+    leakage = "parameters.internal_leakage"
+    write_sweep(tmp_path / "s", ("pd",), more={leakage: [2e-13, 2e-12, 8e-12]})
+    text = page(tmp_path / "s")
+    title = "error at the end, mrad, by internal leakage [m^3/s/Pa]"
+    table = tables(text)[title]
+    assert table[0] == ["internal leakage [m^3/s/Pa]", "seal_wear, pd"]
+    rows = ask(
+        tmp_path / "s",
+        "SELECT parameters_internal_leakage, 1e3 * median(end_rad) FROM runs GROUP BY 1 ORDER BY 1",
+    ).rows
+    assert table[1:] == [[f"{leak:.3g}", f"{error:.3g}"] for leak, error in rows]
+    effect = text[text.index(f"<caption>{title}") :]
+    (points,) = re.findall(r'<polyline points="([^"]*)"', effect.partition("</figure>")[0])
+    places = [tuple(map(float, point.split(","))) for point in points.split()]
+    high = rows[-1][1]
+    assert [y for _, y in places] == pytest.approx([100 * (1 - e / high) for _, e in rows], abs=0.1)
+    # Forty times as much, the middle ten times: an axis of decades.
+    assert [x for x, _ in places] == pytest.approx([0.0, 62.4, 100.0], abs=0.1)
+
+
+def test_columns_that_no_run_fills_are_left_out_and_the_reason_told(tmp_path):
+    reason = "a quarter of the run, 1 s, is less than a stride, 1.2 s"
+    write_sweep(tmp_path / "s", untold=dict.fromkeys(range(12), reason))
+    text = page(tmp_path / "s")
+    caption, rows = next((c, t) for c, t in tables(text).items() if c.startswith("Medians over"))
+    assert rows[0] == ["scenario", "controller", "runs", "whole run", "end", "valve travel, 1/s"]
+    assert "No run has a value of before, damage, undone, least, 90 % after" in caption
+    assert f": {reason}." in html.unescape(re.sub("<[^>]*>", "", text))
 
 
 def test_the_darkest_field_is_the_worst(tmp_path):

@@ -2,12 +2,10 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
@@ -20,13 +18,14 @@ from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
 from leglab.report.diagnosis.words import (
     after_words,
     finite_rms,
+    in_order,
     joint_of,
     main_channels,
     set_words,
+    start,
 )
 from leglab.report.figures import add_head
-from leglab.report.page.shell import printable
-from leglab.report.page.wording import number, readable, shortened
+from leglab.report.page.wording import number, printable, readable, shortened
 from leglab.report.style import BLACK, BLUE, DARK_GREY, GRID, LIGHT_GREY, ORANGE, VERMILION, style
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
@@ -70,13 +69,6 @@ class CaptionedFigure:
     alt: str
 
 
-@contextmanager
-def look() -> Iterator[None]:
-    """The common style; names are drawn as they are, a "$" in them starts no formula."""
-    with style(), mpl.rc_context({"text.parse_math": False}):
-        yield
-
-
 def short(name: str, most: int = _LONGEST) -> str:
     """A name that fits beside an axis: without its file type, cut in the middle."""
     name = re.sub(r"\.(parquet|csv|mcap)$", "", printable(" ".join(name.split())))
@@ -114,7 +106,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     chosen = [("worst before", int(order[-1])), ("median before", int(order[order.size // 2]))]
     if (last := int(np.argmax(after))) not in {place for _, place in chosen}:
         chosen.append(("worst after", last))
-    with look():
+    with style():
         rows = max(2, len(channels))  # A single channel has room for its error.
         height = 0.85 + 1.55 * rows + 0.4
         figure = Figure(figsize=(_WIDTH, height))
@@ -143,8 +135,10 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     return CaptionedFigure(
         name="overlay",
         figure=figure,
-        caption=f"Simulations of {length:.3g} s from a measured start, driven by the measured "
-        f"command, in recordings{kept}; positions from where the window starts. Worst and median "
+        caption=f"Simulations of {length:.3g} s from {start(result)}, driven by the measured "
+        f"command, in recordings{kept}; positions from where the window starts. Points are means "
+        f"over {number(1e3 * length / windows[0][channels[0]].bins, 2)} ms: what changes faster is "
+        "apart from the first point on. Worst and median "
         f"are by the error of {readable(channels[0])} at the end. Numbers: error at the end, "
         "before and after.",
         alt="Measured over simulated. " + " ".join(told),
@@ -237,7 +231,7 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
         )
     ]
     labels = (f"position [{unit}]", f"simulated less\nmeasured [{unit}]", "correction\n[%]")
-    with look():
+    with style():
         height = 5.2
         figure = Figure(figsize=(_WIDTH, height))
         rows = figure.subplots(3, 1, sharex=True)
@@ -281,12 +275,12 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Replay error of every recording before, recalibrated and after; None without any."""
-    rows = [r for r in result.recordings if math.isfinite(r.before) and math.isfinite(r.after)]
-    rows = sorted(rows, key=lambda r: (not r.held_out, -r.before))[:_MOST_RECORDINGS]
+    rows = [r for r in in_order(result) if math.isfinite(r.before) and math.isfinite(r.after)]
+    rows = rows[:_MOST_RECORDINGS]
     if not rows:
         return None
     floor = result.gap.noise_floor
-    with look():
+    with style():
         figure, axes = _rows([short(r.name, 44) + " *" * r.held_out for r in rows], 1.5)
         _log(axes, [floor, *(v for r in rows for v in (r.before, r.baseline, r.after))])
         axes.axvline(floor, color=DARK_GREY, linestyle="--", linewidth=1.0, zorder=1)
@@ -321,7 +315,7 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
         return None
     named = {(e.name, e.element) for e in result.effects}
     tied = {name for e in result.effects for name in e.indistinguishable_from}
-    with look():
+    with style():
         figure, axes = _rows([_rank_label(rank) for rank in ranks], 1.5)
         _log(axes, [rank.gain for rank in ranks])
         axes.grid(True, axis="y")
@@ -355,7 +349,7 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)
     np.fill_diagonal(share, np.nan)
     colors = LinearSegmentedColormap.from_list("preference", ["#FFFFFF", BLUE])
-    with look():
+    with style():
         figure = Figure(figsize=(_WIDTH, above + height + 0.1))
         axes = _axes(figure, (left, 0.1, min(0.72 * count, _WIDTH - left - 0.2), height))
         axes.imshow(share, cmap=colors, vmin=0.0, vmax=100.0, aspect="auto")
@@ -456,7 +450,7 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
         for trace in result.traces
         if trace.channel.endswith("_position")
     }
-    held = {r.name for r in result.recordings if r.held_out}
+    held = {r.name: r.held_out for r in in_order(result)}
     pictures = []
     for i, traces in enumerate(chosen, start=1):
         name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', traces[0].channel)[:40].strip('_')}"
@@ -494,7 +488,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
     if len(measured) == len(traces):
         states.append(("pressure difference [bar]", _BAR * np.concatenate(measured)))
     limits = _limits(before, after, _INNER)
-    with look():
+    with style():
         figure = Figure(figsize=(_WIDTH, 4.5))
         grid = figure.subplots(2, len(states), sharey="row", sharex="col", squeeze=False)
         for row, values, color, limit in zip(
@@ -511,20 +505,23 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
         name=f"residual_state_{name}",
         figure=figure,
         caption=f"Replay error of {traces[0].channel} in all recordings against the state, before "
-        "(top) and after (bottom); black lines are medians, the outermost 1 % is cut off, and what "
+        "(top) and after (bottom); the lines are medians, the outermost 1 % is cut off, and what "
         "is left over should show no shape.",
         alt=alt,
     )
 
 
-def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> CaptionedFigure:
-    """Errors over time, a row a recording."""
+def _over_time(
+    traces: Sequence[ResidualTrace], name: str, held: dict[str, bool]
+) -> CaptionedFigure:
+    """Errors over time, a row a recording, in the order of `held`, which says what was kept."""
     factor, unit = shown_unit(traces[0].unit)
-    shown = sorted(traces, key=lambda t: (t.recording not in held, -finite_rms([t.before])))
-    shown = shown[:_MOST_ROWS]
+    worst = sorted(traces, key=lambda t: (not held.get(t.recording), -finite_rms([t.before])))
+    places = {name: i for i, name in enumerate(held)}
+    shown = sorted(worst[:_MOST_ROWS], key=lambda t: places.get(t.recording, len(places)))
     before, after = (factor * np.concatenate(errors) for errors in _errors(shown))
     limits = _limits(before, after, 1.0)
-    with look():
+    with style():
         figure = Figure(figsize=(_WIDTH, 1.5 + 0.95 * len(shown)))
         grid = figure.subplots(len(shown), 2, sharey="col", sharex=True, squeeze=False)
         for row, trace in zip(grid, shown, strict=True):
@@ -532,7 +529,7 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Ca
             for axes, values, color, limit in pairs:
                 axes.plot(*_broken(trace.time, factor * values), color=color, linewidth=0.7)
                 _scale(axes, limit, ticks=(6, 3))
-            star = " *" if trace.recording in held else ""
+            star = " *" * held.get(trace.recording, False)
             # On the right, where no tick labels are.
             row[1].yaxis.set_label_position("right")
             row[1].set_ylabel(short(trace.recording, 16) + star, rotation=0, ha="left", va="center")
@@ -545,7 +542,7 @@ def _over_time(traces: Sequence[ResidualTrace], name: str, held: set[str]) -> Ca
         figure=figure,
         caption=f"Replay error of {traces[0].channel} over time, before (left) and after (right); "
         "every replay starts anew from the measured state after a fraction of a second, hence the "
-        "teeth" + ("; * was kept from all fits." if held else "."),
+        "teeth" + ("; * was kept from all fits." if any(held.values()) else "."),
         alt=alt,
     )
 

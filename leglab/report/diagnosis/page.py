@@ -8,19 +8,23 @@ from pathlib import Path
 
 from leglab.base.output import cannot_write, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
-from leglab.report.diagnosis.figures import look, pictures
+from leglab.report.diagnosis.figures import pictures
 from leglab.report.diagnosis.words import (
+    after_start,
     facts,
     headline,
     improved_words,
+    in_order,
     noise_words,
+    parameter_numbers,
     parameter_words,
     percent,
     sections,
     uncertain,
 )
 from leglab.report.page.shell import Table, render
-from leglab.report.page.wording import capital, number
+from leglab.report.page.wording import capital, number, readable
+from leglab.report.style import style
 
 _DPI = 130
 _MOST_DEPARTED = 12
@@ -58,7 +62,7 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
     drawn = []
     for picture in pictures(result):
         stream = io.BytesIO()
-        with look():
+        with style():
             picture.figure.savefig(stream, format="png", dpi=_DPI)
         image = stream.getvalue()
         write_atomically(place / f"{picture.name}.png", partial(_put, image))
@@ -102,17 +106,19 @@ def _effects_table(result: Diagnosis) -> Table:
     for effect, kind in kinds:
         told = [percent(effect.confidence), percent(effect.contribution)]
         for i, parameter in enumerate(effect.estimates):
-            first = [f"{effect.name}{kind}", effect.element] if i == 0 else ["", ""]
+            first = [f"{readable(effect.name)}{kind}", effect.element] if i == 0 else ["", ""]
             last = told if i == 0 else ["", ""]
-            name = f"{parameter.name} (uncertain)" if uncertain(parameter) else parameter.name
-            rows.append([*first, name, *parameter_words(parameter), *last])
+            doubt = ", uncertain" * uncertain(parameter)
+            value, ends, nominal, unit = parameter_numbers(parameter)
+            name = f"{readable(parameter.name)}{doubt}"
+            rows.append([*first, name, unit, value, ends, nominal, *last])
         if not effect.parameters:
-            rows.append([f"{effect.name}{kind}", effect.element, "", "", "", "", *told])
-    names = ("effect", "element", "parameter", "value", "95 % interval", result.nominal_words)
-    head = (*names, "confidence", "of the gap")
+            rows.append([f"{readable(effect.name)}{kind}", effect.element, *[""] * 5, *told])
+    names = ("effect", "element", "parameter", "unit", "value", "95 % interval")
+    head = (*names, result.nominal_words, "confidence", "of the gap")
     changed = "What changed" if result.calibration else "Missing effects"
     # A further parameter of an effect has an empty first cell, which heads no row.
-    return Table(caption=changed, head=head, rows=rows, words=3, heads=False)
+    return Table(caption=changed, head=head, rows=rows, words=4, heads=False)
 
 
 def _remaining_table(result: Diagnosis) -> Table:
@@ -121,9 +127,8 @@ def _remaining_table(result: Diagnosis) -> Table:
         factor, unit = shown_unit(one.unit)
         errors = [one.before, one.after, *([] if one.learned is None else [one.learned])]
         values = [f"{number(factor * v)} {unit}" for v in errors]
-        rows.append([one.channel, *values, noise_words(one)])
-    horizon = f"{result.remaining[0].horizon:.3g} s" if result.remaining else ""
-    caption = f"What is left {horizon} after a measured start, RMS over the held-out recordings"
+        rows.append([readable(one.channel), *values, noise_words(one)])
+    caption = f"What is left {after_start(result)}, RMS over the held-out recordings"
     told = any(one.learned is not None for one in result.remaining)
     learned = ("with what was learned",) if told else ()
     head = ("measured", "before", "after", *learned, "sensor noise")
@@ -138,7 +143,7 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
     departed = []
     for effect, element, estimate in calibration.estimates[:_MOST_DEPARTED]:
         value, _, nominal = parameter_words(estimate)
-        departed.append([effect, element, estimate.name, value, nominal])
+        departed.append([readable(effect), element, readable(estimate.name), value, nominal])
     return (
         Table(
             caption="The specimen before: error in the healthy recordings [noise levels]",
@@ -156,7 +161,7 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
 
 def _gap_table(result: Diagnosis) -> Table:
     rows = []
-    for r in result.recordings:
+    for r in in_order(result):
         errors = map(number, (r.before, r.baseline, r.after))
         rows.append([r.name, "held out" if r.held_out else "fitted", *errors])
     caption = f"{result.gap.metric} (noise alone gives {number(result.gap.noise_floor)})"
@@ -165,13 +170,17 @@ def _gap_table(result: Diagnosis) -> Table:
 
 
 def _nuisance_table(result: Diagnosis) -> Table:
-    rows = [[n.name, *parameter_words(n)] for n in result.nuisances]
-    head = ("parameter", "refitted", "tolerance, 95 %", result.nominal_words)
-    return Table(caption="Parameters refitted within their tolerance", head=head, rows=rows)
+    rows = []
+    for nuisance in result.nuisances:
+        value, ends, nominal, unit = parameter_numbers(nuisance)
+        rows.append([readable(nuisance.name), unit, value, ends, nominal])
+    head = ("parameter", "unit", "refitted", "tolerance, 95 %", result.nominal_words)
+    caption = "Parameters refitted within their tolerance"
+    return Table(caption=caption, head=head, rows=rows, words=2)
 
 
 def _untestable_table(result: Diagnosis) -> Table:
-    rows = [[n.name, n.element, n.reason] for n in result.not_testable]
+    rows = [[readable(n.name), n.element, n.reason] for n in result.not_testable]
     head = ("effect", "element", "to see it")
     return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
 

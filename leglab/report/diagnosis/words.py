@@ -10,7 +10,14 @@ import numpy as np
 
 from leglab.base.causes import live_of
 from leglab.base.scale import rms
-from leglab.diagnosis.result import Diagnosis, Estimate, NamedEffect, Remaining, shown_unit
+from leglab.diagnosis.result import (
+    Diagnosis,
+    Estimate,
+    NamedEffect,
+    RecordingGap,
+    Remaining,
+    shown_unit,
+)
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
@@ -34,6 +41,13 @@ _CONFIDENCE = (
 )
 # Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
 _SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1)}
+# Units of oil that nobody reads in SI, which is told beside them: name, factor.
+_OIL = {
+    "m^3": ("cm^3", 1e6),
+    "m^3/s": ("cm^3/s", 1e6),
+    "m^3/s/Pa": ("cm^3/s/bar", 1e11),
+    "Pa s/m^3": ("bar s/l", 1e-8),
+}
 
 
 def percent(share: float) -> str:
@@ -99,11 +113,16 @@ def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
     friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
     beside = {"asymmetric_friction": "force_offset", "actuator_gain": "armature"}.get(effect.name)
     if beside not in tied or not friction:
-        return tuple(map(readable, tied))
+        return tuple(_tied(name, effect) for name in tied)
     rubbing = listed(tuple(map(readable, friction)))
     pushed = beside == "force_offset"
     both = f"{rubbing} with a force offset" if pushed else f"armature with {rubbing}"
-    return (*(readable(n) for n in tied if n not in (*friction, beside)), both)
+    return (*(_tied(n, effect) for n in tied if n not in (*friction, beside)), both)
+
+
+def _tied(name: str, effect: NamedEffect) -> str:
+    """An effect that is not told apart from another, which may be the same elsewhere."""
+    return "the same at another place" if name == effect.name else readable(name)
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
@@ -168,12 +187,19 @@ def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
 
 
 def parameter_words(p: Estimate) -> tuple[str, str, str]:
-    """Value, 95 % interval and what the model has, each with the unit.
+    """Value, 95 % interval and what the model has, each with the unit; the value also in SI.
 
     As many digits as the interval allows, so that its ends do not read alike.
     """
+    value, ends, nominal, unit = parameter_numbers(p)
+    beside = f" ({number(p.value)} {p.unit})" if p.unit in _OIL else ""
+    told = f" {unit}" if unit else ""
+    return f"{value}{told}{beside}", f"{ends}{told}", f"{nominal}{told}"
+
+
+def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
+    """Value, 95 % interval, what the model has, and the unit of them, empty for none."""
     factor, unit = _parameter_unit(p)
-    unit = f" {unit}" if unit else ""
     low, high = (factor * end for end in p.interval)
     half, size = (high - low) / 2.0, max(abs(low), abs(high))
     digits = 3
@@ -181,7 +207,7 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
         digits = min(max(math.ceil(math.log10(size / half)) + 1, 3), 6)
     ends = f"{number(low, digits)} to {number(high, digits)}"
     value, nominal = number(factor * p.value, digits), number(factor * p.nominal)
-    return f"{value}{unit}", f"{ends}{unit}", f"{nominal}{unit}"
+    return value, ends, nominal, unit
 
 
 def uncertain(p: Estimate) -> bool:
@@ -233,6 +259,23 @@ def main_channels(result: Diagnosis, joints: int = 1) -> tuple[str, ...]:
     return tuple(c for joint in chosen for c in channels if joint_of(c) == joint)[: 3 * joints]
 
 
+def in_order(result: Diagnosis) -> tuple[RecordingGap, ...]:
+    """Recordings in the order of every table and figure: those kept from the fits come first."""
+    return tuple(sorted(result.recordings, key=lambda r: not r.held_out))
+
+
+def start(result: Diagnosis) -> str:
+    """Measured part of the state that replays start from."""
+    units = {one.unit for one in result.remaining} | {one.unit for one in result.traces}
+    return "the measured motion" + " and pressures" * ("Pa" in units)
+
+
+def after_start(result: Diagnosis) -> str:
+    """Time at which errors of replays are told."""
+    horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
+    return f"{horizon}after a start from {start(result)}"
+
+
 def joint_of(channel: str) -> str:
     """The joint that a column belongs to."""
     for ending in ("_position", "_pressure_a", "_pressure_b", "_velocity"):
@@ -253,6 +296,9 @@ def _parameter_unit(p: Estimate) -> tuple[float, str]:
     largest = max(sizes, default=0.0)
     if p.unit == "Pa":
         return (1e-5, "bar") if largest >= 1e3 else (1.0, "Pa")
+    if p.unit in _OIL:
+        name, factor = _OIL[p.unit]
+        return factor, name
     name, factor, limit = _SMALL.get(p.unit, (p.unit, 1.0, 0.0))
     if 0.0 < largest < limit:
         return factor, name
@@ -339,9 +385,9 @@ def noise_words(one: Remaining) -> str:
 
 def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
     held = tuple(r.name for r in result.recordings if r.held_out)
-    fitted = tuple(r.name for r in result.recordings if not r.held_out)
-    count = len(result.recordings)
-    lines = [f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(fitted + held)}."]
+    names = tuple(r.name for r in in_order(result))
+    count = len(names)
+    lines = [f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(names)}."]
     if held:
         lines.append(f"{listed(held)} was kept from all fits; the verdict is judged on it.")
     else:
@@ -497,8 +543,7 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
     told = main_channels(result)  # They stand at the top of the page.
     rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
     if rows:
-        horizon = f"{result.remaining[0].horizon:.3g} s after a measured start"
-        lines.append(f"Elsewhere, {horizon}, RMS: {'; '.join(rows)}.")
+        lines.append(f"Elsewhere, {after_start(result)}, RMS: {'; '.join(rows)}.")
     return tuple(lines)
 
 

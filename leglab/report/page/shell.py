@@ -4,14 +4,19 @@ import base64
 import functools
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from leglab.report.page.glossary import Glossary
+from leglab.report.page.wording import printable
 from leglab.report.style import ORANGE, SERIES
 
 _PACKAGE = "leglab.report.page"
@@ -33,6 +38,22 @@ _FORBIDDEN = (
     "font-src",
     "manifest-src",
 )
+
+
+class Linked(str):
+    """The text of a cell of a table that links to a file.
+
+    Attributes:
+        link: From `file_link`.
+    """
+
+    link: str
+
+    def __new__(cls, text: str, link: str) -> "Linked":
+        """Makes one of a text and its link."""
+        made = super().__new__(cls, text)
+        made.link = link
+        return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +102,8 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
     page = _environment().get_template(template)
     scripts = (asset("guard.js"), *scripts) if scripts else ()
     css, inlined = Markup(_colors() + asset("page.css")), [Markup(script) for script in scripts]
-    return page.render(css=css, policy=_policy(scripts), scripts=inlined, **content)
+    given = {"css": css, "policy": _policy(scripts), "scripts": inlined, "words": Glossary()}
+    return page.render(**given, **content)
 
 
 @functools.cache
@@ -90,17 +112,19 @@ def asset(name: str) -> str:
     return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
 
 
+def file_link(path: Path, base: Path) -> str:
+    """Link to a file from a page in the folder `base`: relative and quoted."""
+    relative = os.path.relpath(path.resolve(), base.resolve())
+    # A first part with a colon would be read as a scheme.
+    return "./" + quote(Path(relative).as_posix(), errors="surrogateescape")
+
+
 def inline_json(content: Any) -> Markup:
     """JSON that may stand inside a script element, whatever texts it holds."""
     text = content if isinstance(content, str) else json.dumps(content, allow_nan=False)
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return Markup(text)
-
-
-def printable(text: str) -> str:
-    """The text with control characters, which no page may hold, made visible."""
-    return "".join(c if c.isprintable() or c == " " else "\ufffd" for c in text)
 
 
 @functools.cache

@@ -3,6 +3,11 @@
 import math
 
 
+def printable(text: str) -> str:
+    """The text with control characters, which no page may hold, made visible."""
+    return "".join(c if c.isprintable() or c == " " else "\ufffd" for c in text)
+
+
 def readable(name: str) -> str:
     """A name as one reads it: "valve_deadband" becomes "valve deadband"."""
     return name.replace("_", " ")

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.units import shared_unit
-from leglab.report.page.shell import printable
-from leglab.report.page.wording import shortened
+from leglab.report.page.wording import printable, shortened
 from leglab.report.run.words import change_words
 from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun

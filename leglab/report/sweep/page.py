@@ -5,17 +5,19 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from leglab.base.output import write_atomically
+from leglab.machine.changes import parameter_units
 from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import Section, Table, render
-from leglab.report.page.wording import listed, number, readable
+from leglab.report.page.wording import listed, number, readable, shown_unit
 from leglab.report.run.page import PAGE
+from leglab.report.style import SERIES
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import Answer, questions
@@ -29,8 +31,18 @@ _MOST_ROWS, _MOST_COLUMNS, _BARS, MOST_FILMS = 120, 20, 24, 12
 _FILM = 3_000_000
 # Controllers that the headline tells of.
 _TOLD = 4
-# Sizes that are drawn, not listed, are shown in so many classes.
-_CLASSES = 6
+# Sizes and settings that are drawn, not listed, are shown in so many classes.
+_CLASSES, _LISTED = 6, 8
+# Shade of the worst value that a run reached, where others never reached any.
+_REACHED = 0.6
+# Values of a table that differ by no larger share than this have no shade.
+_ALIKE = 0.02
+# No value: the page says elsewhere why.
+_NONE = "\u2013"
+# Stands for a time that a run never reaches, in medians [s].
+_NEVER = 1e9
+# Axes that the heat maps show.
+_MAPPED = ("scenario", "controller", "severity", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +80,33 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True)
 class HeatMap:
-    """A table whose fields are the darker the worse they are."""
+    """A table whose fields are shaded the more the worse they are."""
 
     caption: str
     head: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Cell]]]
     folded: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """Medians of a quantity over the values of a setting, as a table and as curves.
+
+    Attributes:
+        table: A row a value.
+        alt: The curves in words.
+        values: Places of the values along the axis, and the values as text.
+        curves: Names with points, both coordinates from 0 to 100, high up 0.
+        low: Lower end of the vertical axis as text.
+        high: Its upper end.
+    """
+
+    table: HeatMap
+    alt: str
+    values: Sequence[tuple[float, str]]
+    curves: Sequence[tuple[str, Sequence[tuple[float, float]]]]
+    low: str
+    high: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +181,16 @@ def page(folder: Path, films: Mapping[int, Path] | None = None) -> str:
 
 
 def _render(facts: "_Facts", films: Mapping[int, Path]) -> str:
+    effects = _effects(facts)
+    links = [
+        ("summary", "Summary"),
+        ("numbers", "Numbers"),
+        ("maps", "Heat maps"),
+        *[("varied", "Settings that were varied")] * bool(effects),
+        ("distributions", "Distributions"),
+        ("worst", "Worst runs"),
+        ("settings", "Settings"),
+    ]
     return render(
         "sweep.html",
         kind="sweep",
@@ -156,6 +199,8 @@ def _render(facts: "_Facts", films: Mapping[int, Path]) -> str:
         sections=_sections(facts),
         table=_groups(facts),
         maps=_maps(facts),
+        effects=effects,
+        links=links,
         distributions=_distributions(facts),
         worst=_worst(facts),
         films=_films(facts, films),
@@ -192,6 +237,7 @@ class _Facts:
         self.done, self.failed, _, told, ends, self.sizes, self.seeds = first
         # Short runs have no strides to take errors over.
         self.told, self.error = bool(told), END if ends else WHOLE
+        self.judged = told
 
     def rows(self, sql: str) -> tuple[tuple[Any, ...], ...]:
         return self._answered(sql).rows
@@ -210,19 +256,20 @@ def _headline(facts: _Facts) -> str:
         parts.append(f"{facts.failed:,} of them failed")
     if facts.told:
         found = facts.rows(
-            "SELECT controller, median(coalesce(t90_s, 1e9)) AS t90,"
+            f"SELECT controller, {_median(T90)} AS t90,"
             " count(*) FILTER (t90_s IS NULL), count(*), median(recovered) FROM runs"
             " WHERE recovered IS NOT NULL GROUP BY 1 ORDER BY t90, 5 DESC, 1"
         )
         # Controllers have nothing in common that a median over all of them could tell.
         told = []
         for controller, t90, never, count, recovered in found[:_TOLD]:
-            when = "never" if t90 >= 1e9 else f"after {number(t90)} s"
+            when = "never" if t90 >= _NEVER else f"after {number(t90)} s"
             line = (
                 f"{controller} undoes {number(100 * recovered)} % of the damage, nine tenths {when}"
             )
             told.append(line + (f" ({never:,} of {count:,} never)" if never else ""))
-        parts.append("in the median " + ", ".join(told))
+        of = f" of the {facts.judged:,} with damage" if facts.judged < facts.done else ""
+        parts.append(f"in the median{of} " + ", ".join(told))
         if len(found) > _TOLD:
             parts.append(f"{len(found) - _TOLD} controllers more stand in the table")
     return "; ".join(parts)
@@ -237,11 +284,13 @@ def _sections(facts: _Facts) -> list[Section]:
         (count, low, high) = facts.rows(
             f'SELECT count(DISTINCT "{name}"), min("{name}"), max("{name}") FROM runs'
         )[0]
-        if count <= 8:
-            found = facts.rows(f'SELECT DISTINCT "{name}" FROM runs ORDER BY 1')
-            axes.append((readable(axis), listed(tuple(_text(row[0]) for row in found))))
+        if count <= _LISTED:
+            found = facts.rows(
+                f'SELECT DISTINCT "{name}" FROM runs WHERE "{name}" IS NOT NULL ORDER BY 1'
+            )
+            axes.append((_axis_words(axis), listed(tuple(_text(row[0]) for row in found))))
         else:
-            axes.append((readable(axis), f"{count:,} values, {_text(low)} to {_text(high)}"))
+            axes.append((_axis_words(axis), f"{count:,} values, {_text(low)} to {_text(high)}"))
     sections = [
         Section(
             title="What was varied?",
@@ -265,9 +314,26 @@ def _sections(facts: _Facts) -> list[Section]:
                 names=tuple(name for name, _, _ in best),
             )
         )
+    if untold := _untold(facts):
+        sections.append(untold)
     if any("tune" in block for block in facts.record.plan.get("block", ())):
         sections.append(_tuned(facts))
     return sections
+
+
+def _untold(facts: _Facts) -> Section | None:
+    """Why runs have no figures of damage and of what was undone; None where all have."""
+    if "not_told" not in facts.columns:
+        return None
+    found = facts.rows(
+        "SELECT coalesce(not_told, 'it failed'), count(*),"
+        " string_agg(DISTINCT scenario || ', ' || controller, '; ' ORDER BY"
+        " scenario || ', ' || controller) FROM runs WHERE recovered IS NULL"
+        f" GROUP BY 1 ORDER BY 2 DESC LIMIT {_MOST_ROWS}"
+    )
+    lines = tuple(f"{count:,} runs ({who}): {reason}." for reason, count, who in found)
+    title = "Why do runs have no damage and nothing undone?"
+    return Section(title=title, lines=lines) if lines else None
 
 
 def _groups(facts: _Facts) -> Table:
@@ -276,7 +342,7 @@ def _groups(facts: _Facts) -> Table:
         "SELECT scenario, controller, count(*), count(*) FILTER (status = 'failed'),"
         " median(before_rad), median(rms_rad), median(end_rad), median(damage_rad),"
         " median(recovered), min(recovered),"
-        " median(CASE WHEN recovered IS NULL THEN NULL ELSE coalesce(t90_s, 1e9) END), max(t90_s),"
+        f" {_median(T90)}, max(t90_s),"
         " count(*) FILTER (t90_s IS NULL AND recovered IS NOT NULL), max(worst_2s_rad),"
         " median(valve_travel / came_to_s), median(energy_j / came_to_s)"
         f" FROM runs GROUP BY ALL ORDER BY 1, 2 LIMIT {_MOST_ROWS}"
@@ -292,7 +358,7 @@ def _groups(facts: _Facts) -> Table:
                 f"{failed:,}" if failed else "",
                 *(_scaled(value, 1e3) for value in (before, whole, end, damage)),
                 *(_scaled(value, 100.0) for value in (undone, least)),
-                "never" if t90 is not None and t90 >= 1e9 else _scaled(t90),
+                "never" if t90 is not None and t90 >= _NEVER else _scaled(t90),
                 _scaled(last),
                 f"{never:,}" if never else "",
                 _scaled(worst, 1e3),
@@ -305,12 +371,30 @@ def _groups(facts: _Facts) -> Table:
         *("undone, %", "least", "90 % after, s", "last", "never", "worst 2 s, mrad"),
         *("valve travel, 1/s", "power, W"),
     ]
-    return Table(
-        caption="Medians over runs; errors are RMS over joints and time, of slides in mm. "
-        "least, last and worst are of single runs; never: runs that did not undo nine tenths",
-        head=head,
-        rows=rows,
-        words=2,
+    return _filled(
+        Table(
+            caption="Medians over runs; errors are RMS over joints and time, of slides in mm. "
+            "least, last and worst are of single runs; never: runs that did not undo nine tenths",
+            head=head,
+            rows=rows,
+            words=2,
+        )
+    )
+
+
+def _filled(table: Table) -> Table:
+    """The table without columns of numbers that hold nothing, which its caption names."""
+    places = range(len(table.head))
+    kept = [i for i in places if i < table.words or any(row[i] for row in table.rows)]
+    names = [table.head[i].partition(",")[0] for i in places if i not in kept]
+    empty = tuple(name for name in names if name != "failed")
+    why = ": the summary says why" if empty else ""
+    told = f". No run has a value of {listed(empty, 'or')}{why}" if empty else ""
+    return replace(
+        table,
+        caption=f"{table.caption}{told}",
+        head=[table.head[i] for i in kept],
+        rows=[[row[i] or _NONE for i in kept] for row in table.rows],
     )
 
 
@@ -337,42 +421,154 @@ def _map(
     facts: _Facts, quantity: Quantity, source: str, across: str, label: str, *, folded: bool
 ) -> list[HeatMap]:
     """Medians by scenario and size, over something; none where there is no value at all."""
-    value = quantity.name
-    if quantity.never:
-        value = f"CASE WHEN recovered IS NULL THEN NULL ELSE coalesce({value}, 1e9) END"
     found = facts.rows(
-        f"SELECT scenario, size, {across} AS across, median({value}) FROM ({source})"
-        " WHERE status = 'ok' GROUP BY ALL HAVING median("
-        f"{value}) IS NOT NULL ORDER BY scenario, size, across"
+        f"SELECT scenario, size, {across} AS across, {_median(quantity)} AS m FROM ({source})"
+        " WHERE status = 'ok' GROUP BY ALL HAVING m IS NOT NULL ORDER BY scenario, size, across"
     )
     if not found:
         return []
     columns = list(dict.fromkeys(sorted(row[2] for row in found)))[:_MOST_COLUMNS]
     places = list(dict.fromkeys((row[0], row[1]) for row in found))[:_MOST_ROWS]
-    values = {(row[0], row[1], row[2]): row[3] for row in found}
-    known = [v for v in values.values() if v < 1e9]
-    low, high = (min(known), max(known)) if known else (0.0, 1.0)
-    rows = []
-    for scenario, size in places:
-        told = f"{scenario}, {number(size)}" if size is not None else scenario
-        cells = [_field(values.get((scenario, size, x)), quantity, low, high) for x in columns]
-        rows.append((told, cells))
+    values = {((row[0], row[1]), row[2]): row[3] for row in found}
+    names = [f"{s}, {number(size)}" if size is not None else s for s, size in places]
     over = "specimen (seed)" if across == "seed" else across
     caption = f"{quantity.title}, by scenario with size and {over}"
     if folded:
         caption += f": {label}"
     head = ("scenario, size", *(str(x) for x in columns))
-    return [HeatMap(caption=caption, head=head, rows=rows, folded=folded)]
+    rows = _shaded(quantity, places, columns, values)
+    shown = list(zip(names, rows, strict=True))
+    return [HeatMap(caption=caption, head=head, rows=shown, folded=folded)]
 
 
-def _field(value: float | None, quantity: Quantity, low: float, high: float) -> Cell:
-    if value is None:
-        return Cell(text="", shade=None)
-    if value >= 1e9:
-        return Cell(text=quantity.never, shade=1.0)
-    share = (value - low) / (high - low) if high > low else 0.0
-    shade = share if quantity.bad > 0 else 1.0 - share
-    return Cell(text=number(quantity.factor * value), shade=round(shade, 3))
+def _median(quantity: Quantity) -> str:
+    """Median in SQL; of a time that some runs never reach, `_NEVER` where most do not."""
+    value = quantity.name
+    if quantity.never:
+        value = f"CASE WHEN recovered IS NULL THEN NULL ELSE coalesce({value}, {_NEVER}) END"
+    return f"median({value})"
+
+
+def _shaded(
+    quantity: Quantity,
+    rows: Sequence[Any],
+    columns: Sequence[Any],
+    values: Mapping[tuple[Any, Any], float],
+) -> list[list[Cell]]:
+    """Fields of a heat map: the worst has the strongest shade, values that are alike have none."""
+    known = [v for v in values.values() if v < _NEVER]
+    low, high = (min(known), max(known)) if known else (0.0, 0.0)
+    # A value that was reached, however late, is not as bad as none.
+    most = _REACHED if len(known) < len(values) else 1.0
+
+    def field(value: float | None) -> Cell:
+        if value is None:
+            return Cell(text=_NONE, shade=None)
+        if value >= _NEVER:
+            return Cell(text=quantity.never, shade=1.0)
+        text = number(quantity.factor * value)
+        if high - low <= _ALIKE * max(abs(low), abs(high)):
+            return Cell(text=text, shade=None)
+        share = (value - low) / (high - low)
+        return Cell(text=text, shade=round(most * (share if quantity.bad > 0 else 1 - share), 3))
+
+    return [[field(values.get((row, column))) for column in columns] for row in rows]
+
+
+def _effects(facts: _Facts) -> list[tuple[str, list[Effect]]]:
+    """What every setting does that the heat maps do not show, by its name."""
+    found = []
+    for axis in facts.record.axes:
+        if axis in _MAPPED or column(axis) not in facts.columns:
+            continue
+        effects = [e for quantity in facts.quantities if (e := _effect(facts, axis, quantity))]
+        if effects:
+            found.append((_axis_words(axis), effects))
+    return found
+
+
+def _effect(facts: _Facts, axis: str, quantity: Quantity) -> Effect | None:
+    """Medians by the values of a setting, of every scenario and controller that it varies for."""
+    name = f'"{column(axis)}"'
+    ((kind, count),) = facts.rows(
+        f"SELECT any_value(typeof({name})), count(DISTINCT {name}) FROM runs"
+    )
+    numeric, source = kind == "DOUBLE", f"SELECT *, {name} AS value FROM runs"
+    if numeric and count > _LISTED:
+        source = (
+            f"SELECT *, median({name}) OVER (PARTITION BY class) AS value FROM (SELECT *,"
+            f" ntile({_CLASSES}) OVER (ORDER BY {name}) AS class FROM runs"
+            f" WHERE {name} IS NOT NULL)"
+        )
+    found = facts.rows(
+        f"SELECT value, scenario || ', ' || controller AS who, {_median(quantity)} AS m FROM"
+        f" ({source}) WHERE status = 'ok' AND value IS NOT NULL GROUP BY ALL HAVING m IS NOT NULL"
+        " ORDER BY value, who"
+    )
+    values = list(dict.fromkeys(row[0] for row in found))[:_MOST_ROWS]
+    if len(values) < 2:
+        return None
+    columns = list(dict.fromkeys(sorted(row[1] for row in found)))[:_MOST_COLUMNS]
+    medians = {(row[0], row[1]): row[2] for row in found}
+    shown = [_text(value) for value in values]
+    rows = list(zip(shown, _shaded(quantity, values, columns, medians), strict=True))
+    title = f"{quantity.title}, by {_axis_words(axis)}"
+    head = (_axis_words(axis), *columns)
+    across = _places(values if numeric else list(range(len(values))))
+    known = [v for v in medians.values() if v < _NEVER]
+    if not known:
+        return None
+    low, high = min(0.0, *known), max(known)
+    span = (high - low) or 1.0
+    curves = [
+        (
+            name,
+            [
+                (x, round(100.0 * (1.0 - (medians[value, name] - low) / span), 2))
+                for x, value in zip(across, values, strict=True)
+                if medians.get((value, name), _NEVER) < _NEVER
+            ],
+        )
+        for name in columns
+    ]
+    told = "; ".join(
+        f"{name}: "
+        + ", ".join(
+            f"{cell.text} at {value}" for value, cells in rows if (cell := cells[i]).text != _NONE
+        )
+        for i, name in enumerate(columns)
+    )
+    return Effect(
+        table=HeatMap(caption=title, head=head, rows=rows),
+        alt=f"{title}. {told}.",
+        values=list(zip(across, shown, strict=True)),
+        curves=curves[: len(SERIES)],
+        low=number(quantity.factor * low),
+        high=number(quantity.factor * high),
+    )
+
+
+def _places(values: Sequence[float]) -> list[float]:
+    """Places along an axis from 0 to 100, logarithmic where values span more than a decade."""
+    low, high = min(values), max(values)
+    scale = math.log if low > 0 and high / low > 10.0 else float
+    ends = scale(low), scale(high)
+    return [round(100.0 * (scale(v) - ends[0]) / (ends[1] - ends[0]), 2) for v in values]
+
+
+def _axis_words(axis: str) -> str:
+    """A setting as one reads it: "internal leakage", "memory of the controller"."""
+    table, _, name = axis.rpartition(".")
+    owner = {
+        "controller_config": " of the controller",
+        "reference_config": " of the reference",
+        "sensors": " of the sensors",
+    }
+    first, _, rest = table.partition(".")
+    if first == "parameters":
+        unit = shown_unit(parameter_units().get(name, ""))
+        return readable(name) + (f" of {rest}" if rest else "") + (f" [{unit}]" if unit else "")
+    return readable(name) + owner.get(table, "")
 
 
 def _distributions(facts: _Facts) -> list[Distributions]:
@@ -447,11 +643,13 @@ def _worst(facts: _Facts) -> Table:
         for run, scenario, controller, severity, seed, element, error, t90, recovered in found
     ]
     head = ("run", "scenario", "controller", "element", "size", "seed", facts.error.title)
-    return Table(
-        caption=f"The worst runs, {by}",
-        head=(*head, "90 % undone after, s", "undone, %"),
-        rows=rows,
-        words=4,
+    return _filled(
+        Table(
+            caption=f"The worst runs, {by}",
+            head=(*head, "90 % undone after, s", "undone, %"),
+            rows=rows,
+            words=4,
+        )
     )
 
 
