@@ -125,6 +125,22 @@ class PluginTable:
         }
 
 
+# Sources as the tables of the compiled core abbreviate them.
+_SOURCES = {
+    "[HyQ]": "(source: leg of the robot HyQ, Ledezma 2016)",
+    "[V]": "(source: data sheet of a servo valve, class E024)",
+    "[ISO]": "(source: ISO 3448)",
+    "[C]": "(chosen for leglab)",
+}
+
+
+def _sourced(description: str) -> str:
+    """A description with its source in words."""
+    for short, told in _SOURCES.items():
+        description = description.replace(short, told)
+    return description
+
+
 @functools.cache
 def plugin_tables() -> Mapping[str, PluginTable]:
     """Tables of all plugins that carry parameters, by plugin name."""
@@ -132,7 +148,7 @@ def plugin_tables() -> Mapping[str, PluginTable]:
     for plugin, (parameters, states, _) in _native.parameter_tables().items():
         if not parameters:
             continue
-        rows = [Parameter(*row, offset) for offset, row in enumerate(parameters)]
+        rows = [Parameter(*r[:-1], _sourced(r[-1]), i) for i, r in enumerate(parameters)]
         dynamic = [State(*row, offset) for offset, row in enumerate(states, len(rows))]
         tables[plugin] = PluginTable(
             plugin=plugin,

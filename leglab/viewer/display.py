@@ -18,14 +18,14 @@ _GHOST_SHIFT = 0.003
 _COLOURS = {
     "error": (0.95, 0.45, 0.30),
     "command": (0.85, 0.85, 0.85),
-    "feed-forward": (0.4, 0.75, 1.0),
+    "feed-forward": (1.0, 0.6, 0.1),
 }
 # Added to the time shown [s]: the viewer's own reset leaves 0, which a restart shows as well.
 _NOT_RESET = 1e-9
-# Points of a line; a moment each.
-_POINTS = 200
+# Points of a line, a moment each, and of a dash.
+_POINTS, _DASH = 200, 4
 # Size of a figure: share of the view's width and height, and what its text needs [px].
-_SHARE, _LEAST = (0.34, 0.26), (330, 170)
+_SHARE, _LEAST = (0.30, 0.22), (300, 150)
 
 
 class Display:
@@ -149,18 +149,20 @@ class Display:
         command = np.array([moment.command[worst] for moment in moments])
         feedforward = np.array([moment.feedforward[worst] for moment in moments])
         joint = self._session.joints[worst].replace("_", " ")
-        lines = {"command": (ages, command)}
+        title, lines = f"command of {joint}", {"command": (ages, command)}
         if np.isfinite(feedforward).all():
+            title += ", dashed: feed-forward"
             lines["feed-forward"] = ages, feedforward
         sizes = zip(_SHARE, (viewport.width, viewport.height), _LEAST, strict=True)
         width, height = (min(max(round(share * size), least), size) for share, size, least in sizes)
-        left, bottom = viewport.left, viewport.bottom
+        # On the right: knees bend to the left, as seen by the camera of every machine.
+        left, bottom = viewport.left + viewport.width - width, viewport.bottom
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
         error_figure = _figure(
             f"RMS error [{self._session.unit}], last 10 s", {"error": (ages, tracking)}
         )
-        return [(upper, error_figure), (lower, _figure(f"command of {joint}", lines))]
+        return [(upper, error_figure), (lower, _figure(title, lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
         """Two columns: what is shown, and its values."""
@@ -192,7 +194,6 @@ def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujo
     figure = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.title = title
-    figure.flg_legend = len(lines) > 1
     figure.yformat = "%.3g"
     figure.figurergba[:] = (0.1, 0.1, 0.1, 0.6)
     figure.gridsize[:] = (3, 4)
@@ -200,8 +201,14 @@ def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujo
     values = np.concatenate([y for _, y in lines.values()])
     low, high = min(0.0, float(values.min())), max(float(values.max()), 1e-3)
     figure.range[1] = (low, high)
-    for i, (name, (x, y)) in enumerate(lines.items()):
-        figure.linename[i] = name
+    # The first lines are drawn over the others: dashes, through whose gaps one sees those.
+    pieces = [
+        (name, x[i:][: _DASH + 1], y[i:][: _DASH + 1])
+        for name, (x, y) in list(lines.items())[1:]
+        for i in range(0, len(x), 2 * _DASH)
+    ]
+    pieces += [(name, x, y) for name, (x, y) in list(lines.items())[:1]]
+    for i, (name, x, y) in enumerate(pieces):
         figure.linergb[i] = _COLOURS[name]
         figure.linepnt[i] = len(x)
         figure.linedata[i, : 2 * len(x)] = np.column_stack([x, y]).ravel()

@@ -1,6 +1,7 @@
 """Whatever parameters a cylinder is given within their bounds, its states stay numbers."""
 
 import math
+import re
 
 import mujoco
 import numpy as np
@@ -67,3 +68,13 @@ def test_states_stay_numbers_and_a_reset_repeats_them(values, commands):
         assert slots["pressure_b"] >= -1.001 * ATMOSPHERE
         assert abs(slots["spool_position"]) <= 1.0
     np.testing.assert_array_equal(*ends)
+
+
+def test_sources_of_parameters_are_told_in_words():
+    told = [
+        row.description
+        for table in plugin_tables().values()
+        for row in (*table.parameters.values(), *table.states.values())
+    ]
+    assert any("Ledezma 2016" in text for text in told)
+    assert not [text for text in told if re.search(r"\[(?!0)[A-Za-z]+\]", text)]

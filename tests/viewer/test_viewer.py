@@ -251,6 +251,51 @@ def test_texts_and_figures_say_what_happens():
     assert command.linedata[0, 1] == pytest.approx(live.moments[-1].command[0])
 
 
+@pytest.mark.parametrize("name", ["leg", "knee_bench"])
+def test_figures_do_not_cover_the_machine_however_its_joints_bend(name):
+    live = session(model=name)
+    display = Display(live, name)
+    run_for(live, 0.3)
+    view = mujoco.MjrRect(0, 0, 1280, 720)
+    model, data = display.model, display.data
+    camera = model.camera("three_quarter").id
+    focus = 0.5 * view.height / np.tan(0.5 * np.deg2rad(model.cam_fovy[camera]))
+    moving = [i for i in range(model.ngeom) if model.body_weldid[model.geom_bodyid[i]]]
+    figures = [rect for rect, _ in display.figures(view)]
+    assert moving
+    for joint in live.joints:
+        for angle in np.linspace(*model.joint(joint).range, 7):
+            display.show()
+            data.joint(joint).qpos[0] = angle
+            mujoco.mj_forward(model, data)
+            seen = (data.geom_xpos[moving] - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(
+                3, 3
+            )
+            x = 0.5 * view.width + focus * seen[:, 0] / -seen[:, 2]
+            y = 0.5 * view.height + focus * seen[:, 1] / -seen[:, 2]
+            for rect in figures:
+                within = (x > rect.left) & (x < rect.left + rect.width)
+                within &= (y > rect.bottom) & (y < rect.bottom + rect.height)
+                assert not within.any(), f"{joint} at {angle:.2f}"
+
+
+def test_the_feed_forward_is_dashed_over_the_command_that_it_equals():
+    live = session(controller="static_feedforward")
+    display = Display(live, "knee_bench")
+    run_for(live, 0.3)
+    _, (_, figure) = display.figures(mujoco.MjrRect(0, 0, 1000, 700))
+    count = sum(points > 0 for points in figure.linepnt)
+    *dashes, command = range(count)
+    assert len(dashes) > 10
+    # MuJoCo draws the first line over the others, and each ends before the next begins.
+    starts = [figure.linedata[i, 0] for i in dashes]
+    ends = [figure.linedata[i, 2 * figure.linepnt[i] - 2] for i in dashes]
+    assert all(end > start for end, start in zip(ends, starts[1:], strict=False))
+    assert figure.linepnt[command] > 100
+    assert not np.allclose(figure.linergb[0], figure.linergb[command], atol=0.3)
+    assert "dashed: feed-forward" in figure.title
+
+
 def test_texts_say_what_the_controller_names():
     live = session(controller="bsnn_arx_bank", duration=16.0)
     display = Display(live, "knee_bench")
