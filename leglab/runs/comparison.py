@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab import __version__
-from leglab.base.errors import LeglabError, SettingsError, SimulationError
+from leglab.base.errors import FileError, LeglabError, SettingsError, SimulationError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
@@ -204,7 +204,7 @@ def read_comparison(folder: Path) -> "ComparisonResult":
     """Reads the summary of a comparison.
 
     Raises:
-        LeglabError: The folder holds none, or the file does not have the form.
+        FileError: The folder holds none, or the file does not have the form.
     """
     content = read_json(folder / SUMMARY)
     try:
@@ -221,7 +221,8 @@ def read_comparison(folder: Path) -> "ComparisonResult":
                         if cell[name][part] is not None:
                             float(cell[name][part])
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-        raise LeglabError(f"{folder / SUMMARY} does not have the form of a comparison") from error
+        path = folder / SUMMARY
+        raise FileError(f"{path} does not have the form of a comparison", given=path) from error
     return ComparisonResult(content)
 
 

@@ -6,6 +6,7 @@ from leglab.report.diagnosis.page import write_page
 from leglab.report.page.glossary import MEANINGS, Glossary
 from leglab.report.page.shell import Table, render
 from tests.helpers.made_up_diagnosis import diagnosis
+from tests.helpers.pages import ROOT
 
 
 def test_the_first_use_of_a_word_links_to_its_meaning_on_the_page():
@@ -43,3 +44,9 @@ def test_no_meaning_needs_a_word_that_has_none(tmp_path):
     body = text[text.index("<main>") :]
     for word in words.findall(re.sub("<[^>]*>", " ", body)):
         assert MEANINGS[word] in body.replace("&#39;", "'")
+
+
+def test_every_word_stands_in_the_glossary_of_the_documentation():
+    text = (ROOT / "docs/reference/glossary.md").read_text()
+    words = " , ".join(row.split(" | ")[0] for row in text.splitlines() if row.startswith("| "))
+    assert [term for term in MEANINGS if term not in words] == []

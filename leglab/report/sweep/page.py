@@ -15,7 +15,7 @@ from leglab.base.output import write_atomically
 from leglab.machine.changes import parameter_units
 from leglab.report.film.encoder import film_bytes, still_bytes
 from leglab.report.page.shell import Section, Table, render
-from leglab.report.page.wording import listed, number, readable, shown_unit
+from leglab.report.page.wording import listed, number, readable, readable_unit
 from leglab.report.run.page import PAGE
 from leglab.report.style import SERIES
 from leglab.runs.sweeps.outcome import recording_folder
@@ -566,7 +566,7 @@ def _axis_words(axis: str) -> str:
     }
     first, _, rest = table.partition(".")
     if first == "parameters":
-        unit = shown_unit(parameter_units().get(name, ""))
+        unit = readable_unit(parameter_units().get(name, ""))
         return readable(name) + (f" of {rest}" if rest else "") + (f" [{unit}]" if unit else "")
     return readable(name) + owner.get(table, "")
 
