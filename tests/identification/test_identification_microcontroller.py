@@ -30,7 +30,7 @@ def test_the_whole_leg_builds_and_learns_on_a_cortex_m7():
     pytest.importorskip("unicorn")
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks", "microcontroller"],
-        capture_output=True, text=True, check=False, cwd=SCRIPT.parent.parent.parent,
+        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     kept = {line.split(" | ")[0]: line for line in done.stdout.splitlines()}
