@@ -313,7 +313,7 @@ def short(rigs: dict[str, Cells]) -> list[str]:
 def scenarios(rigs: dict[str, Cells]) -> list[str]:
     """A row a scenario: what it does, and the error at its end."""
     lines = [
-        f"| scenario | what happens | `--severity`: default | {' | '.join(SHOWN)} |",
+        f"| scenario | what happens | size (`--severity`): default | {' | '.join(SHOWN)} |",
         "|---|---|---|" + "---:|" * len(SHOWN),
     ]
     for name in scenario_names():

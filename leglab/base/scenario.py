@@ -315,7 +315,7 @@ def register_scenario(
         duration: Default duration [s].
         reference: Default reference trajectory.
         reference_config: Settings of that trajectory; None for its own.
-        severity: How bad the change can be; None where there is nothing to choose.
+        severity: Sizes that the change can have; None where there is nothing to choose.
         per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone; oil
             and supply are common to all.
     """

@@ -17,7 +17,7 @@ Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
 
 _CAUSE_HEAD = ("scenario, live name", "effect of a diagnosis", "attributes", "size")
-_SCENARIO_HEAD = " `--severity`: default | one joint alone: `--element` |"
+_SCENARIO_HEAD = " size (`--severity`): default | one joint alone: `--element` |"
 
 
 def list_names(

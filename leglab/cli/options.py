@@ -39,7 +39,7 @@ Model = Annotated[str, typer.Option(help="Machine.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds; default: the scenario's.")]
 Seed = Annotated[int, typer.Option(help="Seed of sensor noise and of everything drawn.")]
 Severity = Annotated[
-    float | None, typer.Option(help="How bad the change is, in the scenario's own unit.")
+    float | None, typer.Option(help="Size of the change, in the scenario's own unit.")
 ]
 Ramp = Annotated[float, typer.Option(help="Seconds the change takes; 0 is a step.")]
 Element = Annotated[

@@ -52,7 +52,7 @@ def report(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="With --scenario; default: 0.")] = None,
     severity: Annotated[
-        float | None, typer.Option(help="With --scenario: how bad the change is, in its own unit.")
+        float | None, typer.Option(help="With --scenario: size of the change, in its own unit.")
     ] = None,
     element: Annotated[
         str | None, typer.Option(help="With --scenario: joint to which it happens alone.")
