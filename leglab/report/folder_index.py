@@ -187,9 +187,7 @@ def _comparison(place: Path, files: set[str]) -> dict[str, Any]:
         content = read_comparison(place)
     except LeglabError as error:
         return {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
-    told = "; ".join(
-        f"{name}: {closest(content, name).partition(';')[0]}" for name in content["scenarios"]
-    )
+    told = "; ".join(f"{name}: {closest(content, name)}" for name in content["scenarios"])
     if "report.html" not in files:
         told += "; it has no page: leglab report writes one"
     return {

@@ -80,6 +80,22 @@ def test_intervals_are_drawn_where_their_numbers_are(tmp_path):
     assert text.count("data:image/png") == 1  # the error over time, of one scenario
 
 
+def test_controllers_whose_intervals_overlap_are_not_told_apart(tmp_path):
+    summary = write_comparison(tmp_path / "c")
+    assert '<h1 id="summary">Closest to the reference: bsnn_arx in seal_wear.</h1>' in page(
+        tmp_path / "c"
+    )
+    cells = summary["results"]["seal_wear"]
+    cells["static_feedforward"]["after_rad"] |= {"mean": 0.0022, "half_width": 0.0002}
+    (tmp_path / "c" / "compare.json").write_text(json.dumps(summary))
+    told = html.unescape(re.sub("<[^>]*>", "", page(tmp_path / "c")))
+    assert "No controller is clearly the closest in seal_wear." in told
+    assert (
+        "bsnn_arx 2.02 ± 0.05 mrad, not told apart from static_feedforward 2.20 ± 0.20 mrad; "
+        "pd 40.40 ± 0.99 mrad." in told
+    )
+
+
 def test_one_seed_has_no_intervals_and_says_so(tmp_path):
     write_comparison(tmp_path / "c", seeds=1, controllers=("pd",))
     words = " ".join(Elements(page(tmp_path / "c")).texts)

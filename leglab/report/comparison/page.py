@@ -14,7 +14,7 @@ from leglab.base.output import write_atomically
 from leglab.report.comparison import words
 from leglab.report.figures import comparison_figure
 from leglab.report.page.shell import Linked, Section, Table, file_link, render
-from leglab.report.page.wording import listed, number
+from leglab.report.page.wording import capital, listed, number
 from leglab.report.run.page import PAGE
 from leglab.report.style import SERIES, style
 from leglab.runs.comparison import StoredRun, read_comparison, stored_runs
@@ -90,16 +90,18 @@ def page(folder: Path, base: Path | None = None) -> str:
 
 
 def _headline(summary: dict[str, Any]) -> str:
+    if len(summary["controllers"]) == 1:
+        told = (f"{name}: {words.closest(summary, name)}" for name in summary["scenarios"])
+        return f"Error after the change in {'; '.join(told)}."
     wins: dict[str, list[str]] = {}
     for scenario in summary["scenarios"]:
-        told = words.closest(summary, scenario)
-        clear = "not told apart" not in told and "no run" not in told
-        wins.setdefault(told.split(" ")[0] if clear else "", []).append(scenario)
+        alike, _ = words.ranked(summary, scenario)
+        wins.setdefault(alike[0] if len(alike) == 1 else "", []).append(scenario)
     best = [f"{name} in {listed(tuple(places))}" for name, places in wins.items() if name]
-    text = f"Closest to the reference: {', '.join(best)}" if best else "No clear order"
-    if open_ := wins.get(""):
-        text += f"; no controller is clearly the closest in {listed(tuple(open_))}"
-    return f"{text}."
+    text = f"Closest to the reference: {', '.join(best)}; " if best else ""
+    if unclear := wins.get(""):
+        text += f"no controller is clearly the closest in {listed(tuple(unclear))}"
+    return f"{capital(text.removesuffix('; '))}."
 
 
 def _sections(summary: dict[str, Any]) -> list[Section]:
@@ -109,7 +111,11 @@ def _sections(summary: dict[str, Any]) -> list[Section]:
         f"controller, and {words.seeds(summary)} of each.",
         f"Seeds differ in {words.drawn(summary)}.",
     )
-    closest = tuple(f"{words.closest(summary, name)}." for name in summary["scenarios"])
+    closest = tuple(
+        f"{words.closest(summary, name)}" + (f"; {rest}." if rest else ".")
+        for name in summary["scenarios"]
+        for rest in (words.farther(summary, name),)
+    )
     sections = [
         Section(title="What was compared", lines=told),
         Section(

@@ -74,29 +74,46 @@ def drawn(summary: dict[str, Any]) -> str:
     return ", ".join([*found, "sensor noise"])
 
 
-def closest(summary: dict[str, Any], scenario: str) -> str:
-    """Who follows most closely after the change, and whether the intervals tell it apart."""
+def ranked(summary: dict[str, Any], scenario: str) -> tuple[list[str], list[str]]:
+    """Controllers by their error after the change, the least first.
+
+    Returns:
+        Those whose intervals overlap that of the first, with it; and the others. Controllers of
+        which no run came to the end are in none.
+    """
     known = {
-        name: cell["after_rad"]
+        name: (cell["after_rad"]["mean"], cell["after_rad"]["half_width"] or 0.0)
         for name, cell in summary["results"][scenario].items()
         if cell["after_rad"]["mean"] is not None
     }
-    if not known:
+    order = sorted(known, key=lambda name: known[name][0])
+    if not order:
+        return [], []
+    top = sum(known[order[0]])
+    alike = [name for name in order if known[name][0] - known[name][1] <= top]
+    return alike, [name for name in order if name not in alike]
+
+
+def closest(summary: dict[str, Any], scenario: str) -> str:
+    """Who follows most closely after the change, and whether the intervals tell it apart."""
+    alike, _ = ranked(summary, scenario)
+    if not alike:
         return "no run came to the end"
-    best, *others = sorted(known, key=lambda name: known[name]["mean"])
+    best, *others = (_told(summary, scenario, name) for name in alike)
+    return f"{best}, not told apart from {listed(tuple(others))}" if others else best
 
-    def told(name: str) -> str:
-        return f"{name} {interval(known[name], 1e3, 2)} {summary['unit']}"
 
-    top = known[best]["mean"] + (known[best]["half_width"] or 0.0)
-    alike = tuple(n for n in others if known[n]["mean"] - (known[n]["half_width"] or 0.0) <= top)
-    text = told(best)
-    if alike:
-        text += f", not told apart from {listed(tuple(told(name) for name in alike))}"
-    rest = tuple(told(name) for name in others if name not in alike)
-    shown = listed(rest[:_MOST_TOLD]) if len(rest) <= _MOST_TOLD else ", ".join(rest[:_MOST_TOLD])
-    more = f" and {len(rest) - _MOST_TOLD} more" if len(rest) > _MOST_TOLD else ""
-    return f"{text}; {shown}{more}" if rest else text
+def farther(summary: dict[str, Any], scenario: str) -> str:
+    """The other controllers, some of them where they are many; empty for none."""
+    _, rest = ranked(summary, scenario)
+    told = [_told(summary, scenario, name) for name in rest[:_MOST_TOLD]]
+    told += [f"{len(rest) - _MOST_TOLD} more"] * (len(rest) > _MOST_TOLD)
+    return listed(tuple(told))
+
+
+def _told(summary: dict[str, Any], scenario: str, name: str) -> str:
+    error = summary["results"][scenario][name]["after_rad"]
+    return f"{name} {interval(error, 1e3, 2)} {summary['unit']}"
 
 
 def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
