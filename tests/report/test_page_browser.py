@@ -1,6 +1,8 @@
 """Pages in a real browser: Chromium loads the files from disk, as a reader does."""
 
+import base64
 import contextlib
+import io
 import os
 import re
 import shutil
@@ -11,12 +13,15 @@ from types import SimpleNamespace
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from leglab.diagnosis.result import Estimate
 from leglab.report.comparison.page import write_comparison_page
 from leglab.report.diagnosis.page import write_page
 from leglab.report.folder_index import write_index
+from leglab.report.page.shell import asset
 from leglab.report.run.page import write_report
+from leglab.report.style import SERIES
 from leglab.report.sweep.page import write_sweep_page
 from leglab.runs.folder import read_runs
 from tests.helpers import page_watch
@@ -158,6 +163,37 @@ def test_the_dark_page_is_dark_in_its_plots_as_well(browser, pages):
         page.emulate_media(color_scheme="light")
         until(page, "document.getElementById('plot-error').layout.font.color === '#1b1b1b'")
         assert look() == ["rgb(255, 255, 255)", "#000000", "#1b1b1b"]
+
+
+def test_curves_of_pictures_are_seen_in_the_dark(browser):
+    colors = "".join(
+        f'<rect width="9" height="9" x="{9 * i}" fill="{c}"/>' for i, c in enumerate(SERIES)
+    )
+    back = '<rect width="90" height="9" fill="white"/>'
+    drawn = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 90 9">{back}{colors}</svg>'
+    data = base64.b64encode(drawn.encode()).decode()
+    with page_watch.watched(browser, viewport=DESKTOP, color_scheme="dark") as (page, _):
+        page.set_content(
+            f"<style>{asset('page.css')}</style><img src='data:image/svg+xml;base64,{data}'>"
+        )
+        shot = page.locator("img").screenshot()
+        paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    pixels = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"))
+    at = [pixels[pixels.shape[0] // 2, pixels.shape[1] * (2 * i + 1) // 20] for i in range(10)]
+    assert paper == f"rgb({', '.join(str(v) for v in at[-1])})"
+    for color, pixel in zip(SERIES, at, strict=False):
+        assert _contrast(pixel, at[-1]) > 4.5, color
+
+
+def _contrast(one, other):
+    """Ratio of luminances as WCAG 2 defines it."""
+
+    def luminance(rgb):
+        share = np.asarray(rgb) / 255.0
+        linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722)) + 0.05
+
+    return max(luminance(one), luminance(other)) / min(luminance(one), luminance(other))
 
 
 def test_the_film_plays_from_the_page_alone(browser, pages, tmp_path):
