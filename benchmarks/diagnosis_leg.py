@@ -210,7 +210,7 @@ def measure(options: argparse.Namespace) -> Any:
         key=lambda one: (one.kind, one.number),
         parse=TypeAdapter(Outcome).validate_python,
         processes=options.jobs,
-        progress=lambda last, done, total: print(f"{done} of {total} {last}", flush=True),
+        progress=lambda done, total, last: print(f"{done} of {total} {last}", flush=True),
     )
     rows = [
         {

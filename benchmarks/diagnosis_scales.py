@@ -15,9 +15,7 @@ are the same motion as well, so that no recording of this machine tells them apa
 """
 
 import argparse
-import json
 import math
-import os
 import sys
 import textwrap
 from functools import partial
@@ -25,13 +23,15 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
 from benchmarks import results
+from benchmarks.self_test.outcomes import TIMEOUT, lines
+from leglab.base.errors import SimulationError
 from leglab.base.output import write_atomically
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.jobs.engine import executor, make_missing
 from leglab.report.style import DARK_GREY, LIGHT_GREY, SERIES, VERMILION, style
 from rigs import PENDULUM
 from rigs.hinge import record_hinge
@@ -96,9 +96,10 @@ def model(scale: float) -> str:
     return str(spec.to_xml())
 
 
-def run(effect: str, scale: float, folder: Path) -> dict[str, Any]:
-    """One row; the copy's model is kept in a folder."""
-    path = folder / f"hinge_{scale:g}.xml"
+def run(given: dict[str, Any]) -> dict[str, Any]:
+    """One row, of `effect` and `scale`; the copy's model is kept in `folder`."""
+    effect, scale = given["effect"], given["scale"]
+    path = Path(given["folder"]) / f"hinge_{scale:g}.xml"
     write_atomically(path, lambda file: file.write(model(scale).encode()))
     hidden = {EFFECTS[effect][0]: size(effect, scale)}
     logs = {k: record_hinge(k, hidden, scale=scale, seed=i) for i, k in enumerate(KINDS)}
@@ -110,25 +111,22 @@ def run(effect: str, scale: float, folder: Path) -> dict[str, Any]:
     row = {"effect": effect, "scale": scale, "size": size(effect, scale), "named": told}
     row |= {"verdict": result.verdict, "confidence": max(sure, default=0.0), "values": values}
     row |= {"explained": gap.explained, "before": gap.before, "after": gap.after}
-    return row | {"seconds": result.seconds}
+    return results.rounded(row | {"seconds": result.seconds})
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Makes the rows that the file lacks, adds each to it, and draws all that were asked for."""
-    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that joblib starts
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    kept = options.out.read_text().splitlines() if options.out.exists() else []
-    rows = {(row["effect"], row["scale"]): row for row in map(json.loads, kept)}
     cases = [(effect, scale) for scale in options.scales for effect in options.effects]
-    work = delayed(partial(run, folder=options.out.parent))
-    made = Parallel(n_jobs=options.jobs, return_as="generator_unordered", batch_size=1)(
-        work(*case) for case in cases if case not in rows
+    rows = lines(options.out, lambda row: (row["effect"], row["scale"]))
+    problems = make_missing(
+        executor(run, options.jobs, timeout=TIMEOUT),
+        cases,
+        rows,
+        lambda case: {"effect": case[0], "scale": case[1], "folder": str(options.out.parent)},
+        progress=lambda done, total, last: print(f"{done} of {total} {last}", file=sys.stderr),
     )
-    for row in map(results.rounded, made):
-        rows[row["effect"], row["scale"]] = row
-        with options.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(*(row[key] for key in ("effect", "scale", "verdict", "named")), file=sys.stderr)
+    for case, problem in problems.items():
+        raise SimulationError(f"case {case}: {problem}")
     asked = [rows[case] for case in cases]
     with style():
         path = options.figure or options.out.with_suffix(".png")

@@ -29,7 +29,7 @@ def measure(options: argparse.Namespace) -> Any:
     where = {"processes": options.jobs, "scheduler": options.scheduler}
     with claimed_folder(options.out), progress("self-test", options.cases) as show:
 
-        def tell(label: str, done: int, total: int) -> None:
+        def tell(done: int, total: int, label: str) -> None:
             show(description=label or "self-test", completed=done, total=total)
 
         if not options.rough and options.sizes == "gross":

@@ -26,7 +26,6 @@ from leglab.runs.sweeps import store
 from leglab.runs.sweeps.engine import run_sweep
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
-from leglab.runs.sweeps.rows import schema
 
 SHORT = {"model": "knee_bench", "duration": 1.0, "controller": "pd", "scenario": "seal_wear"}
 LONG = {"model": "leg", "duration": 40.0, "controller": "bsnn_arx", "scenario": "seal_wear"}
@@ -103,11 +102,13 @@ def books(folder: Path, count: int) -> dict[str, float]:
     small = run_sweep(plan_of(SHORT, 20), folder / "small", workers=2)
     templates = small.table().to_pylist()
     plan = plan_of(SHORT, count)
-    record = store.read_record(folder / "small").model_copy(update={"runs": count})
+    record = store.read_record(folder / "small").model_copy(
+        update={"plan": plan.content, "runs": count}
+    )
     place = folder / "books"
     place.mkdir()
     store.write_json(record, place / store.SWEEP)
-    kept = store.Store(place, record, schema(plan))
+    kept = store.Store(place, plan)
     start = time.process_time()
     for number in range(count):
         row = dict(templates[number % len(templates)], run=number, seed=number)
@@ -115,12 +116,11 @@ def books(folder: Path, count: int) -> dict[str, float]:
         for name, value in row.items():
             if isinstance(value, float):
                 row[name] = value * (1 + 1e-9 * number)
-        kept.add(row)
-    kept.compact()
-    kept.close()
+        kept.keep(row)
+    kept.finish()
     keeping = time.process_time() - start
     start = time.process_time()
-    store.Store(place, record, schema(plan)).close()
+    store.Store(place, plan).close()
     opening = time.process_time() - start
     start = time.process_time()
     ask(

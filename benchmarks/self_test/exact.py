@@ -18,6 +18,7 @@ from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.jobs.engine import Progress
 from rigs.bench import (
     FAULTS,
     SUDDEN,
@@ -167,7 +168,7 @@ def self_test(
     processes: int = -1,
     scheduler: str | None = None,
     kinds: Iterable[str] = tuple(_SHARES),
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Runs the cases that FOLDER/outcomes.jsonl does not hold yet, and returns all.
 
@@ -178,7 +179,7 @@ def self_test(
         processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
         scheduler: Address of a Dask scheduler whose workers run the cases.
         kinds: Of cases to run.
-        progress: Called with the last case, the number done and the total.
+        progress: Called with the number done, the total and the last case.
 
     Raises:
         LeglabError: A kind does not exist, or a case came to no outcome.

@@ -1,13 +1,15 @@
 """Outcomes of a self-test in a file, one JSON line a case, so that an interrupted test goes on."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 from leglab.base.errors import SimulationError
-from leglab.jobs.engine import answers
+from leglab.jobs.engine import Progress, Results, executor, make_missing
 from leglab.jobs.work import Work
 
 Case = TypeVar("Case")
@@ -15,7 +17,7 @@ Result = TypeVar("Result")
 Key = tuple[str, int]  # kind and number
 
 # A diagnosis may take so long [s].
-_TIMEOUT = 4 * 3600.0
+TIMEOUT = 4 * 3600.0
 
 
 def run_missing(
@@ -29,7 +31,7 @@ def run_missing(
     settings: dict[str, Any] | None = None,
     processes: int = -1,
     scheduler: str | None = None,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress | None = None,
 ) -> list[Result]:
     """Runs the cases whose outcome a file lacks, adds them to it, and returns all.
 
@@ -44,46 +46,46 @@ def run_missing(
         settings: What all cases share.
         processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
         scheduler: Address of a Dask scheduler whose workers run the cases.
-        progress: Called with the last case, the number done and the total.
+        progress: Called with the number done, the total and the last case.
 
     Raises:
         LeglabError: A case came to no outcome; those of the others are kept.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    wanted = {key(case) for case in cases}
-    found = {key(o): o for o in map(parse, _rows(path)) if key(o) in wanted and done(o)}
-    rest = [case for case in cases if key(case) not in found]
-    counts = {kind: sum(k == kind for k, _ in wanted) for kind, _ in wanted}
-    rest.sort(key=lambda case: (key(case)[1] + 0.5) / counts[key(case)[0]])
-    progress("", len(found), len(cases))
-    given = (
-        (number, {"case": asdict(case), "settings": settings or {}})  # type: ignore[call-overload]
-        for number, case in enumerate(rest)
+    by_key = {key(case): case for case in cases}
+    kept = lines(path, key, parse, done)
+    counts = Counter(kind for kind, _ in by_key)
+    problems = make_missing(
+        executor(work, processes, scheduler, timeout=TIMEOUT),
+        sorted(by_key, key=lambda one: (one[1] + 0.5) / counts[one[0]]),
+        kept,
+        lambda one: {"case": asdict(by_key[one]), "settings": settings or {}},  # type: ignore[call-overload]
+        told=lambda one: f"{one[0]} {one[1]}",
+        progress=progress,
     )
-    problems = []
-    with path.open("a") as stream:
-        for place, answer, _ in answers(
-            work, given, workers=processes, scheduler=scheduler, timeout=_TIMEOUT
-        ):
-            kind, number = key(rest[place])
-            if "result" not in answer:
-                problems.append(f"case {kind} {number}: {answer.get('error')}")
-                continue
-            stream.write(json.dumps(answer["result"]) + "\n")
-            stream.flush()
-            found[kind, number] = parse(answer["result"])
-            progress(f"{kind} {number}", len(found), len(cases))
-    if problems:
+    for (kind, number), problem in problems.items():
         others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise SimulationError(f"{problems[0]}{others}; the other outcomes are in {path}")
-    return [found[key(case)] for case in cases]
+        raise SimulationError(
+            f"case {kind} {number}: {problem}{others}; the other outcomes are in {path}"
+        )
+    return [kept[one] for one in by_key]
 
 
-def _rows(path: Path) -> list[Any]:
-    rows = []
+def lines(
+    path: Path,
+    key: Callable[[Any], Any],
+    parse: Callable[[Any], Any] = dict,
+    done: Callable[[Any], bool] = lambda _: True,
+) -> Results:
+    """Outcomes that a file holds, one JSON line each; to it those are added that come."""
+    found = []
+    path.parent.mkdir(parents=True, exist_ok=True)
     for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:  # the line that an interruption cut off
-            continue
-    return rows
+        with suppress(json.JSONDecodeError):  # the line that an interruption cut off
+            found.append(parse(json.loads(line)))
+
+    def keep(_: Any, row: Any) -> Any:
+        with path.open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
+        return parse(row)
+
+    return Results({key(one): one for one in found if done(one)}, keep)

@@ -6,7 +6,7 @@ the diagnosis said as it said it; scores are drawn from that alone.
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -23,6 +23,7 @@ from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.jobs.engine import Progress
 from rigs.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 
 MODEL = "knee_bench"
@@ -232,7 +233,7 @@ def rough_self_test(
     processes: int = -1,
     scheduler: str | None = None,
     kinds: Iterable[str] = tuple(SHARES),
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress | None = None,
 ) -> list[RoughOutcome]:
     """Runs the cases whose outcome the folder lacks, and returns all.
 
@@ -243,7 +244,7 @@ def rough_self_test(
         processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
         scheduler: Address of a Dask scheduler whose workers run the cases.
         kinds: Of cases to run.
-        progress: Called with the last case, the number done and the total.
+        progress: Called with the number done, the total and the last case.
 
     Raises:
         LeglabError: A kind does not exist, or a case came to no outcome.

@@ -208,6 +208,28 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
             remove([workplace])
 
 
+def writer_elsewhere(folder: Path) -> str:
+    """Process of another machine that writes to a folder now: "process 123 on HOST", or nothing."""
+    with suppress(OSError), (folder / _LOCK).open() as lock:
+        owner = lock.read().strip()
+        if owner and not owner.endswith(f" on {socket.gethostname()}"):
+            try:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return owner
+    return ""
+
+
+def has_locks(path: Path) -> bool:
+    """Whether the file system of a file has the locks of POSIX."""
+    with suppress(FileNotFoundError), path.open() as file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:
+            return error.errno not in _NO_LOCKS
+    return True
+
+
 def cannot_write(path: Path, error: OSError) -> FileError:
     """Returns the error of a file or folder that cannot be written, with the system's reason."""
     return FileError(f"{path}: cannot be written: {error.strerror or error}", given=path)

@@ -80,7 +80,7 @@ def report(
     load_plugins(load)
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.comparison import is_comparison
-    from leglab.runs.folder import check_runs, make_runs, read_runs
+    from leglab.runs.folder import check_runs, check_settings, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
     from leglab.runs.sweeps.store import is_sweep
 
@@ -134,7 +134,9 @@ def report(
         )
         names = (controllers or "pd,static_feedforward").split(",")
         settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
-        make = partial(make_runs, settings, place / "runs", jobs=jobs, overwrite=overwrite)
+        check_settings(settings)
+        places = [place / "runs" / run.controller for run in settings]
+        make = partial(make_runs, settings, places, jobs=jobs, overwrite=overwrite)
         made = partial(make_many, "running", len(settings), make)
     with claimed_folder(place) as workplace:
         runs = read_runs(made() if scenario else folders or ())

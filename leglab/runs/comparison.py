@@ -15,7 +15,7 @@ from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.base.units import error_unit
-from leglab.jobs.engine import Progress, answers
+from leglab.jobs.engine import Progress, Results, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import check_tolerance
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
@@ -129,36 +129,28 @@ def run_all(
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     code = fingerprint()
-    stored: dict[int, dict[str, Any]] = {}
+
+    def keep(number: int, result: dict[str, Any]) -> dict[str, Any]:
+        kept = {**result, "code": code}
+        text = json.dumps(kept, allow_nan=False).encode()
+        write_atomically(_path(runs[number], folder), lambda file: file.write(text))
+        return kept
+
     with claimed_folder(folder):
-        for number, run in enumerate(runs):
-            if not overwrite and (found := _stored(run, folder, code)) is not None:
-                stored[number] = found
-        todo = [number for number in range(len(runs)) if number not in stored]
-        if progress:
-            progress(len(stored), len(runs), "")
-        given = ((number, asdict(runs[number])) for number in todo)
-        workers = min(jobs, max(len(todo), 1))
-        problems: list[str] = []
-        for number, answer, _ in answers(result_of, given, workers=workers, scheduler=scheduler):
-            run = runs[number]
-            if "result" in answer:
-                stored[number] = {**answer["result"], "code": code}
-                text = json.dumps(stored[number], allow_nan=False)
-                _write(text, _path(run, folder))
-            else:
-                problems.append(str(answer.get("error")))
-                stored[number] = _failed(run, problems[-1])
-            if progress:
-                told = f"{run.scenario} · {run.controller} · seed {run.seed}"
-                progress(len(stored), len(runs), told)
+        found = {} if overwrite else {n: _stored(run, folder, code) for n, run in enumerate(runs)}
+        results = Results({n: result for n, result in found.items() if result}, keep)
+        problems = make_missing(
+            executor(result_of, jobs, scheduler),
+            range(len(runs)),
+            results,
+            lambda number: asdict(runs[number]),
+            told=lambda n: f"{runs[n].scenario} · {runs[n].controller} · seed {runs[n].seed}",
+            progress=progress,
+        )
     if problems and len(problems) == len(runs):
-        raise SimulationError(problems[0])
-    return [stored[number] for number in range(len(runs))]
-
-
-def _write(text: str, path: Path) -> None:
-    write_atomically(path, lambda file: file.write(text.encode()))
+        raise SimulationError(next(iter(problems.values())))
+    results |= {number: _failed(runs[number], problem) for number, problem in problems.items()}
+    return [results[number] for number in range(len(runs))]
 
 
 def _path(settings: RunSettings, folder: Path) -> Path:
@@ -172,11 +164,8 @@ def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | 
         result = read_json(_path(settings, folder))
     except LeglabError:
         return None
-    same = (
-        isinstance(result, dict)
-        and result.get("settings") == asdict(settings)
-        and result.get("code") == code
-    )
+    wanted = {"settings": asdict(settings), "code": code}
+    same = isinstance(result, dict) and wanted.items() <= result.items()
     return result if same else None
 
 
@@ -284,22 +273,11 @@ def result_of(settings: dict[str, Any]) -> dict[str, Any]:
 
 def _failed(run: RunSettings, problem: str) -> dict[str, Any]:
     """The result of a run that came to nothing."""
-    return {
-        "settings": asdict(run),
-        "metrics": {
-            "scenario": run.scenario,
-            "controller": run.controller,
-            "seed": run.seed,
-            "completed": False,
-            "failure": problem,
-            "phases": [],
-        },
-        "changes": [],
-        "window": None,
-        "time": [],
-        "windowed_error_rad": [],
-        "safety_error_rad": [],
-        "travel_rad": {},
+    metrics = {"scenario": run.scenario, "controller": run.controller, "seed": run.seed}
+    metrics |= {"completed": False, "failure": problem, "phases": []}
+    found = {"settings": asdict(run), "metrics": metrics, "window": None, "travel_rad": {}}
+    return found | {
+        name: [] for name in ("changes", "time", "windowed_error_rad", "safety_error_rad")
     }
 
 

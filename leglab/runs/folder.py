@@ -17,9 +17,9 @@ from leglab.base.errors import (
     SimulationError,
 )
 from leglab.base.input import read_json
-from leglab.base.output import check_folder, claimed_folder, new_folder
+from leglab.base.output import check_folder, new_folder
 from leglab.base.recording import Recording
-from leglab.jobs.engine import Progress, answers
+from leglab.jobs.engine import TIMEOUT, Progress, Results, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
 from leglab.runs import record
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
@@ -307,10 +307,11 @@ def check_settings(runs: Sequence[RunSettings]) -> None:
 
 def make_runs(
     runs: Sequence[RunSettings],
-    folder: Path,
+    folders: Sequence[Path],
     *,
     jobs: int = -1,
     overwrite: bool = False,
+    timeout: float = TIMEOUT,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Makes the folders of runs that are not there yet.
@@ -320,43 +321,38 @@ def make_runs(
     `leglab.runs.comparison` has it; another one is replaced.
 
     Args:
-        runs: What to run, each with another controller.
-        folder: Where the folders lie, each with the name of its controller.
+        runs: What to run.
+        folders: Where each run goes.
         jobs: Processes at a time; -1 is one a core.
         overwrite: Whether to repeat runs that are there.
+        timeout: Wall time that a run may take [s].
         progress: Called after each run.
 
     Returns:
-        The folders in the order of the runs.
+        The folders.
 
     Raises:
-        LeglabError: As `check_settings`, a run cannot be set up, a folder cannot be written or
-            holds something other than a run, or another process writes to it.
+        LeglabError: A run cannot be set up, a folder cannot be written or holds something other
+            than a run, or another process writes to it. The other runs are made.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
-    check_settings(runs)
     code = fingerprint()
-    folders = [folder / run.controller for run in runs]
-    todo = [
-        number
-        for number, run in enumerate(runs)
-        if overwrite or not _is_made(run, folders[number], code)
-    ]
-    for number in todo:
-        check_folder(folders[number], mark=METRICS, overwrite=True)
-    given = ((n, {"settings": asdict(runs[n]), "folder": str(folders[n].absolute())}) for n in todo)
-    done = len(runs) - len(todo)
-    with claimed_folder(folder):
-        if progress:
-            progress(done, len(runs), "")
-        workers = min(jobs, max(len(todo), 1))
-        for number, answer, _ in answers(make_folder, given, workers=workers):
-            if "result" not in answer:
-                raise SimulationError(str(answer.get("error")))
-            done += 1
-            if progress:
-                progress(done, len(runs), f"{runs[number].scenario} · {runs[number].controller}")
-    return folders
+    numbers = range(len(runs))
+    made = [n for n in numbers if not overwrite and _is_made(runs[n], folders[n], code)]
+    for number in numbers:
+        if number not in made:
+            check_folder(folders[number], mark=METRICS, overwrite=True)
+    problems = make_missing(
+        executor(make_folder, jobs, timeout=timeout),
+        numbers,
+        Results(dict.fromkeys(made), lambda *_: None),
+        lambda n: {"settings": asdict(runs[n]), "folder": str(folders[n].absolute())},
+        told=lambda n: f"{runs[n].scenario} · {runs[n].controller}",
+        progress=progress,
+    )
+    for problem in problems.values():
+        raise SimulationError(problem)
+    return list(folders)
 
 
 def _asked(settings: RunSettings) -> dict:

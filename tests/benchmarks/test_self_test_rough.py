@@ -315,8 +315,8 @@ def test_an_interrupted_test_goes_on_where_it_was(tmp_path):
     again = run_all(path, cases, run, progress=lambda *state: told.append(state))
     # What was lost, cut off or had failed.
     assert sorted(ran[6:]) == [("single", 1), ("single", 2), ("single", 3)]
-    assert told[0] == ("", 3, 6)
-    assert told[-1][1:] == (6, 6)
+    assert told[0] == (3, 6, "")
+    assert told[-1][:2] == (6, 6)
     assert again[0] == first[0]
     assert not any(o.error for o in again)
 

@@ -5,7 +5,6 @@ from statistics import median
 
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.plan import SweepPlan
-from leglab.runs.sweeps.rows import row_of, schema
 
 SIZES, SEEDS = (3.0, 25.0), 3
 
@@ -52,7 +51,7 @@ def write_sweep(
     )
     folder.mkdir(parents=True)
     store.write_json(record, folder / store.SWEEP)
-    books, times = store.Store(folder, record, schema(plan)), {}
+    books, times = store.Store(folder, plan), {}
     for number, settings in enumerate(plan):
         t90 = round(0.2 + 0.1 * number, 3) if number % 5 else None
         if number in failed:
@@ -65,9 +64,8 @@ def write_sweep(
                 figures |= {"recovered": None, "t90_s": None, "not_told": untold[number]}
                 times[settings.controller, settings.severity].pop()
             answer = {"result": {**figures, "valve_travel": 5.0, "effort": 0.1}}
-        books.add(row_of(plan, number, answer, "here"))
-    books.compact()
-    books.close()
+        books.add(number, answer, "here")
+    books.finish()
     return times
 
 

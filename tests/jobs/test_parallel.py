@@ -9,14 +9,14 @@ import time
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.jobs.engine import answers
+from leglab.jobs.engine import Results, executor, make_missing
 from leglab.jobs.work import WorkError, name_of, work_of
 
 # Slow enough to be interrupted, and told by a file of its own that it has begun.
 _SLEEP = """
 import os, sys, time
 from pathlib import Path
-from leglab.jobs.engine import answers
+from leglab.jobs.engine import executor
 
 def make(given):
     Path(f"begun-{os.getpid()}").touch()
@@ -27,7 +27,10 @@ if __name__ == "__main__":
     import typer
     command = typer.Typer(cls=app.Commands)
     command.callback()(lambda: None)
-    command.command("work")(lambda: list(answers(make, [(1, {}), (2, {})], workers=2)))
+    @command.command("work")
+    def work():
+        with executor(make, 2) as answered:
+            list(answered(iter([(1, {}), (2, {})])))
     app.execute(command, ["work"])
 """
 
@@ -66,14 +69,15 @@ def test_workers_end_with_the_process_that_started_them(tmp_path, number):
 
 
 _SUM = """
-from leglab.jobs.engine import answers
+from leglab.jobs.engine import executor
 
 def size(given):
     return abs(given["x"])
 
 if __name__ == "__main__":
-    found = answers(size, ((n, {"x": n}) for n in (-1, 2)), workers=2)
-    print(sum(answer["result"] for _, answer, _ in found))
+    with executor(size, 2) as answered:
+        found = answered((n, {"x": n}) for n in (-1, 2))
+        print(sum(answer["result"] for _, answer, _ in found))
 """
 
 
@@ -107,12 +111,18 @@ def odd(given):
     return {"kind": kind, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
 
 
+def answers(work, given, workers=-1, **terms):
+    """All answers."""
+    with executor(work, workers, **terms) as answered:
+        return list(answered(iter(given)))
+
+
 KINDS = ("dies", "hangs", "raises", "refuses", "says how", "is infinite", "works", "works")
 
 
 def test_whatever_work_does_the_rest_is_done():
     given = ((number, {"kind": kind}) for number, kind in enumerate(KINDS))
-    found = {number: answer for number, answer, _ in answers(odd, given, workers=2, timeout=5.0)}
+    found = {n: answer for n, answer, _ in answers(odd, given, workers=2, timeout=5.0)}
     told = {KINDS[n]: (a["kind"], a["error"]) for n, a in found.items() if "error" in a}
     assert told["dies"][0] == "died"
     assert "signal 9 SIGKILL" in told["dies"][1]
@@ -133,13 +143,13 @@ def test_whatever_work_does_the_rest_is_done():
 
 def test_one_worker_is_this_process_and_may_do_what_has_no_name():
     seen = []
-    found = list(answers(lambda given: seen.append(given), [(7, {"a": 1})], workers=1))
+    found = answers(lambda given: seen.append(given), [(7, {"a": 1})], workers=1)
     assert [(number, answer["result"]) for number, answer, _ in found] == [(7, None)]
     assert seen == [{"a": 1}]
     ((_, answer, _),) = answers(odd, [(0, {"kind": "raises"})], workers=1)
     assert answer["kind"] == "exception"
     with pytest.raises(LeglabError, match="cannot be called by another process"):
-        list(answers(lambda given: None, [(0, {}), (1, {})], workers=2))
+        executor(lambda given: None, 2)
 
 
 def test_work_has_a_name_by_which_other_processes_find_it(tmp_path):
@@ -154,4 +164,23 @@ def test_work_has_a_name_by_which_other_processes_find_it(tmp_path):
 
 def test_workers_go_without_a_scheduler():
     with pytest.raises(LeglabError, match="workers are processes of this machine"):
-        list(answers(odd, [(0, {})], workers=2, scheduler="tcp://127.0.0.1:1"))
+        executor(odd, 2, "tcp://127.0.0.1:1")
+
+
+def test_what_is_missing_is_made_once_and_told():
+    kept, told = Results({"b": 1}, lambda _, result: result), []
+    keys, given = ["a", "b", "c", "d"], {"a": {"x": 4}, "c": {"x": 0}, "d": {"x": 2}}
+
+    def ready():  # Of d it is known what to do as soon as a is there.
+        return (key for key in keys if key != "d" or "a" in kept)
+
+    here = executor(lambda given: 8 / given["x"], 1)
+    options = {"ready": ready, "progress": lambda *report: told.append(report)}
+    problems = make_missing(here, keys, kept, given.__getitem__, **options)
+    assert problems["c"].startswith("ZeroDivisionError")
+    assert list(problems) == ["c"]
+    assert kept == {"a": 2, "b": 1, "d": 4}
+    assert told == [(1, 4, ""), (2, 4, "a"), (3, 4, "c"), (4, 4, "d")]
+    # What came to nothing is made again, nothing else is.
+    assert make_missing(here, keys, kept, {"c": {"x": 1}}.__getitem__) == {}
+    assert kept["c"] == 8

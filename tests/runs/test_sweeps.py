@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from leglab.runs.sweeps import engine, store
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
 from leglab.runs.sweeps.plan import SweepPlan, read_plan
 from leglab.runs.sweeps.query import ask
-from leglab.runs.sweeps.rows import MADE
+from leglab.runs.sweeps.rows import MADE, row_of
 from tests.cli.test_cli import leglab as command_line
 
 BENCH = {"model": "knee_bench", "scenario": "seal_wear", "controller": "pd", "duration": 0.3}
@@ -216,7 +217,7 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
     class Stopped(jobs.Processes):
         def _serve(self, runner, number):
             first = self._requests
-            self._requests = (t for t in first if not asked.append(t[0]))
+            self._requests = (t for t in first if not asked.append(t[1]["settings"]["seed"]))
             super()._serve(runner, number)
 
     def stop(done, total, label):
@@ -283,12 +284,11 @@ def test_a_sweep_that_is_replaced_stays_until_the_new_one_is_whole(tmp_path, mon
 
 def there(folder: Path) -> list[dict]:
     """Rows of a sweep that may not have begun."""
-    return rows(folder) if (folder / store.DATASET).exists() else []
+    return rows(folder) if store.is_sweep(folder) else []
 
 
-def _be_killed(content, folder, journal_rows):
+def _be_killed(content, folder):
     os.setsid()
-    store._JOURNAL_ROWS = journal_rows
     run_sweep(SweepPlan(content), folder, workers=2)
 
 
@@ -312,7 +312,7 @@ def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
     for number in range(sweeps):
         folder, before = tmp_path / f"s{number}", 0
         for kill in range(each):
-            process = context.Process(target=_be_killed, args=(content, folder, 9))
+            process = context.Process(target=_be_killed, args=(content, folder))
             process.start()
             time.sleep(chance.uniform(0.02, 1.7))
             # Every other one while rows come, however long the start takes.
@@ -331,74 +331,70 @@ def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
         assert rows(folder) == wanted
         parts = sorted(path.name for path in (folder / "runs").rglob("*") if path.is_file())
         assert len(parts) == 2
-        assert {p.name for p in folder.iterdir()} <= {
-            "sweep.json", "dataset.json", "runs", *(p.name for p in folder.glob("journal-*"))
-        }  # fmt: skip
+        assert {p.name for p in folder.iterdir()} == {"sweep.json", "dataset.json", "runs"}
     assert kills == sweeps * each
 
 
-def answers(plan, folder, numbers):
-    """Rows as a sweep would keep them, without running anything."""
-    return [
-        {
-            **dict.fromkeys(engine.schema(plan).names),
-            "run": n,
-            "scenario": "seal_wear",
-            "controller": "pd/%",
-            "status": "ok",
-            "rms_rad": n / 7,
-            "named": ["x at y"],
-            "vary": False,
-            "seed": n,
-        }
-        for n in numbers
-    ]
+@pytest.mark.parametrize("at", range(1, 12))
+def test_an_end_at_any_step_of_the_books_keeps_every_row(tmp_path, monkeypatch, at):
+    """The process ends before or after the n-th step that changes files.
 
-
-@pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("at", range(1, 9))
-def test_an_end_at_any_step_of_the_books_keeps_every_row(tmp_path, monkeypatch, at, when):
-    """The process ends at the n-th replacement of a file, before or after it."""
-    plan = plan_of(block=[{"grid": {"seed": {"count": 20}}}])
+    Of a sweep that becomes whole, of which the failed runs are made again.
+    """
+    plan = plan_of(block=[{"grid": {"seed": {"count": 3}, "controller": ["pd/%", "pid"]}}])
     record = store.SweepRecord(
-        plan=plan.content, digest="", code="", models={}, runs=20, axes=[], version=""
+        plan=plan.content, digest="", code="", models={}, runs=6, axes=[], version=""
     )
-    monkeypatch.setattr(store, "_JOURNAL_ROWS", 3)
-    count, kept, write = 0, [], store.write_atomically
+    store.write_json(record, tmp_path / store.SWEEP)
+    names = ("rms_rad", "peak_rad", "came_to_s", "valve_travel", "effort")
+    figures = {**dict.fromkeys(names, 1 / 7), "named": ["x at y"]}
+    steps = 0
 
     class End(BaseException):
         pass
 
-    def writing(path, content):
-        nonlocal count
-        count += 1
-        if count == at and when == "before":
-            raise End
-        write(path, content)
-        if count == at:
-            raise End
+    def ending(step):
+        def taken(*arguments, **options):
+            nonlocal steps
+            steps += 1
+            if steps == at and at % 2:
+                raise End
+            found = step(*arguments, **options)
+            if steps == at:
+                raise End
+            return found
 
-    monkeypatch.setattr(store, "write_atomically", writing)
-    try:
-        books = store.Store(tmp_path, record, engine.schema(plan))
-        for row in answers(plan, tmp_path, range(12)):
-            kept.append(row["run"])
-            books.add(row)
-        books.compact()
-    except End:
-        pass
-    monkeypatch.setattr(store, "write_atomically", write)
-    if not kept:
-        return
-    books = store.Store(tmp_path, record, engine.schema(plan))
-    assert list(books.missing()) == [n for n in range(20) if n not in kept]
-    for row in answers(plan, tmp_path, books.missing()):
-        books.add(row)
-    books.compact()
-    books.close()
-    table = store.read_rows(tmp_path, engine.schema(plan)).table()
-    assert table.to_pylist() == answers(plan, tmp_path, range(20))
-    assert len(list((tmp_path / "runs").glob("*/*/*"))) == 1
+        return taken
+
+    def make(failing=()):
+        books = store.Store(tmp_path, plan)
+        if not failing:
+            books.forget_failed()
+        made = list(books.missing())
+        for number in made:
+            failed = {"error": "it is made to fail", "kind": "died"}
+            books.add(number, failed if number in failing else {"result": figures}, "here")
+        books.finish()
+        return made
+
+    with monkeypatch.context() as ends, suppress(End):
+        for name in ("write_atomically", "remove", "_connect"):
+            ends.setattr(store, name, ending(getattr(store, name)))
+        ends.setattr(Path, "unlink", ending(Path.unlink))
+        make(failing=(1, 4))
+        make()
+    known = {row["run"] for row in there(tmp_path) if row["status"] == "ok"}
+    assert known in ({*()}, {0, 2, 3, 5}, {*range(6)})
+    assert set(make()) == {*range(6)} - known
+    found = rows(tmp_path)
+    assert [(row["run"], row["seed"], row["controller"]) for row in found] == [
+        (number, number // 2, ("pd/%", "pid")[number % 2]) for number in range(6)
+    ]
+    for row in found:
+        assert {name: row[name] for name in figures} == figures
+        assert (row["vary"], row["status"], row["t90_s"]) == (False, "ok", None)
+    assert len(list((tmp_path / "runs").glob("*/*/*"))) == 2
+    assert not list(tmp_path.glob(f"*{store.ROWS}*"))
 
 
 @pytest.fixture(scope="module")
@@ -410,25 +406,18 @@ def whole(tmp_path_factory):
     return plan, folder
 
 
-def test_a_line_of_the_journal_that_is_cut_off_or_changed_is_no_row(whole, tmp_path):
-    plan, made = whole
-    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-    wanted = rows(tmp_path)
-    record = store.read_record(tmp_path)
-    for path in (tmp_path / "runs").rglob("*.parquet"):
-        path.unlink()
-    store.write_json(store.Dataset(generation=9), tmp_path / store.DATASET)
-    lines = [store._line(row) for row in wanted]
-    lines[1] = lines[1].replace(b"seal_wear", b"seal_weak", 1)
-    (tmp_path / "journal-9.jsonl").write_bytes(b"".join(lines)[:-40])
-    books = store.Store(tmp_path, record, engine.schema(plan))
-    assert list(books.missing()) == [1, 5]
-    books.add(wanted[1])  # Behind the line that was cut off.
-    books.close()
-    books = store.Store(tmp_path, record, engine.schema(plan))
-    assert list(books.missing()) == [5]
-    books.close()
-    assert run_sweep(plan, tmp_path, workers=1).made == 1
+def test_rows_of_an_earlier_leglab_are_read_or_refused(whole, tmp_path, capsys):
+    shutil.copytree(whole[1], tmp_path, dirs_exist_ok=True)
+    wanted, file = rows(tmp_path), tmp_path / "dataset.json"
+    earlier = {"generation": 7, **json.loads(file.read_text())}
+    del earlier["proposals"]
+    file.write_text(json.dumps(earlier))
+    assert rows(tmp_path) == wanted
+    (tmp_path / "journal-7.jsonl").write_bytes(b"0a1b2c3d {}\n")
+    status, _, told = command_line("query", tmp_path, "SELECT * FROM runs", capsys=capsys)
+    assert (status, told.count("\n")) == (2, 1)
+    assert "journal-7.jsonl: an earlier leglab has not made this sweep to its end" in told
+    assert run_sweep(whole[0], tmp_path, workers=1, overwrite=True).made == 6
     assert rows(tmp_path) == wanted
 
 
@@ -459,11 +448,11 @@ def test_a_damaged_file_is_named_and_its_runs_are_made_again(whole, tmp_path, da
     status, _, told = command_line("query", tmp_path, "SELECT * FROM runs", capsys=capsys)
     assert status == 2
     assert told.count("\n") == 1
-    with pytest.raises(LeglabError, match=r"part-000001.parquet.*makes its runs again"):
+    with pytest.raises(LeglabError, match=r"part-0.parquet.*makes its runs again"):
         rows(tmp_path)
     again = run_sweep(plan, tmp_path, workers=1)
     assert again.made == 3
-    assert "controller=pid/part-000001.parquet is damaged" in again.damaged[0]
+    assert "controller=pid/part-0.parquet is damaged" in again.damaged[0]
     assert rows(tmp_path) == wanted
 
 
@@ -541,13 +530,13 @@ def test_failed_runs_are_made_again_if_asked_for(tmp_path, wrong):
     ],
 )
 def test_what_a_process_says_is_not_trusted(lie):
-    row = engine.row_of(plan_of(), 0, lie, "x")
+    row = row_of(plan_of(), 0, lie, "x")
     assert row["status"] == "failed"
     assert row["error"]
     assert row["rms_rad"] is None if "rms_rad" in row else True
 
 
-def test_a_second_sweep_on_a_folder_is_refused_while_the_first_runs(tmp_path, capsys):
+def test_a_second_sweep_on_a_folder_is_refused_while_the_first_runs(tmp_path, capsys, monkeypatch):
     file = tmp_path / "sweep.toml"
     file.write_text(
         "[settings]\nmodel='knee_bench'\nduration=0.3\nscenario='seal_wear'\n"
@@ -558,7 +547,7 @@ def test_a_second_sweep_on_a_folder_is_refused_while_the_first_runs(tmp_path, ca
     first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 60
-        while not list(out.glob("journal-0.jsonl")):
+        while not there(out):
             assert time.monotonic() < deadline
             assert first.poll() is None, first.communicate()
             time.sleep(0.05)
@@ -567,6 +556,10 @@ def test_a_second_sweep_on_a_folder_is_refused_while_the_first_runs(tmp_path, ca
         assert f"{out}: process {first.pid} on " in told
         # Asking is allowed meanwhile.
         assert ask(out, "SELECT count(*) FROM runs").rows[0][0] > 0
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setattr("socket.gethostname", lambda: "elsewhere")
+            with pytest.raises(LeglabError, match=r"process \d+ on .* is writing it; ask on that"):
+                rows(out)
         first.send_signal(signal.SIGINT)
         errors = first.communicate(timeout=60)[1]
     finally:

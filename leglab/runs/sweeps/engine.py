@@ -1,8 +1,6 @@
 """Makes the runs of a sweep that are missing, on this machine or on a Dask cluster."""
 
-import os
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -12,17 +10,18 @@ import pyarrow as pa
 
 from leglab import __version__
 from leglab.base import plugins
-from leglab.base.errors import FileError, RecordingError, SettingsError, SimulationError
+from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.notebook import html_table, panels
-from leglab.base.output import cannot_write, claimed_folder
-from leglab.jobs.engine import Executor, Progress, executor, terms_of
+from leglab.base.output import cannot_write, claimed_folder, remove
+from leglab.jobs.engine import Progress, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
+from leglab.runs.folder import make_runs
 from leglab.runs.sweeps import store, tuning
 from leglab.runs.sweeps.making import figures_of
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.query import ask
-from leglab.runs.sweeps.rows import column, row_of, schema
+from leglab.runs.sweeps.rows import column
 
 _ERRORS = "SELECT scenario, controller, {0} FROM runs WHERE {0} IS NOT NULL ORDER BY run"
 _MEDIANS = """SELECT scenario, controller, count(*), count(*) FILTER (status = 'failed'),
@@ -106,7 +105,7 @@ class SweepResult:
 
     def table(self) -> pa.Table:
         """All rows in the order of the runs, as a `pyarrow.Table`."""
-        return store.read_rows(self.folder, schema(self.plan)).table()
+        return store.read_rows(self.folder).to_table().sort_by("run")
 
     def tuned(self) -> list[tuning.Tuned]:
         """The best point of each tuned block."""
@@ -154,7 +153,9 @@ def run_sweep(
     folder = Path(folder)
     if plan.tuned:
         tuning.check_optuna({points.draw for points in plan.tuned})
-    work = _executor(plan, workers, scheduler)
+    made_by = executor(
+        figures_of, workers, scheduler, timeout=plan.timeout, memory=plan.memory, apart=True
+    )
     models = plan.check(progress)
     record = store.SweepRecord(
         plan=plan.content,
@@ -168,21 +169,29 @@ def run_sweep(
     )
     with claimed_folder(folder):
         _begin(folder, record, overwrite=overwrite)
-        kept = store.Store(folder, record, schema(plan))
+        kept = store.Store(folder, plan)
         try:
             if retry_failed and kept.failed:
                 kept.forget_failed()
             _recall(plan, folder)
-            made = _make(plan, folder, kept, work, progress)
-            kept.compact()
-            if kept.done == len(plan):
-                store.forget_earlier(folder)
+            failed, before = kept.failed, kept.done
+            make_missing(
+                made_by,
+                range(len(plan)),
+                kept,
+                lambda number: _request(plan, number, folder),
+                ready=lambda: _ready(plan, folder, kept),
+                told=lambda _: f"{kept.failed} failed" if kept.failed > failed else "sweeping",
+                progress=progress,
+            )
+            kept.finish()
+            store.forget_earlier(folder)
         finally:
             kept.close()
     return SweepResult(
         folder=folder,
         plan=plan,
-        made=made,
+        made=kept.done - before,
         done=kept.done,
         failed=kept.failed,
         damaged=tuple(kept.damaged),
@@ -204,28 +213,16 @@ def record_runs(
         The folders in the order of the numbers.
 
     Raises:
-        LeglabError: There is no such run, it fails without a recording, or its folder cannot be
-            written.
+        LeglabError: There is no such run, or as `leglab.runs.folder.make_runs`.
     """
-    folder = Path(folder)
-    _recall(plan, folder)
+    _recall(plan, Path(folder))
     for number in numbers:
         if not 0 <= number < len(plan):
             told = f"there is no run {number}; allowed: "
             raise SettingsError(told, given=number, allowed=f"0 to {len(plan) - 1}")
-    keeping = [recording_folder(folder.resolve(), number) for number in numbers]
-    requests = [
-        (number, _request(plan, number, place))
-        for number, place in zip(numbers, keeping, strict=True)
-    ]
-    with _executor(plan, min(len(requests), os.cpu_count() or 1), None) as answered:
-        for count, (number, answer, _) in enumerate(answered(iter(requests)), 1):
-            place = recording_folder(folder.resolve(), number)
-            if "result" not in answer and not place.is_dir():
-                raise SimulationError(f"run {number}: {answer.get('error')}", given=number)
-            if progress:
-                progress(count, len(requests), f"run {number}")
-    return keeping
+    places = [recording_folder(Path(folder).resolve(), number) for number in numbers]
+    settings = [plan.settings(number) for number in numbers]
+    return make_runs(settings, places, overwrite=True, timeout=plan.timeout, progress=progress)
 
 
 def read_sweep(folder: str | Path) -> SweepResult:
@@ -235,9 +232,9 @@ def read_sweep(folder: str | Path) -> SweepResult:
         LeglabError: The folder holds none, or one of its files is damaged.
     """
     folder = Path(folder)
-    record = store.read_record(folder)
-    plan = SweepPlan(record.plan, str(folder / store.SWEEP))
-    status = store.read_rows(folder, schema(plan)).table(["status"]).column("status").to_pylist()
+    plan = store.read_plan_of(folder)
+    names = ["status"]
+    status = store.read_rows(folder, names).to_table(names)["status"].to_pylist()
     failed = status.count(store.FAILED)
     return SweepResult(folder=folder, plan=plan, made=0, done=len(status), failed=failed)
 
@@ -264,45 +261,26 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
     except OSError as error:
         raise cannot_write(folder, error) from error
-    leftover = {"runs", "recordings", store.DATASET, store.PROPOSALS}
-    strange = any(not (name in leftover or name.startswith("journal-")) for name in others)
-    if strange and not store.replaces(folder):
+    if not all(map(store.is_own, others)) and not store.replaces(folder):
         told = f"{str(folder)!r} holds no sweep but other files: give another"
         raise FileError(told, given=folder)
-    store.empty(folder)
+    remove(store.own(folder))
     store.write_json(record, folder / store.SWEEP)
 
 
-def _make(
-    plan: SweepPlan,
-    folder: Path,
-    kept: store.Store,
-    work: AbstractContextManager[Executor],
-    progress: Progress | None,
-) -> int:
-    failed, made = kept.failed, 0
-    if progress:
-        progress(kept.done, len(plan), "")
-    if kept.done == len(plan):
-        return 0
-    figures: dict[int, dict[str, Any]] = {}
-    if plan.tuned:
-        figures = {row["run"]: row for row in _tuning_rows(folder, plan)}
-    with work as answered:
-        while numbers := _ready(plan, folder, kept, figures):
-            requests = (
-                (number, _request(plan, number, _place(plan, number, folder))) for number in numbers
-            )
-            for number, answer, by in answered(requests):
-                row = row_of(plan, number, answer, by)
-                kept.add(row)
-                made += 1
-                if plan.tuned:
-                    figures[number] = row
-                if progress:
-                    told = f"{kept.failed} failed" if kept.failed > failed else "sweeping"
-                    progress(kept.done, len(plan), told)
-    return made
+def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
+    """Proposes what is due; returns the missing runs whose settings are known."""
+    rows = _tuning_rows(folder, plan) if plan.tuned else []
+    for points in plan.tuned:
+        batch = tuning.due(points)
+        if not all(n in kept for p in tuning.before(points) for n in points.runs(p)):
+            continue
+        figures = {row["run"]: tuning.figure_of(row, points.tune.metric) for row in rows}
+        for point in batch:
+            values = tuning.propose(points, figures)
+            kept.propose(points.runs(point)[0], values)
+            points.proposals[point] = values
+    return (number for number in kept.missing() if plan.is_known(number))
 
 
 def _recall(plan: SweepPlan, folder: Path) -> None:
@@ -318,42 +296,15 @@ def _recall(plan: SweepPlan, folder: Path) -> None:
 
 
 def _tuning_rows(folder: Path, plan: SweepPlan) -> list[dict[str, Any]]:
-    columns = schema(plan)
     names = {column(name) for points in plan.tuned for name in points.ranges}
     names |= {"run", "status", *(points.tune.metric for points in plan.tuned)}
-    return store.read_rows(folder, columns).table(sorted(names)).to_pylist()
+    return store.read_rows(folder, sorted(names)).to_table(sorted(names)).to_pylist()
 
 
-def _ready(
-    plan: SweepPlan, folder: Path, kept: store.Store, rows: dict[int, dict[str, Any]]
-) -> list[int]:
-    """Numbers of the missing runs whose settings are known, after proposing what is due."""
-    for points in plan.tuned:
-        batch = tuning.due(points)
-        if not all(n in rows for p in tuning.before(points) for n in points.runs(p)):
-            continue
-        figures = {n: tuning.figure_of(row, points.tune.metric) for n, row in rows.items()}
-        for point in batch:
-            values = tuning.propose(points, figures)
-            store.keep_proposal(folder, points.runs(point)[0], values)
-            points.proposals[point] = values
-    return [number for number in kept.missing() if plan.is_known(number)]
-
-
-def _place(plan: SweepPlan, number: int, folder: Path) -> Path | None:
-    """Where the recording of a run goes; None where none is kept."""
-    return recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
-
-
-def _request(plan: SweepPlan, number: int, place: Path | None) -> dict[str, Any]:
+def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
+    place = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
     return {
         "settings": asdict(plan.settings(number)),
         "keep": list(plan.keep),
         "folder": None if place is None else str(place),
     }
-
-
-def _executor(
-    plan: SweepPlan, workers: int, scheduler: str | None
-) -> AbstractContextManager[Executor]:
-    return executor(workers, scheduler, terms_of(figures_of, plan.timeout, plan.memory))

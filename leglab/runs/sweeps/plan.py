@@ -548,11 +548,11 @@ def _list(name: str, value: Any, where: str) -> Sequence[Any]:
     if not isinstance(value, list) or not value:
         allowed = "a list, or { first = 0, count = 10 }"
         raise SettingsError(f"{place} is {value!r}; allowed: ", given=value, allowed=allowed)
-    keys = [json.dumps(item, default=str) for item in value]
-    for i, key in enumerate(keys):
-        if key in keys[:i] and len(keys) < 10_000:
-            raise SettingsError(f"{place}: {value[i]!r} is given twice", given=value[i])
+    seen: set[str] = set()
     for i, item in enumerate(value):
+        if (key := json.dumps(item, default=str)) in seen:
+            raise SettingsError(f"{place}: {item!r} is given twice", given=item)
+        seen.add(key)
         _check_value(name, item, f"{place}[{i}]")
     return value
 

@@ -14,8 +14,6 @@ from leglab.base.errors import SettingsError
 from leglab.base.notebook import data_frame, html_table
 from leglab.base.output import write_atomically
 from leglab.runs.sweeps import store
-from leglab.runs.sweeps.plan import SweepPlan
-from leglab.runs.sweeps.rows import schema
 
 TABLE = "runs"
 _FEW = 4  # significant digits in a table
@@ -100,21 +98,13 @@ def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
     """
     import duckdb
 
-    record = store.read_record(folder)
-    rows = store.read_rows(folder, schema(SweepPlan(record.plan, str(folder / store.SWEEP))))
+    rows = store.read_rows(folder)
     with duckdb.connect(":memory:") as database:
         # From here on neither files nor the network nor variables of this program can be reached.
         database.execute("SET enable_external_access = false")
         database.execute("SET python_enable_replacements = false")
         database.execute("SET lock_configuration = true")
-        # Columns in the order of the rows, not partitions last.
-        columns = ", ".join(f'"{name}"' for name in rows.schema.names)
-        database.register("_late", rows.late)
-        parts = [f"SELECT {columns} FROM _late"]
-        if rows.files:
-            database.register("_parts", rows.parts())
-            parts.append(f"SELECT {columns} FROM _parts")
-        database.execute(f"CREATE VIEW {TABLE} AS {' UNION ALL '.join(parts)}")
+        database.register(TABLE, rows)
 
         def answered(sql: str) -> Answer:
             try:

@@ -1,48 +1,50 @@
-"""The dataset of a sweep on disk: Parquet files, and a journal of the rows that came last.
+"""The dataset of a sweep on disk: a SQLite database while runs are made, then Parquet files.
 
     FOLDER/sweep.json       what the sweep is: its plan, digests, number of runs
-    FOLDER/dataset.json     the files of the dataset, and which journal goes on from them
-    FOLDER/journal-7.jsonl  rows since then, a line each behind its checksum
-    FOLDER/proposals.jsonl  points of tuned blocks, a line each behind its checksum
-    FOLDER/runs/scenario=NAME/controller=NAME/part-000007-0.parquet
+    FOLDER/rows.sqlite      the rows so far, and the proposed points of tuned blocks
+    FOLDER/dataset.json     the Parquet files with their checksums, once all runs are made
+    FOLDER/runs/scenario=NAME/controller=NAME/part-0.parquet
     FOLDER/.earlier         the sweep that this one replaces, until this one is whole
 
-A row is kept as soon as its line is written, so that an end at any moment loses runs that were
-being made, and no row. After some thousand rows, and at the end, the journal becomes Parquet files.
-What counts is `dataset.json`, which is replaced as a whole: files that it does not name are left
-over from an end in between, and go. So no row is lost or there twice.
+A row is kept as soon as its transaction is over, so that an end at any moment loses runs that were
+being made, and no row. Where there is a `dataset.json` its files count, otherwise the database. One
+process writes, whatever makes the runs; readers of the database run on its machine, since the
+write-ahead log needs memory that they share.
 """
 
 import json
-import os
+import sqlite3
 import zlib
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any
-from urllib.parse import quote, unquote
+from typing import Annotated, Any, BinaryIO
+from urllib.parse import quote
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, Field, ValidationError
 
-from leglab.base.errors import FileError, LeglabError
-from leglab.base.input import parse_json, read_bytes, read_json
-from leglab.base.output import cannot_write, remove, write_atomically
+from leglab.base.errors import FileError
+from leglab.base.input import read_json
+from leglab.base.output import (
+    cannot_write,
+    has_locks,
+    remove,
+    write_atomically,
+    writer_elsewhere,
+)
 from leglab.base.settings import first_problem
-from leglab.data.files import first_line
-from leglab.runs.sweeps.rows import FAILED, PARTITION
+from leglab.runs.sweeps.plan import SweepPlan
+from leglab.runs.sweeps.rows import FAILED, PARTITION, row_of, schema
 
-SWEEP, DATASET, PROPOSALS = "sweep.json", "dataset.json", "proposals.jsonl"
-_RUNS = "runs"
+SWEEP, DATASET, ROWS = "sweep.json", "dataset.json", "rows.sqlite"
+_RUNS, _PART = "runs", "part-0.parquet"
 # The sweep that is being replaced, and the same while its files are moved there.
 _EARLIER, _MOVING = ".earlier", ".earlier.partial"
-# Rows that the journal holds before they become Parquet.
-_JOURNAL_ROWS = 10_000
-# Files of a partition with fewer rows than these are put together at the end.
-_PART_ROWS = 200_000
+# Rows that are turned into columns at a time.
+_BATCH = 5000
+_PATIENCE = 60.0  # s, for whoever holds the database
 _MISSING, _DONE, _BROKEN = 0, 1, 2
 
 
@@ -52,26 +54,19 @@ class Part(BaseModel):
     Attributes:
         file: Its path below the folder.
         rows: How many it has.
-        bytes: Its size.
         checksum: CRC-32 of its content: those of pages leave out what describes them.
     """
 
     file: str
     rows: Annotated[int, Field(ge=0)]
-    bytes: Annotated[int, Field(ge=0)]
     checksum: Annotated[int, Field(ge=0)]
 
 
 class Dataset(BaseModel):
-    """Content of `dataset.json`."""
+    """Content of `dataset.json`: files of rows, proposed points by number of their first run."""
 
-    generation: Annotated[int, Field(ge=0)] = 0
     parts: list[Part] = []
-
-    @property
-    def journal(self) -> str:
-        """Name of the journal that goes on from these parts."""
-        return f"journal-{self.generation}.jsonl"
+    proposals: dict[int, dict[str, float]] = {}
 
 
 class SweepRecord(BaseModel):
@@ -122,109 +117,136 @@ def _read(model: Any, path: Path) -> Any:
         raise FileError(f"{path}: {where or 'content'}: {reason}", given=path) from error
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rows:
-    """All rows of a sweep as they are stored: files, and what came after them.
+def read_plan_of(folder: Path) -> SweepPlan:
+    """Reads the plan of a sweep.
 
-    Attributes:
-        files: Parquet files.
-        late: Rows of the journal.
-        schema: Columns.
+    Raises:
+        LeglabError: As `read_record`.
     """
-
-    files: tuple[Path, ...]
-    late: pa.Table
-    schema: pa.Schema
-    folder: Path
-
-    def parts(self) -> Any:
-        """The files as one `pyarrow.dataset.Dataset`, whose pages are checked as they are read."""
-        import pyarrow.dataset as pd  # imports pandas where that is installed
-
-        checked = pd.ParquetFragmentScanOptions(page_checksum_verification=True)
-        partition = pa.schema([self.schema.field(name) for name in PARTITION])
-        return pd.dataset(
-            [str(path) for path in self.files],
-            schema=self.schema,
-            format=pd.ParquetFileFormat(default_fragment_scan_options=checked),
-            partitioning=pd.HivePartitioning(partition, segment_encoding="uri"),
-            partition_base_dir=str(self.folder / _RUNS),
-        )
-
-    def table(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Rows in the order of the runs.
-
-        Args:
-            columns: Names; None for all.
-
-        Raises:
-            LeglabError: A file is damaged.
-        """
-        wanted = list(columns or self.schema.names)
-        asked = list(dict.fromkeys([*wanted, "run"]))
-        tables = [self.late.select(asked), *(self._part(path, asked) for path in self.files)]
-        return pa.concat_tables(tables).sort_by("run").select(wanted)
-
-    def _part(self, path: Path, names: Sequence[str]) -> pa.Table:
-        """Columns of one file; those of the partition stand in its path."""
-        try:
-            with pq.ParquetFile(path, page_checksum_verification=True) as file:
-                found = file.read(columns=[name for name in names if name not in PARTITION])
-                told = dict(part.split("=", 1) for part in path.parts if "=" in part)
-                columns = {
-                    name: pa.repeat(unquote(told[name]), len(found))
-                    if name in PARTITION
-                    else found.column(name)
-                    for name in names
-                }
-                return pa.table(columns, pa.schema([self.schema.field(name) for name in names]))
-        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
-            raise FileError(
-                f"{path}: is damaged ({first_line(error)}); leglab sweep removes it and makes its "
-                "runs again",
-                given=path,
-            ) from error
+    return SweepPlan(read_record(folder).plan, str(folder / SWEEP))
 
 
-def read_rows(folder: Path, schema: pa.Schema) -> Rows:
+def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
     """Finds all rows of a sweep, also while it is being made.
 
     Args:
         folder: Of the sweep.
-        schema: From `leglab.runs.sweeps.rows.schema`.
+        names: Columns that are needed; None for all.
+
+    Returns:
+        A `pyarrow.dataset.Dataset`.
 
     Raises:
-        LeglabError: A file is missing or cut off, or `dataset.json` does not have the form.
+        LeglabError: A file is missing, cut off or changed, `dataset.json` does not have the form,
+            an earlier leglab has not made the sweep to its end, or another machine makes it.
     """
-    for _ in range(5):
-        found: Dataset = _read(Dataset, folder / DATASET)
-        lines = _journal(folder / found.journal)
-        files = tuple(folder / part.file for part in found.parts)
-        problems = [_problem(folder, part) for part in found.parts]
-        # A sweep that runs may have replaced its files meanwhile.
-        if _read(Dataset, folder / DATASET).generation == found.generation:
-            break
-    for problem in problems:
-        if problem:
-            raise FileError(f"{problem}; leglab sweep removes it and makes its runs again")
-    return Rows(
-        files=files,
-        late=pa.Table.from_pylist(lines, schema=schema),
-        schema=schema,
-        folder=folder,
+    columns = schema(read_plan_of(folder))
+    for journal in folder.glob("journal-*.jsonl"):
+        raise FileError(
+            f"{journal}: an earlier leglab has not made this sweep to its end; leglab sweep "
+            "--overwrite makes it anew"
+        )
+    made = (folder / ROWS).exists()  # It goes after the other has come.
+    if (folder / DATASET).exists():
+        parts = _read(Dataset, folder / DATASET).parts
+        for part in parts:
+            if problem := _problem(folder, part):
+                raise FileError(f"{problem}; leglab sweep removes it and makes its runs again")
+        return _files(folder, parts, columns)
+    import pyarrow.dataset as pd  # imports pandas where that is installed
+
+    columns = pa.schema([columns.field(name) for name in names or columns.names])
+    found = [columns.empty_table()]
+    if made:
+        with _reading(folder) as database:
+            rows = database.execute(f"SELECT {_names(columns.names)} FROM runs ORDER BY run")
+            found += _tables(rows, columns)
+    return pd.dataset(pa.concat_tables(found))
+
+
+def _files(folder: Path, parts: Sequence[Part], columns: pa.Schema) -> Any:
+    """Files as one `pyarrow.dataset.Dataset`."""
+    import pyarrow.dataset as pd
+
+    partition = pa.schema([columns.field(name) for name in PARTITION])
+    return pd.dataset(
+        [str(folder / part.file) for part in parts],
+        schema=columns,
+        partitioning=pd.HivePartitioning(partition, segment_encoding="uri"),
+        partition_base_dir=str(folder / _RUNS),
     )
+
+
+def read_proposals(folder: Path) -> dict[int, dict[str, float]]:
+    """Proposed points by the number of their first run.
+
+    Raises:
+        LeglabError: As `read_rows`.
+    """
+    if (folder / DATASET).exists():
+        return _read(Dataset, folder / DATASET).proposals
+    if not (folder / ROWS).exists():
+        return {}
+    with _reading(folder) as database:
+        return _proposals(database)
+
+
+def _proposals(database: sqlite3.Connection) -> dict[int, dict[str, float]]:
+    return {run: json.loads(text) for run, text in database.execute("SELECT * FROM proposals")}
+
+
+@contextmanager
+def _reading(folder: Path) -> Iterator[sqlite3.Connection]:
+    """Yields the database, to be read."""
+    path = folder / ROWS
+    if writer := writer_elsewhere(folder):
+        raise FileError(f"{folder}: {writer} is writing it; ask on that machine, or at the end")
+    try:
+        with closing(_connect(path, "ro")) as database:
+            yield database
+    except sqlite3.Error as error:
+        raise FileError(f"{path}: cannot be read: {error}") from error
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Opens a database, to be read ("ro") or written ("rwc")."""
+    locks = has_locks(path.with_name(SWEEP))
+    place = f"{path.absolute().as_uri()}?mode={mode}{'' if locks else '&nolock=1'}"
+    database = sqlite3.connect(place, uri=True, timeout=_PATIENCE, isolation_level=None)
+    if mode == "rwc":
+        database.execute("PRAGMA journal_mode = WAL")  # Without locks it has no effect.
+        database.execute(f"PRAGMA synchronous = {'NORMAL' if locks else 'OFF'}")
+    return database
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def _tables(rows: sqlite3.Cursor, columns: pa.Schema) -> Iterator[pa.Table]:
+    """Rows of a database as tables of some thousand each."""
+    while batch := rows.fetchmany(_BATCH):
+        found = zip(zip(*batch, strict=True), columns, strict=True)
+        arrays = [_column(values, column.type) for values, column in found]
+        yield pa.table(arrays, schema=columns)
+
+
+def _column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    if pa.types.is_list(kind):
+        values = [None if value is None else json.loads(value) for value in values]
+    elif pa.types.is_boolean(kind):
+        values = [None if value is None else bool(value) for value in values]
+    return pa.array(values, kind)
 
 
 def _problem(folder: Path, part: Part) -> str:
     """Fault of a file; empty without one."""
     path = folder / part.file
     try:
-        size, found = path.stat().st_size, _checksum(path)
+        same = _checksum(path) == part.checksum
     except OSError as error:
-        return f"{path}: cannot be read: {error.strerror}"
-    if size != part.bytes:
-        return f"{path}: has {size} bytes of {part.bytes}: it is cut off"
-    return "" if found == part.checksum else f"{path}: is damaged: its checksum is another"
+        return f"{path}: is damaged: it cannot be read: {error.strerror}"
+    return "" if same else f"{path}: is damaged: its checksum is another"
 
 
 def _checksum(path: Path) -> int:
@@ -235,59 +257,12 @@ def _checksum(path: Path) -> int:
     return found
 
 
-def _line(row: dict[str, Any]) -> bytes:
-    text = json.dumps(row, allow_nan=False).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
-
-
-def _journal(path: Path) -> list[dict[str, Any]]:
-    """Rows of a journal; a line that was cut off or changed is no row, its run is made again."""
-    if not path.exists():
-        return []
-    rows = []
-    for line in read_bytes(path).split(b"\n"):
-        checksum, _, text = line.partition(b" ")
-        try:
-            if int(checksum, 16) == zlib.crc32(text):
-                row = parse_json(text)
-                if isinstance(row, dict) and isinstance(row.get("run"), int):
-                    rows.append(row)
-        except ValueError:
-            continue
-    return rows
-
-
-def keep_proposal(folder: Path, run: int, values: dict[str, float]) -> None:
-    """Keeps a proposed point: it is safe when this returns.
-
-    Args:
-        folder: Of the sweep, which is claimed.
-        run: Number of the first run of the point.
-        values: Of the ranges, by dotted name.
-
-    Raises:
-        LeglabError: It cannot be written.
-    """
-    try:
-        with (folder / PROPOSALS).open("ab") as file:
-            # Behind what an end in the middle of a line has left.
-            file.write(b"\n" + _line({"run": run, "values": values}))
-    except OSError as error:
-        raise cannot_write(folder / PROPOSALS, error) from error
-
-
-def read_proposals(folder: Path) -> dict[int, dict[str, float]]:
-    """Proposed points by the number of their first run."""
-    return {row["run"]: row["values"] for row in _journal(folder / PROPOSALS)}
-
-
 class Store:
     """The dataset of a sweep that is being made; nobody else writes to it.
 
     Args:
         folder: Of the sweep, which is claimed.
-        record: What the sweep is.
-        schema: Columns of its rows.
+        plan: Of the sweep.
 
     Attributes:
         damaged: What was wrong with files that were removed; their runs are missing now.
@@ -296,183 +271,188 @@ class Store:
         LeglabError: The folder cannot be read or written.
     """
 
-    def __init__(self, folder: Path, record: SweepRecord, schema: pa.Schema) -> None:
-        self._folder, self._schema, self._runs = folder, schema, record.runs
-        self._state = bytearray(record.runs)
+    def __init__(self, folder: Path, plan: SweepPlan) -> None:
+        self._folder, self._plan, self._schema = folder, plan, schema(plan)
+        self._state, names = bytearray(len(plan)), self._schema.names
+        self._insert = f"REPLACE INTO runs VALUES ({', '.join('?' * len(names))})"
+        self._database: sqlite3.Connection | None = None
         self.damaged: list[str] = []
-        self._dataset = Dataset()
         if (folder / DATASET).exists():
-            self._dataset = _read(Dataset, folder / DATASET)
+            self._remove_database()
+            dataset: Dataset = _read(Dataset, folder / DATASET)
+            whole = [part for part in dataset.parts if not _problem(folder, part)]
+            self.damaged = [
+                f"{part.file} is damaged; its {part.rows} runs are made again"
+                for part in dataset.parts
+                if part not in whole
+            ]
+            if self.damaged:
+                self._reopen(dataset, whole)
         else:
-            write_json(self._dataset, folder / DATASET)
-        self._sweep_out()
-        whole = [part for part in self._dataset.parts if self._is_whole(part)]
-        self._journal_file: int | None = None
-        self._pending = [row for row in _journal(folder / self._dataset.journal) if self._fits(row)]
-        for row in self._pending:
+            with self._opened():
+                remove([folder / _RUNS])
+        names = ["run", "status"]
+        for row in read_rows(folder, names).to_table(names).to_pylist():
             self._note(row)
-        if len(whole) < len(self._dataset.parts):
-            self._replace(whole, self._take_pending())
 
-    def _fits(self, row: dict[str, Any]) -> bool:
-        return 0 <= row["run"] < self._runs and set(row) <= set(self._schema.names)
+    def __contains__(self, run: int) -> bool:
+        """Whether a run has a row."""
+        return self._state[run] != _MISSING
 
-    def missing(self, *, failed: bool = False) -> Iterator[int]:
-        """Numbers of the runs without a row, and of those that failed if asked for."""
-        state = self._state
-        wanted = (_MISSING, _BROKEN) if failed else (_MISSING,)
-        return (number for number in range(self._runs) if state[number] in wanted)
+    def missing(self) -> Iterator[int]:
+        """Numbers of the runs without a row."""
+        return (number for number, state in enumerate(self._state) if state == _MISSING)
 
     @property
     def done(self) -> int:
         """Number of rows."""
-        return self._runs - self._state.count(_MISSING)
+        return len(self._state) - self._state.count(_MISSING)
 
     @property
     def failed(self) -> int:
         """Number of rows of failed runs."""
         return self._state.count(_BROKEN)
 
-    def add(self, row: dict[str, Any]) -> None:
+    def add(self, number: int, answer: dict[str, Any], by: str) -> None:
+        """Keeps the row of a run, also of one that failed: it is safe when this returns.
+
+        Raises:
+            LeglabError: It cannot be written.
+        """
+        self.keep(row_of(self._plan, number, answer, by))
+
+    def keep(self, row: Mapping[str, Any]) -> None:
         """Keeps a row: it is safe when this returns.
 
         Raises:
             LeglabError: It cannot be written.
         """
-        path = self._folder / self._dataset.journal
-        try:
-            if self._journal_file is None:
-                flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
-                self._journal_file = os.open(path, flags, 0o666)
-                # Behind what an end in the middle of a line has left.
-                os.write(self._journal_file, b"\n")
-            line = memoryview(_line(row))
-            while line:
-                line = line[os.write(self._journal_file, line) :]
-        except OSError as error:
-            raise cannot_write(path, error) from error
-        self._pending.append(row)
+        with self._opened() as database:
+            database.execute(self._insert, self._values(row))
         self._note(row)
-        if len(self._pending) >= _JOURNAL_ROWS:
-            self.flush()
 
-    def flush(self) -> None:
-        """Turns the journal into Parquet files."""
-        if self._pending:
-            self._replace(self._dataset.parts, self._take_pending())
+    def propose(self, run: int, values: dict[str, float]) -> None:
+        """Keeps a proposed point by the number of its first run: it is safe when this returns.
 
-    def compact(self) -> None:
-        """Puts small files of a partition together, each then in the order of the runs."""
-        self.flush()
-        small = defaultdict(list)
-        for part in self._dataset.parts:
-            if part.rows < _PART_ROWS:
-                small[str(Path(part.file).parent)].append(part)
-        for parts in small.values():  # One partition at a time has to fit into memory.
-            if len(parts) > 1:
-                kept = [part for part in self._dataset.parts if part not in parts]
-                self._replace(kept, self._table(parts))
+        Raises:
+            LeglabError: It cannot be written.
+        """
+        with self._opened() as database:
+            database.execute("REPLACE INTO proposals VALUES (?, ?)", (run, json.dumps(values)))
 
     def forget_failed(self) -> None:
         """Drops the rows of failed runs, which are missing from then on."""
-        self.flush()
-        for part in list(self._dataset.parts):
-            table = self._table([part])
-            failed = pc.equal(table.column("status"), FAILED)
-            if pc.any(failed).as_py():
-                kept = [other for other in self._dataset.parts if other is not part]
-                self._replace(kept, table.filter(pc.invert(failed)))
-        for number in range(self._runs):
-            if self._state[number] == _BROKEN:
-                self._state[number] = _MISSING
+        if (self._folder / DATASET).exists():
+            dataset = _read(Dataset, self._folder / DATASET)
+            self._reopen(dataset, dataset.parts)
+        with self._opened() as database:
+            database.execute("DELETE FROM runs WHERE status = ?", (FAILED,))
+        self._state = self._state.replace(bytes([_BROKEN]), bytes([_MISSING]))
+
+    def finish(self) -> None:
+        """Turns the rows into Parquet files, one a scenario and controller, in order of the runs.
+
+        Raises:
+            LeglabError: A file cannot be written.
+        """
+        if (self._folder / DATASET).exists():
+            return
+        by = _names(PARTITION)
+        with self._opened() as database:
+            database.execute(f"CREATE INDEX IF NOT EXISTS places ON runs ({by})")
+            places = database.execute(f"SELECT DISTINCT {by} FROM runs ORDER BY {by}").fetchall()
+            parts = [self._write(database, place) for place in places]
+            dataset = Dataset(parts=parts, proposals=_proposals(database))
+        write_json(dataset, self._folder / DATASET)  # From here on the files count.
+        self.close()
+        self._remove_database()
 
     def close(self) -> None:
-        """Closes the journal, which stays."""
-        if self._journal_file is not None:
-            os.close(self._journal_file)
-            self._journal_file = None
+        """Closes the database, which stays, in a form that every machine can read."""
+        if self._database is not None:
+            with suppress(sqlite3.Error):  # Somebody reads it.
+                self._database.execute("PRAGMA busy_timeout = 0")
+                self._database.execute("PRAGMA journal_mode = DELETE")
+            self._database.close()
+            self._database = None
 
-    def _note(self, row: dict[str, Any]) -> None:
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """Yields the database, which is made; tells in one line what is wrong with it."""
+        path = self._folder / ROWS
+        try:
+            if self._database is None:
+                if not path.exists():
+                    self._create(path)
+                self._database = _connect(path, "rwc")
+            yield self._database
+        except sqlite3.Error as error:
+            raise FileError(f"{path}: cannot be written: {error}") from error
+
+    def _create(self, path: Path) -> None:
+        """Makes an empty database, as a whole or not at all."""
+        new = path.with_name(f".{ROWS}.partial")
+        remove([new])
+        with closing(_connect(new, "rwc")) as database:
+            runs = f"runs (run INTEGER PRIMARY KEY, {_names(self._schema.names[1:])})"
+            for table in (runs, "proposals (run INTEGER PRIMARY KEY, point)"):
+                database.execute(f"CREATE TABLE {table}")
+        new.rename(path)
+
+    def _reopen(self, dataset: Dataset, parts: Sequence[Part]) -> None:
+        """Brings rows of files back into a database, which counts from then on."""
+        with self._opened() as database:
+            database.execute("BEGIN")
+            if parts:
+                for batch in _files(self._folder, parts, self._schema).to_batches():
+                    database.executemany(self._insert, map(self._values, batch.to_pylist()))
+            for run, values in dataset.proposals.items():
+                self.propose(run, values)
+            database.execute("COMMIT")
+        (self._folder / DATASET).unlink()
+
+    def _values(self, row: Mapping[str, Any]) -> list[Any]:
+        found = (row.get(name) for name in self._schema.names)
+        return [json.dumps(x, allow_nan=False) if isinstance(x, list) else x for x in found]
+
+    def _note(self, row: Mapping[str, Any]) -> None:
         self._state[row["run"]] = _BROKEN if row["status"] == FAILED else _DONE
 
-    def _take_pending(self) -> pa.Table:
-        rows, self._pending = self._pending, []
-        return pa.Table.from_pylist(rows, schema=self._schema).sort_by("run")
+    def _write(self, database: sqlite3.Connection, place: Sequence[str]) -> Part:
+        """Writes the rows of one scenario and controller."""
+        names = (f"{name}={quote(x, safe='')}" for name, x in zip(PARTITION, place, strict=True))
+        path = self._folder.joinpath(_RUNS, *names, _PART)
+        columns = pa.schema([field for field in self._schema if field.name not in PARTITION])
+        where = " AND ".join(f"{name} = ?" for name in PARTITION)
+        rows = database.execute(
+            f"SELECT {_names(columns.names)} FROM runs WHERE {where} ORDER BY run", place
+        )
 
-    def _table(self, parts: Sequence[Part]) -> pa.Table:
-        return Rows(
-            files=tuple(self._folder / part.file for part in parts),
-            late=self._schema.empty_table(),
-            schema=self._schema,
-            folder=self._folder,
-        ).table()
+        def write(stream: BinaryIO) -> None:
+            options = {"compression": "zstd", "write_page_checksum": True}
+            with pq.ParquetWriter(stream, columns, **options) as file:
+                for table in _tables(rows, columns):
+                    file.write_table(table)
 
-    def _is_whole(self, part: Part) -> bool:
-        """Whether a file can be read to its end; notes its rows."""
-        problem = _problem(self._folder, part)
-        if not problem:
-            try:
-                table = self._table([part]).select(["run", "status"])
-                if len(table) != part.rows:
-                    problem = f"{part.file}: has {len(table)} rows of {part.rows}"
-                elif not all(0 <= run < self._runs for run in table.column("run").to_pylist()):
-                    problem = f"{part.file}: holds rows of another sweep"
-            except LeglabError as error:
-                problem = str(error)
-        if problem:
-            self.damaged.append(f"{part.file} is damaged; its {part.rows} runs are made again")
-            return False
-        for row in table.to_pylist():
-            self._note(row)
-        return True
-
-    def _replace(self, kept: Sequence[Part], rows: pa.Table) -> None:
-        """Makes files of rows and puts them, with files that are kept, in the place of all."""
-        generation = self._dataset.generation + 1
-        places = rows.group_by(list(PARTITION)).aggregate([]).to_pylist()
-        made = [self._write(place, rows, generation) for place in places]
-        dataset = Dataset(generation=generation, parts=[*kept, *made])
-        write_json(dataset, self._folder / DATASET)  # From here on the new files count.
-        self.close()
-        self._dataset = dataset
-        self._sweep_out()
-
-    def _write(self, place: Mapping[str, str], rows: pa.Table, generation: int) -> Part:
-        for name, value in place.items():
-            rows = rows.filter(pc.equal(rows.column(name), value))
-        names = (f"{name}={quote(value, safe='')}" for name, value in place.items())
-        path = self._folder.joinpath(_RUNS, *names, f"part-{generation:06d}.parquet")
-        table = rows.drop_columns(list(PARTITION))
-        options = {"compression": "zstd", "write_page_checksum": True}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(path.parent, error) from error
-        write_atomically(path, lambda stream: pq.write_table(table, stream, **options))
-        file = path.relative_to(self._folder).as_posix()
-        size = path.stat().st_size
-        return Part(file=file, rows=len(table), bytes=size, checksum=_checksum(path))
+        write_atomically(path, write)
+        return Part(
+            file=path.relative_to(self._folder).as_posix(),
+            rows=pq.read_metadata(path).num_rows,
+            checksum=_checksum(path),
+        )
 
-    def _sweep_out(self) -> None:
-        """Removes what the dataset does not name."""
-        known = {self._folder / part.file for part in self._dataset.parts}
-        for path in (self._folder / _RUNS).glob("*/*/*"):
-            if path not in known:
-                path.unlink(missing_ok=True)
-        for path in self._folder.glob("journal-*.jsonl"):
-            if path.name != self._dataset.journal:
-                path.unlink(missing_ok=True)
+    def _remove_database(self) -> None:
+        remove(self._folder.glob(f"{ROWS}*"))
 
 
 def write_json(content: BaseModel, path: Path) -> None:
     """Writes a content as JSON, as a whole or not at all."""
     text = json.dumps(content.model_dump(), indent=1, allow_nan=False) + "\n"
     write_atomically(path, lambda stream: stream.write(text.encode()))
-
-
-def empty(folder: Path) -> None:
-    """Removes a sweep's files from its folder, the one by which it is known first."""
-    remove(_own(folder))
 
 
 def put_aside(folder: Path) -> None:
@@ -485,12 +465,12 @@ def put_aside(folder: Path) -> None:
         LeglabError: A file cannot be moved.
     """
     if replaces(folder):
-        empty(folder)
+        remove(own(folder))
         return
     moving = folder / _MOVING
     try:
         moving.mkdir()
-        for path in _own(folder):
+        for path in own(folder):
             path.rename(moving / path.name)
         moving.rename(folder / _EARLIER)
     except OSError as error:
@@ -517,8 +497,13 @@ def forget_earlier(folder: Path) -> None:
     remove([folder / _EARLIER])
 
 
-def _own(folder: Path) -> list[Path]:
+def own(folder: Path) -> list[Path]:
     """Files and folders of a sweep that are there, the one by which it is known first."""
-    names = (SWEEP, DATASET, PROPOSALS, _RUNS, "recordings")
-    found = [folder / name for name in names if (folder / name).exists()]
-    return [*found, *folder.glob("journal-*.jsonl")]
+    found = [path for path in folder.iterdir() if is_own(path.name)]
+    return sorted(found, key=lambda path: path.name != SWEEP)
+
+
+def is_own(name: str) -> bool:
+    """Whether a file or folder of this name belongs to a sweep, also of an earlier leglab."""
+    own = (SWEEP, DATASET, _RUNS, "recordings", "proposals.jsonl")
+    return name in own or name.startswith((ROWS, "journal-"))
