@@ -82,8 +82,9 @@ class ProposedMap(NamedTuple):
         key: Fault and element.
         parameters: Of the map, (joints, parameters).
         gain: Gain to be opened, as a share of the one on a change, (joints,); NaN leaves it.
-        odds: Of this map against one that learns without knowing of the fault: how probable the
-            fault is among all, over the share of the squared error that it leaves.
+        odds: Of this map against one that learns without knowing of the fault, before either has
+            predicted: how probable the fault is among all. The share of the error that it leaves is
+            no part of them, since the errors themselves are compared next.
     """
 
     key: tuple[str, str]
@@ -261,8 +262,8 @@ class FaultMonitor:
         for key in np.argsort(-judged.chance)[:CONTENDERS]:
             curve = judged.best_of(key)
             left = 1.0 - float(judged.explained[curve])
-            odds = float(judged.chance[key]) / max(left, config.discrepancy**2)
-            if judged.evidence[curve] < config.evidence or odds < 1.0:
+            odds = float(judged.chance[key])
+            if judged.evidence[curve] < config.evidence or odds < max(left, config.discrepancy**2):
                 continue
             shift = bank.curves[curve].shift(float(judged.fit.size[curve]))
             rest = moments.about(shift).power / np.maximum(moments.power, 1e-300)
