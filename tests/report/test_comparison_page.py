@@ -103,14 +103,21 @@ def test_one_seed_has_no_intervals_and_says_so(tmp_path):
     assert "±" not in words
 
 
-def test_its_commands_are_commands(tmp_path):
-    write_comparison(tmp_path / "c")
+def test_its_commands_make_the_same_runs(tmp_path):
+    summary = write_comparison(tmp_path / "c")
+    changed = {"severity": 4.0, "element": "it's knee", "duration": 6.5, "vary": True}
+    (tmp_path / "c" / "compare.json").write_text(json.dumps({**summary, **changed}))
     text = html.unescape(re.search(r"<pre>(.*?)</pre>", page(tmp_path / "c"), re.DOTALL)[1])
     (line,) = text.strip().splitlines()
     program, name, *arguments = shlex.split(line)
     assert program == "leglab"
     parsed = COMMANDS[name].make_context(name, arguments).params
     assert parsed["controllers"] == "pd,static_feedforward,bsnn_arx"
+    wanted = {"scenario": "seal_wear", "model": "knee_bench", "seed": 0, **changed}
+    assert {key: parsed[key] for key in wanted} == wanted
+    # A ramp is no option of that command.
+    (tmp_path / "c" / "compare.json").write_text(json.dumps({**summary, "ramp_duration": 1.0}))
+    assert "<pre>" not in page(tmp_path / "c")
 
 
 @pytest.mark.parametrize(
