@@ -13,7 +13,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -69,21 +68,19 @@ def _row(rows: Mapping[str, Any], beginning: str) -> Any:
     return next(row for name, row in rows.items() if name.startswith(beginning))
 
 
-def _loop(over: str) -> Callable[[Any], float]:
-    return lambda found: found["loop"][over]["of_pd"]
-
-
 def _of_bare(beginning: str) -> Callable[[Any], float]:
     return lambda found: _row(found["all_cores"], beginning)["of_bare"]
 
 
-def _plant(found: Any) -> Any:
-    return _row(found, "plant of Eq. 23")
+def _batch_over(peer: str) -> Callable[[Any], float]:
+    return lambda found: (
+        _of_bare("`make_batch(64)`, residual on `st")(found) / _of_bare(peer)(found)
+    )
 
 
 def _peer(ours: str, peer: str, figure: str) -> Callable[[Any], float]:
     def value(found: Any) -> float:
-        rows = _plant(found)
+        rows = _row(found, "plant of Eq. 23")
         return _row(rows, peer)[figure] / rows[ours][figure]
 
     return value
@@ -96,248 +93,145 @@ def _solver(found: Any, name: str, **wanted: float) -> Any:
     )
 
 
+def _naive_error(found: Any) -> float:
+    ours = _solver(found, "leglab", h_ms=0.25)
+    return _solver(found, "naive explicit", h_ms=0.01)["x_rms_mm"] / ours["x_rms_mm"]
+
+
+def _stiff_time(found: Any) -> float:
+    ours = _solver(found, "leglab", h_ms=1.0, substeps=2)
+    return _solver(found, "LSODA 1e-10")["us_a_ms"] / ours["us_a_ms"]
+
+
+def _replays(found: Any) -> float:
+    ours, sysid = (
+        found["replays"][name]["best_per_s"]
+        for name in ("leglab diagnose", "mujoco.sysid, windows in one call")
+    )
+    return ours / sysid
+
+
 def _ways(found: Any) -> list[Any]:
     return [case["ways"] for name, case in found.items() if name != "books"]
 
 
-def _step(label: str, found: Any) -> float:
-    return found["step_us"][label]["ratio"]
+def _efficiency(case: int, over: str = "") -> Callable[[Any], float]:
+    def value(found: Any) -> float:
+        ways = _ways(found)[case]
+        return ways[_TWO]["efficiency"] / (ways[over]["efficiency"] if over else 1.0)
+
+    return value
 
 
-def _real_time(name: str, found: Any) -> float:
-    return found["loop"][name]["best"]
-
-
-def _batch_over(peer: str, found: Any) -> float:
-    return _of_bare("`make_batch(64)`, residual on `st")(found) / _of_bare(peer)(found)
-
-
-def _power(name: str, found: Any) -> float:
-    return found["power"][name]
-
-
-def _efficiency(case: int, found: Any) -> float:
-    return _ways(found)[case][_TWO]["efficiency"]
-
-
-def _dask_over_processes(case: int, found: Any) -> float:
-    ways = _ways(found)[case]
-    return ways[_TWO]["efficiency"] / ways[_DASK]["efficiency"]
+def _thousand(found: Any) -> float:
+    short = next(case for name, case in found.items() if name != "books")
+    return 1000 * short["ways"][_TWO]["wall"] / short["runs"]
 
 
 _PAPER, _DEPLOYED = "leglab, paper's BSNN-ARX, single calls", "leglab, deployed, single calls"
 _TWO, _DASK = "two processes", "Dask, two workers"
-# A million runs times this many seconds: a thousand short ones.
-_THOUSAND = 1000
-
-RATIOS = (
-    Ratio(
-        name="cylinder_over_bare_loop",
-        title="time of a cylinder's update over a straight-line C++ loop of its arithmetic",
-        part="speed",
-        value=lambda found: found["cylinder_ns"] / found["straight_line_ns"],
-        better="low",
-    ),
-    *(
-        Ratio(
-            name=f"leg_over_motors_{label.replace(' ', '_').replace(',', '')}",
-            title=f"time of a step of the leg over that with MuJoCo's motors, {label}",
-            part="leg_speed",
-            value=partial(_step, label),
-            better="low",
-            asked=2.0,
-        )
-        for label in ("as shipped", "without shapes", "as shipped, at rest")
-    ),
-    *(
-        Ratio(
-            name=f"real_time_{name}",
-            title=f"closed loop of the leg over real time, {name}",
-            part="leg_speed",
-            value=partial(_real_time, name),
-            better="high",
-            asked=asked,
-            absolute=True,
-        )
-        for name, asked in (("pd", 50.0), ("bsnn_arx", 30.0))
-    ),
-    Ratio(
-        name="loop_bsnn_arx_over_pd",
-        title="speed of the closed loop, six adaptive joints over pd",
-        part="leg_speed",
-        value=_loop("bsnn_arx"),
-        better="high",
-    ),
-    Ratio(
-        name="loop_bank_over_pd",
-        title="speed of the closed loop, six adaptive joints with bank and monitor over pd",
-        part="leg_speed",
-        value=_loop("bsnn_arx_bank"),
-        better="high",
-        asked=0.6,
-    ),
-    *(
-        Ratio(
-            name=f"batch_of_bare_{name}",
-            title=f"steps of the batched environment over bare stepping on all cores, {what}",
-            part="environment_speed",
-            value=_of_bare(beginning),
-            better="high",
-            asked=asked,
-        )
-        for name, what, beginning, asked in (
-            ("valve", "valves", "`make_batch(64)`, valve", 0.6),
-            (
-                "residual",
-                "residual on static_feedforward",
-                "`make_batch(64)`, residual on `st",
-                0.6,
-            ),
-            ("bsnn_arx", "residual on bsnn_arx", "`make_batch(64)`, residual on `bs", None),
-        )
-    ),
-    *(
-        Ratio(
-            name=f"batch_over_{name}",
-            title=f"steps of the batched environment over those of {what}",
-            part="environment_speed",
-            value=partial(_batch_over, peer),
-            better="high",
-        )
-        for name, what, peer in (
-            ("gymnasium", "Gymnasium's AsyncVectorEnv", "Gymnasium's"),
-            ("dm_control", "dm_control in processes", "dm_control"),
-        )
-    ),
-    *(
-        Ratio(
-            name=f"{name}_time_over_ours",
-            title=f"time of a sample, {what} over leglab's {whose} by single calls",
-            part="identification_peers",
-            value=_peer(ours, peer, "nanoseconds"),
-            better="high",
-            asked=asked,
-        )
-        for name, what, peer, whose, ours, asked in (
-            ("padasip_rls", "padasip's RLS", "padasip", "paper's model", _PAPER, 5.0),
-            ("numpy_rls", "RLS in NumPy", "NumPy", "deployed model", _DEPLOYED, None),
-            ("river", "river's linear regression", "river", "deployed model", _DEPLOYED, None),
-            ("sysidentpy", "SysIdentPy's FROLS", "SysIdentPy", "deployed model", _DEPLOYED, None),
-        )
-    ),
-    *(
-        Ratio(
-            name=f"{name}_error_over_ours",
-            title=f"free-run error on the paper's plant, {what} over leglab's deployed model",
-            part="identification_peers",
-            value=_peer(_DEPLOYED, peer, "free_run"),
-            better="high",
-        )
-        for name, what, peer in (
-            ("padasip_rls", "padasip's RLS", "padasip"),
-            ("scipy", "SciPy's least squares", "SciPy"),
-            ("river", "river's linear regression", "river"),
-            ("sysidentpy", "SysIdentPy's FROLS", "SysIdentPy"),
-        )
-    ),
-    Ratio(
-        name="identifier_over_bare_loop",
-        title="time of a sample of the identifier over a bare C++ loop of its arithmetic",
-        part="bsnn_arx_speed",
-        value=lambda found: found["core_double"] / found["bare"],
-        better="low",
-    ),
-    Ratio(
-        name="six_joints_over_one",
-        title="time of an update of six joints over that of one",
-        part="bsnn_arx_speed",
-        value=lambda found: found["update of six joints"] / found["update"],
-        better="low",
-    ),
-    *(
-        Ratio(
-            name=f"power_{name}",
-            title=f"power with which the time of a sample grows with {what}",
-            part="bsnn_arx_speed",
-            value=partial(_power, name),
-            better="low",
-            asked=asked,
-        )
-        for name, what, asked in (
-            ("splines", "splines, local rule", 1.0),
-            ("rls", "linear parameters, RLS", 2.0),
-        )
-    ),
-    Ratio(
-        name="lsoda_time_over_ours",
-        title="time of a millisecond, SciPy's LSODA over leglab's scheme at 1 ms",
-        part="integration_accuracy",
-        value=lambda found: (
-            _solver(found, "LSODA 1e-10")["us_a_ms"]
-            / _solver(found, "leglab", h_ms=1.0, substeps=2)["us_a_ms"]
-        ),
-        better="high",
-    ),
-    Ratio(
-        name="naive_error_over_ours",
-        title="error of position, explicit Euler at 0.01 ms over leglab's scheme at 0.25 ms",
-        part="integration_accuracy",
-        value=lambda found: (
-            _solver(found, "naive explicit", h_ms=0.01)["x_rms_mm"]
-            / _solver(found, "leglab", h_ms=0.25)["x_rms_mm"]
-        ),
-        better="high",
-    ),
-    Ratio(
-        name="replays_over_sysid",
-        title="replays a second of the diagnosis over mujoco.sysid's, windows in one call",
-        part="diagnosis_rollouts",
-        value=lambda found: (
-            found["replays"]["leglab diagnose"]["best_per_s"]
-            / found["replays"]["mujoco.sysid, windows in one call"]["best_per_s"]
-        ),
-        better="high",
-    ),
-    *(
-        Ratio(
-            name=f"sweep_efficiency_{name}",
-            title=f"CPU time inside runs over all of a sweep by two processes, {what}",
-            part="sweeps",
-            value=partial(_efficiency, i),
-            better="high",
-            asked=0.9,
-        )
-        for i, (name, what) in enumerate(
-            (("short", "1 s of the knee bench"), ("long", "40 s of the leg"))
-        )
-    ),
-    *(
-        Ratio(
-            name=f"dask_over_processes_{name}",
-            title=f"CPU time of a sweep by Dask over processes, {what}",
-            part="sweeps",
-            value=partial(_dask_over_processes, i),
-            better="low",
-            asked=1.05,
-        )
-        for i, (name, what) in enumerate(
-            (("short", "1 s of the knee bench"), ("long", "40 s of the leg"))
-        )
-    ),
-    Ratio(
-        name="thousand_runs_s",
-        title="wall time of a thousand one-second runs by two processes, s",
-        part="sweeps",
-        value=lambda found: (
-            _THOUSAND
-            * _ways(found)[0][_TWO]["wall"]
-            / next(case["runs"] for name, case in found.items() if name != "books")
-        ),
-        better="low",
-        asked=90.0,
-        absolute=True,
-    ),
+_STEP, _LOOP = (
+    "time of a step of the leg over that with MuJoCo's motors",
+    "speed of the closed loop",
 )
+_BATCH = "steps of the batched environment over"
+_SHORT, _LONG = "1 s of the knee bench", "40 s of the leg"
+_SAMPLE, _FREE = "time of a sample", "free-run error on the paper's plant"
+# By benchmark: name, title, value, better, asked; "absolute" where it depends on the machine.
+_TABLE: dict[str, tuple[tuple[Any, ...], ...]] = {
+    "speed": (
+        ("cylinder_over_bare_loop",
+         "time of a cylinder's update over a straight-line C++ loop of its arithmetic",
+         lambda found: found["cylinder_ns"] / found["straight_line_ns"], "low", None),
+    ),
+    "leg_speed": (
+        *((f"leg_over_motors_{label.replace(' ', '_').replace(',', '')}", f"{_STEP}, {label}",
+           lambda found, label=label: found["step_us"][label]["ratio"], "low", 2.0)
+          for label in ("as shipped", "without shapes", "as shipped, at rest")),
+        *((f"real_time_{name}", f"closed loop of the leg over real time, {name}",
+           lambda found, name=name: found["loop"][name]["best"], "high", asked, "absolute")
+          for name, asked in (("pd", 50.0), ("bsnn_arx", 30.0))),
+        ("loop_bsnn_arx_over_pd", f"{_LOOP}, six adaptive joints over pd",
+         lambda found: found["loop"]["bsnn_arx"]["of_pd"], "high", None),
+        ("loop_bank_over_pd", f"{_LOOP}, six adaptive joints with bank and monitor over pd",
+         lambda found: found["loop"]["bsnn_arx_bank"]["of_pd"], "high", 0.6),
+    ),
+    "environment_speed": (
+        ("batch_of_bare_valve", f"{_BATCH} bare stepping on all cores, valves",
+         _of_bare("`make_batch(64)`, valve"), "high", 0.6),
+        ("batch_of_bare_residual",
+         f"{_BATCH} bare stepping on all cores, residual on static_feedforward",
+         _of_bare("`make_batch(64)`, residual on `st"), "high", 0.6),
+        ("batch_of_bare_bsnn_arx", f"{_BATCH} bare stepping on all cores, residual on bsnn_arx",
+         _of_bare("`make_batch(64)`, residual on `bs"), "high", None),
+        ("batch_over_gymnasium", f"{_BATCH} those of Gymnasium's AsyncVectorEnv",
+         _batch_over("Gymnasium's"), "high", None),
+        ("batch_over_dm_control", f"{_BATCH} those of dm_control in processes",
+         _batch_over("dm_control"), "high", None),
+    ),
+    "identification_peers": (
+        ("padasip_rls_time_over_ours",
+         f"{_SAMPLE}, padasip's RLS over leglab's paper's model by single calls",
+         _peer(_PAPER, "padasip", "nanoseconds"), "high", 5.0),
+        *((f"{name}_time_over_ours",
+           f"{_SAMPLE}, {what} over leglab's deployed model by single calls",
+           _peer(_DEPLOYED, peer, "nanoseconds"), "high", None)
+          for name, what, peer in (
+              ("numpy_rls", "RLS in NumPy", "NumPy"),
+              ("river", "river's linear regression", "river"),
+              ("sysidentpy", "SysIdentPy's FROLS", "SysIdentPy"))),
+        *((f"{name}_error_over_ours", f"{_FREE}, {what} over leglab's deployed model",
+           _peer(_DEPLOYED, peer, "free_run"), "high", None)
+          for name, what, peer in (
+              ("padasip_rls", "padasip's RLS", "padasip"),
+              ("scipy", "SciPy's least squares", "SciPy"),
+              ("river", "river's linear regression", "river"),
+              ("sysidentpy", "SysIdentPy's FROLS", "SysIdentPy"))),
+    ),
+    "bsnn_arx_speed": (
+        ("identifier_over_bare_loop",
+         f"{_SAMPLE} of the identifier over a bare C++ loop of its arithmetic",
+         lambda found: found["core_double"] / found["bare"], "low", None),
+        ("six_joints_over_one", "time of an update of six joints over that of one",
+         lambda found: found["update of six joints"] / found["update"], "low", None),
+        ("power_splines", f"power with which the {_SAMPLE} grows with splines, local rule",
+         lambda found: found["power"]["splines"], "low", 1.0),
+        ("power_rls", f"power with which the {_SAMPLE} grows with linear parameters, RLS",
+         lambda found: found["power"]["rls"], "low", 2.0),
+    ),
+    "integration_accuracy": (
+        ("lsoda_time_over_ours",
+         "time of a millisecond, SciPy's LSODA over leglab's scheme at 1 ms",
+         _stiff_time, "high", None),
+        ("naive_error_over_ours",
+         "error of position, explicit Euler at 0.01 ms over leglab's scheme at 0.25 ms",
+         _naive_error, "high", None),
+    ),
+    "diagnosis_rollouts": (
+        ("replays_over_sysid",
+         "replays a second of the diagnosis over mujoco.sysid's, windows in one call",
+         _replays, "high", None),
+    ),
+    "sweeps": (
+        *((f"sweep_efficiency_{name}",
+           f"CPU time inside runs over all of a sweep by two processes, {what}",
+           _efficiency(i), "high", 0.9)
+          for i, (name, what) in enumerate((("short", _SHORT), ("long", _LONG)))),
+        *((f"dask_over_processes_{name}", f"CPU time of a sweep by Dask over processes, {what}",
+           _efficiency(i, _DASK), "low", 1.05)
+          for i, (name, what) in enumerate((("short", _SHORT), ("long", _LONG)))),
+        ("thousand_runs_s", "wall time of a thousand one-second runs by two processes, s",
+         _thousand, "low", 90.0, "absolute"),
+    ),
+}  # fmt: skip
+RATIOS = tuple(
+    Ratio(
+        name=name, title=title, part=part, value=value, better=better, asked=asked,
+        absolute=bool(more),
+    )
+    for part, rows in _TABLE.items()
+    for name, title, value, better, asked, *more in rows
+)  # fmt: skip
 
 
 def machine() -> dict[str, Any]:
