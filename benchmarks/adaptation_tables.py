@@ -351,7 +351,7 @@ def _percent(values: list[bool]) -> str:
 
 def _clock(cases: list[dict[str, Any]], label: str) -> str:
     """Median and worst time to nine tenths, and how many never get there."""
-    median, worst, never = live_names._t90(cases, label)
+    median, worst, never = live_names.t90_cells(cases, label)
     return f"{median} / {worst} s, never in {never}"
 
 

@@ -64,7 +64,7 @@ EFFECTS: dict[str, tuple[str, float, float, int]] = {
     "spring_stiffness": ("stiffness", _middle("spring_stiffness") * _TORQUE, 10, 1),
     "spring_hardening": ("cubic", _middle("spring_stiffness") * _TORQUE, 10, 1),
     "cogging": ("ripple", _middle("cogging") * _TORQUE, 10, 1),
-    "backlash": ("play", 0.022, 10, 0),  # rad, the middle of diagnosis_rigs.py
+    "backlash": ("play", 0.022, 10, 0),  # rad
     "joint_flexibility": ("compliance", 1.0 / 60.0, 10, -1),  # rad/(N m), the rigs' test
     "force_offset": ("force", _middle("force_offset") * _TORQUE, 10, 1),
     "actuator_gain": ("gain", _middle("actuator_gain"), 10, 0),  # added to 1

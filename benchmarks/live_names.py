@@ -367,12 +367,12 @@ def _clocks(found: list[dict[str, Any]]) -> str:
         worst = np.array([case[label]["worst"] for case in found])
         marks = (np.median(worst), np.percentile(worst, 95), worst.max())
         shown = [results.number(float(x), 2) for x in marks]
-        rows.append([f"`{label}`", *_t90(found, label), *shown, str(int((worst > 1.1).sum()))])
+        rows.append([f"`{label}`", *t90_cells(found, label), *shown, str(int((worst > 1.1).sum()))])
     rows.append(["asked", *map(str, ASKED_T90), "0", "", "", "1.1", "0"])
     return results.table([*head, "95 %", "largest", "runs above 1.1"], rows)
 
 
-def _t90(found: list[dict[str, Any]], label: str) -> list[str]:
+def t90_cells(found: list[dict[str, Any]], label: str) -> list[str]:
     """Median and worst t90, and how many were never undone, of those that a clock can tell."""
     clocked = [case[label]["t90"] for case in found if case[label]["clocked"]]
     times = np.array([np.inf if t is None else t for t in clocked])
@@ -403,7 +403,11 @@ def _by_fault(found: list[dict[str, Any]]) -> str:
         row = [name, str(len(group)), results.number(float(frozen), 2)]
         for label in (BEFORE, BANK):
             ratio = np.median([case[label]["ratio"] for case in group], axis=0)
-            row += [results.number(ratio[1], 2), results.number(ratio[3], 2), *_t90(group, label)]
+            row += [
+                results.number(ratio[1], 2),
+                results.number(ratio[3], 2),
+                *t90_cells(group, label),
+            ]
         rows.append(row)
     rows.append(["asked", "", "", *[""] * 5, "0.18", "0.08", *map(str, ASKED_T90), "0"])
     return results.table(head, rows)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
+from benchmarks.live_names import t90_cells
 from benchmarks.specimens import first_change, run_specimen
 from leglab.base.scale import rms
 from leglab.runs.clock import adaptation
@@ -85,7 +86,8 @@ def tables(found: list[dict[str, Any]]) -> str:
         ):
             row = [f"{label}, {name}", str(len(found)), _worst(found, label)]
             row += [results.number(x, 2) for x in values]
-            rows.append(row + (_t90(found, label) if name != "95 %" else ["", "", ""]))
+            median, _, never = t90_cells(found, label)
+            rows.append(row + ([median, *never.split(" of ")] if name != "95 %" else ["", "", ""]))
     text = results.table(head, rows)
     head = ["fault", "runs"]
     for label in LABELS:
@@ -97,24 +99,13 @@ def tables(found: list[dict[str, Any]]) -> str:
         for label in LABELS:
             mean = np.exp(np.log([case[label]["ratio"] for case in own]).mean(axis=0))
             row += [_worst(own, label), *(results.number(mean[k], 2) for k in (1, 3))]
-            row += _t90(own, label)[:1]
+            row += t90_cells(own, label)[:1]
         rows.append(row)
     return text + "\n" + results.table(head, rows)
 
 
 def _worst(found: list[dict[str, Any]], label: str) -> str:
     return results.number(max(case[label]["worst"] for case in found), 2)
-
-
-def _t90(found: list[dict[str, Any]], label: str) -> list[str]:
-    """Median, how many are never undone, and of how many."""
-    clocked = [case[label]["t90"] for case in found if case[label]["clocked"]]
-    times = np.array([np.inf if t is None else t for t in clocked])
-    if not len(times):
-        return ["", "0", "0"]
-    middle = float(np.median(times))
-    median = results.number(middle, 2) if np.isfinite(middle) else "never"
-    return [median, str(int(np.isinf(times).sum())), str(len(times))]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -125,7 +125,7 @@ def _whole(found: list[dict[str, Any]], shown: list[str]) -> str:
         ratio = np.median([case[name]["ratio"] for case in found], axis=0)
         oracle = np.array([case[name]["end"] / case[ORACLE]["end"] for case in found])
         row = [f"`{name}`", *(results.number(float(x), 2) for x in ratio)]
-        row += [*_t90(found, name), results.number(float(np.median(oracle)), 3)]
+        row += [*live_names.t90_cells(found, name), results.number(float(np.median(oracle)), 3)]
         row += [f"{int((oracle <= OF_ORACLE).sum())} of {len(found)}"]
         peer = _of(found, name, PEER) if PEER in found[0] else {}
         lower = sum(value < 1 for value in peer.values())
@@ -157,11 +157,6 @@ def _kind(case: dict[str, Any]) -> str:
     return case["fault"] + (" (negative)" if case["size"] < 0 else "")
 
 
-def _t90(found: list[dict[str, Any]], name: str) -> list[str]:
-    """Median and worst t90 [s], and how many were never undone, of those that a clock can tell."""
-    return live_names._t90(found, name)
-
-
 def _by_fault(found: list[dict[str, Any]], shown: list[str]) -> str:
     head = ["fault", "cases", "frozen, mrad"]
     for name in shown:
@@ -176,7 +171,7 @@ def _by_fault(found: list[dict[str, Any]], shown: list[str]) -> str:
         for name in shown:
             ratio = np.median([case[name]["ratio"] for case in group], axis=0)
             row += [results.number(float(ratio[1]), 2), results.number(float(ratio[3]), 2)]
-            row += [_t90(group, name)[0]]
+            row += [live_names.t90_cells(group, name)[0]]
             row += [results.number(float(np.mean([c[name]["end"] for c in group])), 2)]
         row += [results.number(float(np.mean([c[ORACLE]["end"] for c in group])), 2)]
         rows.append(row)

@@ -134,7 +134,6 @@ BENCHMARKS = {
         Benchmark(name="diagnosis_self_test"),
         Benchmark(name="diagnosis_joints"),
         Benchmark(name="diagnosis_measured"),
-        Benchmark(name="diagnosis_rigs"),
         Benchmark(name="diagnosis_scales"),
         Benchmark(name="diagnosis_unexplained"),
         Benchmark(name="digests"),

@@ -1,6 +1,6 @@
 """The deployed identifier: a NARX model of lags and splines of any signal, linear in parameters."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -101,31 +101,6 @@ class SplineNarxSettings(checks.Settings):
             self._check(block)
         count = sum(block.count + block.weights for block in self.blocks)
         checks.whole("number of parameters", count, least=1, most=MAX_PARAMETERS)
-
-    @classmethod
-    def standard(
-        cls,
-        *,
-        output: Signal,
-        inputs: Iterable[Signal],
-        na: int = 3,
-        nb: int = 3,
-        nk: int = 0,
-        output_splines: int = 5,
-        rls: Rls | None = None,
-    ) -> "SplineNarxSettings":
-        """Lags of y and of every input, a constant, and splines of y(t - 1) over its range."""
-        inputs = tuple(inputs)
-        features: list[Feature] = []
-        if output_splines:
-            basis = Basis.uniform(output.lower, output.upper, output_splines, outside="linear")
-            features.append(Spline(signal=output.name, lag=1, basis=basis))
-        if na:
-            features.append(Lags(signal=output.name, first=1, count=na))
-        features += [Lags(signal=signal.name, first=nk, count=nb) for signal in inputs]
-        features.append(Constant())
-        rls = Rls.adaptive() if rls is None else rls
-        return cls(output=output, inputs=inputs, features=tuple(features), rls=rls)
 
     @property
     def signals(self) -> tuple[Signal, ...]:
