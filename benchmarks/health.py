@@ -1,7 +1,7 @@
 """How slow wear is followed and named.
 
 Walking leg, specimens of tolerance 0.1, `bsnn_arx_bank`. A part wears on a straight line from 40 s
-on, so fast that it has its severity after 600 s; the run ends before. What is said is held against
+on, so fast that it has its size after 600 s; the run ends before. What is said is held against
 the size that the scenario gives the machine. Oil that warms is no wear, and is to be told as what
 it is; where nothing changes nothing is to be said.
 """

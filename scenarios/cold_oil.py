@@ -14,7 +14,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     severity=Severity(meaning="oil temperature [°C]", default=0.0, lowest=-10.0, highest=40.0),
 )
 def cold_oil(options: Options) -> tuple[ParameterChange, ...]:
-    """Sets the oil temperature of every cylinder to the severity."""
+    """Sets the oil temperature of every cylinder to the size."""
     return (options.set("oil_temperature", options.severity),)
 
 

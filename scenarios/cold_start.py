@@ -25,7 +25,7 @@ HEAT_TRANSFER = 5.0  # W/K
     ),
 )
 def cold_start(options: Options) -> tuple[ParameterChange, ...]:
-    """Sets oil and surroundings of every cylinder to the severity at the start.
+    """Sets oil and surroundings of every cylinder to the size at the start.
 
     Raises:
         LeglabError: A ramp is asked for.

@@ -14,7 +14,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     per_joint=True,
 )
 def seal_wear(options: Options) -> tuple[ParameterChange, ...]:
-    """Multiplies the internal leakage of every cylinder by the severity."""
+    """Multiplies the internal leakage of every cylinder by the size."""
     return (options.scale("internal_leakage", options.severity),)
 
 

@@ -12,7 +12,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     severity=Severity(meaning="internal leakage ratio", default=10.0, lowest=1.0, highest=1000.0),
 )
 def seal_wear_supply_drop(options: Options) -> tuple[ParameterChange, ...]:
-    """Multiplies the internal leakage by the severity and sets the supply to 120 bar."""
+    """Multiplies the internal leakage by the size and sets the supply to 120 bar."""
     return (
         options.scale("internal_leakage", options.severity),
         options.set("supply_pressure", 120e5),

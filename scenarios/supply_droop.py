@@ -1,6 +1,6 @@
 """The pump cannot keep up with fast strides from half time on.
 
-The flow that a worn pump has left is the severity, and a quarter of the accumulator's gas volume:
+The flow that a worn pump has left is the size, and a quarter of the accumulator's gas volume:
 the pressure now swings with the demand of all joints together. Only models with an accumulator can
 droop.
 """

@@ -16,7 +16,7 @@ from leglab.base.scenario import Options, ParameterChange, Severity, register_sc
     per_joint=True,
 )
 def valve_wear(options: Options) -> tuple[ParameterChange, ...]:
-    """Sets overlap and hysteresis of every valve to the severity."""
+    """Sets overlap and hysteresis of every valve to the size."""
     return (options.set("lap", options.severity), options.set("hysteresis", options.severity))
 
 

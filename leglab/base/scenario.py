@@ -104,13 +104,13 @@ class Phase:
 
 @dataclass(frozen=True, kw_only=True)
 class Severity:
-    """How bad a scenario's change is.
+    """Sizes that a scenario's change may have.
 
     Attributes:
         meaning: What the number says, with its unit, for instance "internal leakage ratio".
-        default: The severity if none is asked for.
-        lowest: Smallest severity allowed.
-        highest: Largest severity allowed.
+        default: The size if none is asked for.
+        lowest: Smallest size allowed.
+        highest: Largest size allowed.
     """
 
     meaning: str
@@ -125,7 +125,7 @@ class Options:
 
     Attributes:
         duration: Duration of the run [s].
-        severity: Severity of the change, in the unit that the scenario declares; NaN without one.
+        severity: Size of the change, in the unit that the scenario declares; NaN without one.
         ramp_duration: How long the change takes [s]; 0 is a step.
     """
 
@@ -183,7 +183,7 @@ class Scenario:
         reference_config: Settings of that trajectory.
         changes: What happens to the machine, in the order in which it begins. Where two apply to
             one parameter of one element, the second starts from what the first left.
-        severity: Severity that the changes have been built with; None without one.
+        severity: Size that the changes have been built with; None without one.
     """
 
     name: str
@@ -349,7 +349,7 @@ def get_scenario(
     Args:
         name: One of `scenario_names()`.
         duration: Duration [s]; None stands for the scenario's own.
-        severity: Severity of the change; None stands for the scenario's own.
+        severity: Size of the change; None stands for the scenario's own.
         ramp_duration: How long the change takes [s]; 0 is a step.
         element: Joint whose cylinder, spring and encoder change alone; None for all that the
             scenario changes.
@@ -406,7 +406,7 @@ def scenario_summary(name: str) -> str:
 
 
 def scenario_severity(name: str) -> Severity | None:
-    """Returns what severities a scenario has; None without any."""
+    """Returns the sizes that a scenario's change may have; None where it has one alone."""
     return SCENARIOS.get(name).severity
 
 

@@ -104,7 +104,7 @@ def summaries() -> dict[str, dict[str, str]]:
 
 
 def severity_text(scenario: str) -> str:
-    """Returns the meaning and default of a scenario's severity; empty without one."""
+    """Returns the meaning and default of a scenario's size; empty without one."""
     import leglab.scenarios  # noqa: F401  registers the scenarios
     from leglab.base.scenario import scenario_severity
 

@@ -108,7 +108,7 @@ class Calibration:
 
     Attributes:
         recordings: Name, normalised error of the model as it was, and of the calibrated one.
-        estimates: Effect, element and strength that departed, largest departure first.
+        estimates: Effect, element and parameter that differ, the largest difference first.
     """
 
     recordings: tuple[tuple[str, float, float], ...]

@@ -1,4 +1,4 @@
-"""Draws the episodes of an environment: seed, scenario, its severity and time, specimen."""
+"""Draws the episodes of an environment: seed, scenario, size and time of its change, specimen."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -40,8 +40,8 @@ class Faults:
     """Sizes of one scenario's change in the bank.
 
     Attributes:
-        healthy: Severity that changes nothing.
-        sizes: Severities on one side of it, from small to large change.
+        healthy: Size that changes nothing.
+        sizes: Sizes on one side of it, from small to large change.
     """
 
     healthy: float

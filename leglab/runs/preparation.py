@@ -53,7 +53,7 @@ class RunSettings:
         model: Name of a model or path of an MJCF file.
         duration: [s]; None for the scenario's own.
         seed: Of sensor noise and of everything random, a random reference included.
-        severity: Of the scenario's change, in its own unit; None for its own.
+        severity: Size of the scenario's change, in its own unit; None for its own.
         ramp_duration: How long the change takes [s].
         element: Joint whose cylinder, spring and encoder change alone; None for all that the
             scenario changes.

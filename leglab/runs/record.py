@@ -99,7 +99,7 @@ class RunMetrics(BaseModel):
         model: Name or path.
         seed: Of sensor noise and everything random.
         duration: How far the run came [s].
-        severity: Of the fault, in the scenario's own unit; None without one.
+        severity: Size of the fault, in the scenario's own unit; None without one.
         real_time_factor: Simulated time over the loop's wall time.
         completed: Whether the run came to its end.
         failure: Why it ended early.

@@ -388,7 +388,7 @@ def test_healthy_recordings_tell_what_changed_since(tmp_path, verdict, told):
     assert "calm 30, calibrated 4" in section(result, "The specimen before")
     page = write_page(result, tmp_path, model="m")
     assert table(page, "error in the healthy recordings")[1] == ["calm", "30", "4"]
-    assert table(page, "departs most")[1][2:] == ["pressure", "205 bar", "210 bar"]
+    assert table(page, "differs most")[1][2:] == ["pressure", "205 bar", "210 bar"]
     changed = section(result, "What changed since")
     # The specimen's own value was calibrated, whatever the model has.
     assert ("before" in changed, "in the model" in changed) == (bool(result.effects), False)

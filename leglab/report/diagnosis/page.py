@@ -151,7 +151,7 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
             rows=errors,
         ),
         Table(
-            caption="The specimen before: what departs most from the model",
+            caption="The specimen before: what differs most from the model",
             head=("effect", "element", "parameter", "this machine", "in the model"),
             rows=departed,
             words=3,

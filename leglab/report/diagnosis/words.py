@@ -415,9 +415,9 @@ def _before(result: Diagnosis) -> tuple[str, ...]:
         for effect, element, p in calibration.estimates[:_RECALIBRATED]
     ]
     if departed:
-        lines.append(f"What departs most from the model: {'; '.join(departed)}.")
+        lines.append(f"What differs most from the model: {'; '.join(departed)}.")
     else:
-        lines.append("No parameter departs from the model by more than is barely noticeable.")
+        lines.append("No parameter differs from the model by more than is just noticeable.")
     lines.append("This was so before; what follows is what changed since.")
     return tuple(lines)
 
