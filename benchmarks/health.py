@@ -167,5 +167,5 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--specimens", type=int, default=1, help="how many")
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--cases", default="", help="only these, separated by commas")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
     parser.add_argument("--keep", type=Path, help="where finished cases are kept, to go on")
