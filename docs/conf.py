@@ -66,7 +66,7 @@ napoleon_use_ivar = True
 
 html_theme = "furo"
 html_show_copyright = False  # the license says it
-html_split_index = True  # one page of all names is 50,000 px high
+html_use_index = False  # one page of all names is 50,000 px high; search finds them
 html_static_path = ["_static"]
 html_css_files = ["leglab.css"]
 html_theme_options = {"navigation_with_keys": True}
