@@ -27,9 +27,16 @@ Model = TypeVar("Model", bound=Configuration)
 
 def first_problem(error: ValidationError) -> tuple[str, str]:
     """Returns where a validation found its first problem, "" for the whole, and the reason."""
-    problem = error.errors(include_url=False, include_input=False)[0]
+    problem = _first(error)
     reason = problem["msg"].removeprefix("Value error, ")
     return ".".join(str(part) for part in problem["loc"]), reason[:1].lower() + reason[1:]
+
+
+def _first(error: ValidationError) -> Any:
+    """The first problem; an unknown key, before all, is often what is missing by its right name."""
+    problems = error.errors(include_url=False)
+    unknown = (one for one in problems if one["type"] == "extra_forbidden")
+    return next(unknown, problems[0])
 
 
 def validate_configuration(
@@ -52,7 +59,7 @@ def validate_configuration(
     try:
         return model.model_validate(dict(values or {}))
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
+        problem = _first(error)
         key, reason = first_problem(error)
     if problem["type"] == "extra_forbidden":
         if not model.model_fields:

@@ -102,6 +102,12 @@ def report(
     if folders and len(folders) == 1 and is_comparison(folders[0]):
         _report_comparison(folders[0], out, overwrite=overwrite, as_json=as_json)
         return
+    if folders and len(folders) == 1 and (page := folders[0] / "diagnosis.html").is_file():
+        if as_json:
+            print_json({"page": str(page)})
+        else:
+            tell(f"{page} is the page of this diagnosis; leglab diagnose has written it")
+        return
     if films is not None:
         raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
     if scenario is None:

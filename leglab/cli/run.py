@@ -1,9 +1,9 @@
 """The commands `leglab run`, `leglab compare` and `leglab view`, which run scenarios."""
 
 import json
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -132,7 +132,22 @@ def compare(
         vary=vary,
     )
     runs = comparison.runs()
-    make = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
+    there: list[int] = []
+
+    def make(progress: Callable[[int, int, str], None]) -> list[dict[str, Any]]:
+        def noted(done: int, total: int, name: str) -> None:
+            there.append(done)
+            progress(done, total, name)
+
+        return run_all(
+            runs,
+            out / RUNS,
+            jobs=jobs,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            progress=noted,
+        )
+
     with claimed_folder(out):
         results = terminal.make_many("comparing", len(runs), make)
         summary = summarise(comparison, results)
@@ -151,7 +166,8 @@ def compare(
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
-        terminal.tell(f"written to {out}")
+        kept = f"{there[0]} of {len(runs)} runs were there; " if there[0] else ""
+        terminal.tell(f"{kept}written to {out}")
     for line in failures(summary):
         terminal.complain(line, "warning")
     if not any(result["metrics"]["completed"] for result in results):

@@ -190,3 +190,24 @@ def test_diagnose_refuses_a_recording_of_both_machines(tmp_path, monkeypatch, ca
     assert status == 2
     assert "walk.csv is given as a recording and as --healthy" in " ".join(error.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("value", ["float('nan')", "1 / 0"])
+def test_a_comparison_of_which_all_runs_fail_does_not_end_well(value, tmp_path, capsys):
+    (tmp_path / "broken.py").write_text(
+        "import numpy as np\n"
+        "from leglab.control import register_controller\n\n\n"
+        f"@register_controller('broken_{len(value)}', summary='breaks')\n"
+        "class Broken:\n"
+        "    def __init__(self, setup, config):\n        pass\n\n"
+        "    def reset(self, measurement):\n        pass\n\n"
+        "    def command(self, measurement, reference):\n"
+        f"        return reference.position * ({value})\n"
+    )
+    arguments = ("nominal", "--model", "knee_bench", "--duration", "0.5", "--jobs", "1")
+    own = ("--controllers", f"broken_{len(value)}", "--load", str(tmp_path / "broken.py"))
+    out = ("--seeds", "1", "--no-figures", "--out", str(tmp_path / "c"))
+    status, _, told = leglab("compare", *arguments, *own, *out, capsys=capsys)
+    assert status in (1, 2)
+    assert told.count("\n") == 1
+    assert "Traceback" not in told
