@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from leglab import data
+from leglab.base.errors import LeglabError
+from leglab.runs.sweeps.engine import read_sweep
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "development" / "notes" / "first_day_output.txt"
@@ -126,7 +128,10 @@ class Day:
 
 def rows(folder: Path) -> int:
     """Number of rows that a sweep has kept."""
-    return sum(len(file.read_bytes().splitlines()) for file in folder.glob("journal-*.jsonl"))
+    try:
+        return read_sweep(folder).done
+    except LeglabError:  # Not begun.
+        return 0
 
 
 def first_day(folder: Path) -> Day:
