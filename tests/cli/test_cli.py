@@ -12,6 +12,7 @@ import pytest
 import leglab.models as leglab_models
 from leglab import data
 from leglab.cli import main
+from leglab.control.contract import CONTROLLERS
 from leglab.controllers.pd import Pd
 from leglab.runs.record import AdaptationMetrics
 
@@ -193,7 +194,10 @@ def test_diagnose_refuses_a_recording_of_both_machines(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.parametrize("value", ["float('nan')", "1 / 0"])
-def test_a_comparison_of_which_all_runs_fail_does_not_end_well(value, tmp_path, capsys):
+def test_a_comparison_of_which_all_runs_fail_does_not_end_well(
+    value, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(CONTROLLERS, "_entries", dict(CONTROLLERS._entries))
     (tmp_path / "broken.py").write_text(
         "import numpy as np\n"
         "from leglab.control import register_controller\n\n\n"

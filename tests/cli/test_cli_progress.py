@@ -21,7 +21,7 @@ def clock(monkeypatch):
 
 def test_a_pipe_gets_a_line_with_counts_and_time_left_every_half_a_minute(clock, monkeypatch):
     text = io.StringIO()
-    monkeypatch.setattr(terminal.errors, "file", text)
+    monkeypatch.setattr(terminal.errors, "_file", text)  # `file` would keep the stream of now
 
     def make(progress):
         progress(3, 28, "")  # which were there
@@ -39,7 +39,7 @@ def test_a_pipe_gets_a_line_with_counts_and_time_left_every_half_a_minute(clock,
 
 def test_a_quick_command_tells_a_pipe_nothing(clock, monkeypatch):
     text = io.StringIO()
-    monkeypatch.setattr(terminal.errors, "file", text)
+    monkeypatch.setattr(terminal.errors, "_file", text)  # `file` would keep the stream of now
     with terminal.progress("nominal · pd", 20.0) as show:
         for second in range(20):
             clock[0] += 1.0

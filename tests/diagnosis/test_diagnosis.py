@@ -21,7 +21,7 @@ from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
-from leglab.diagnosis.verdict.experiment import propose, test_signals
+from leglab.diagnosis.verdict.experiment import excitations, propose
 from leglab.diagnosis.verdict.output import write_diagnosis
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.helpers.patched_models import reloaded_error
@@ -238,7 +238,7 @@ def test_proposed_experiment_separates_the_rivals_better_than_another(problem):
     assert proposal is not None
     assert proposal.rivals == ("valve_bias", "command_delay")
     assert proposal.separation > 100.0
-    assert proposal.name in test_signals(10, 1e-3)
+    assert proposal.name in excitations(10, 1e-3)
 
 
 def test_degrees_and_bars_are_refused_with_a_hint():

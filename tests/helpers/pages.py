@@ -141,12 +141,12 @@ def _shell(block: Block, where: str, names: dict) -> tuple[int, str]:
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", block.text],
         env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
+        capture_output=True,
         text=True,
         check=False,
     )
-    return done.returncode, done.stdout
+    # Where all went well standard error has the progress alone, as a pipe gets it.
+    return done.returncode, done.stdout + (done.stderr if done.returncode else "")
 
 
 def _python(block: Block, where: str, names: dict) -> tuple[int, str]:

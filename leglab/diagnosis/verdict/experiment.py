@@ -7,7 +7,7 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Proposal
 
 
-def test_signals(samples: int, period: float) -> dict[str, np.ndarray]:
+def excitations(samples: int, period: float) -> dict[str, np.ndarray]:
     """Excitations of unit amplitude by name, each (samples,)."""
     time, tones = period * np.arange(samples), (0.7, 1.9, 4.3, 8.9)
     multisine = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(tones))
@@ -24,7 +24,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     """T-optimal choice (Atkinson and Fedorov 1975) between two rivals.
 
     Both rivals, with the parameters that fit the present recordings, answer every excitation of
-    the test_signals from a calm moment of those recordings; the one in which they differ most, in
+    the excitations from a calm moment of those recordings; the one in which they differ most, in
     noise levels, is proposed; None where no excitation separates them.
     """
     (one, first), (other, second) = rivals.items()
@@ -35,7 +35,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
     # For 1 s, with small and large commands, as shares of the present range.
-    waves = test_signals(round(1.0 / period), period)
+    waves = excitations(round(1.0 / period), period)
     tried = [(name, amplitude) for name in waves for amplitude in (0.3, 1.0)]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]
     speeds = replay.measured()[:, 0, :10]
