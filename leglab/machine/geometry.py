@@ -6,9 +6,6 @@ import numpy as np
 
 from leglab.base.errors import ModelError
 
-# A piston may leave its stroke by so much of it within the joint's range: soft stops of joints
-# give way, and the range of a bench may be wider than its motions.
-_BEYOND = 0.05
 # Least lever arm that counts as one, of the greatest in the joint's range.
 _LEAST_LEVER = 1e-3
 
@@ -25,13 +22,14 @@ def check_cylinder(
 ) -> None:
     """Refuses a cylinder that cannot sit where the model has it.
 
-    Within the joint's range the piston may leave its stroke by a twentieth of it, and the lever arm
-    keeps its sign.
+    Within the joint's range each chamber has a volume, its dead one as far as the piston is beyond
+    its stroke, into the stops; and the lever arm keeps its sign.
 
     Args:
         name: Of the cylinder.
         joint: Name of the joint that it drives.
-        sheet: Its parameters, `stroke` and `mid_length` [m] among them.
+        sheet: Its parameters: `stroke`, `mid_length`, `bore`, `rod` [m], `dead_volume_a` and
+            `dead_volume_b` [m^3] among them.
         position: Of the joint over its range [rad or m], (n,).
         lever: There, length per position [m/rad or 1], (n,).
         length: Distance of the anchors there [m], (n,).
@@ -41,9 +39,15 @@ def check_cylinder(
         ModelError: Names cylinder, joint, position, length and what is allowed.
     """
     stroke, middle = sheet["stroke"], sheet["mid_length"]
-    outside = np.abs(length - middle) - stroke / 2
-    worst = int(outside.argmax())
-    if outside[worst] > _BEYOND * stroke:
+    area_a = np.pi / 4 * sheet["bore"] ** 2
+    area_b = area_a - np.pi / 4 * sheet["rod"] ** 2
+    extended = length - middle + stroke / 2
+    volume = np.minimum(
+        sheet["dead_volume_a"] + area_a * extended,
+        sheet["dead_volume_b"] + area_b * (stroke - extended),
+    )
+    worst = int(volume.argmin())
+    if volume[worst] <= 0.0:
         raise ModelError(
             f"cylinder {name!r} with joint {joint!r} at {position[worst]:.3g} {unit}: its anchors "
             f"are {length[worst]:.4g} m apart; allowed: {middle - stroke / 2:.4g} to "

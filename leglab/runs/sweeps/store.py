@@ -6,10 +6,11 @@
     FOLDER/runs/scenario=NAME/controller=NAME/part-0.parquet
     FOLDER/.earlier         the sweep that this one replaces, until this one is whole
 
-A row is kept as soon as its transaction is over, so that an end at any moment loses runs that were
-being made, and no row. Where there is a `dataset.json` its files count, otherwise the database. One
-process writes, whatever makes the runs; readers of the database run on its machine, since the
-write-ahead log needs memory that they share.
+A row is kept as soon as its transaction is over: the end of a process, at any moment, loses runs
+that were being made, and no row; a power cut may lose the last rows, whose runs are made again.
+Where there is a `dataset.json` its files count, otherwise the database. One process writes,
+whatever makes the runs; readers of the database run on its machine, since the write-ahead log needs
+memory that they share.
 """
 
 import json
@@ -314,7 +315,7 @@ class Store:
         return self._state.count(_BROKEN)
 
     def add(self, number: int, answer: dict[str, Any], by: str) -> None:
-        """Keeps the row of a run, also of one that failed: it is safe when this returns.
+        """Keeps the row of a run, also of one that failed.
 
         Raises:
             LeglabError: It cannot be written.
@@ -322,7 +323,7 @@ class Store:
         self.keep(row_of(self._plan, number, answer, by))
 
     def keep(self, row: Mapping[str, Any]) -> None:
-        """Keeps a row: it is safe when this returns.
+        """Keeps a row.
 
         Raises:
             LeglabError: It cannot be written.
@@ -332,7 +333,7 @@ class Store:
         self._note(row)
 
     def propose(self, run: int, values: dict[str, float]) -> None:
-        """Keeps a proposed point by the number of its first run: it is safe when this returns.
+        """Keeps a proposed point by the number of its first run.
 
         Raises:
             LeglabError: It cannot be written.
