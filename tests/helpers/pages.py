@@ -89,7 +89,7 @@ def agrees(said: str, printed: str) -> bool:
     reached = {0}
     for part in pattern:
         if part == "...":
-            reached = set(range(min(reached), len(tokens) + 1)) if reached else set()
+            reached = set(range(min(reached) + 1, len(tokens) + 1)) if reached else set()
         else:
             reached = {i + 1 for i in reached if i < len(tokens) and _same(part, tokens[i])}
     return len(tokens) in reached
