@@ -27,31 +27,21 @@ class Balance:
     """Imbalance of one joint's forces, or of one cylinder's oil, that the model leaves.
 
     Samples lie in rows of windows, (windows, samples); whose sums are the balance.
-
-    Attributes:
-        element: Joint or cylinder.
-        joint: Whose motion it is.
-        actuator: Whose command the inputs have; empty where nothing drives the joint.
-        oil: Whether it is an oil balance.
-        lacking: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
-        gain: d(lacking)/d(what is learned), (windows, samples): 1 for a force, rate of pressure an
-            opening of the valve.
-        inputs: By variable, each (windows, samples).
-        moving: Whether the joint moves all the while, (windows,).
-        recording: Number of the recording, (windows,).
-        time: s, in the middle of windows, (windows,).
     """
 
-    element: str
-    joint: str
-    actuator: str
-    oil: bool
+    element: str  #: Joint or cylinder
+    joint: str  #: Whose motion it is
+    actuator: str  #: Whose command the inputs have; empty where nothing drives the joint
+    oil: bool  #: Whether it is an oil balance
+    #: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
     lacking: np.ndarray
+    #: d(lacking)/d(what is learned), (windows, samples): 1 for a force, rate of pressure an opening
+    #: of the valve.
     gain: np.ndarray
-    inputs: dict[str, np.ndarray]
-    moving: np.ndarray
-    recording: np.ndarray
-    time: np.ndarray
+    inputs: dict[str, np.ndarray]  #: By variable, each (windows, samples)
+    moving: np.ndarray  #: Whether the joint moves all the while, (windows,)
+    recording: np.ndarray  #: Number of the recording, (windows,)
+    time: np.ndarray  #: s, in the middle of windows, (windows,)
 
     @property
     def gained(self) -> np.ndarray:

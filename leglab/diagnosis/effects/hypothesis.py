@@ -15,16 +15,13 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """An effect on one element of a machine, with its parameters there.
-
-    Attributes:
-        own: Values in the specimen at hand, where its calibration has found others than the
-            model's, shape (parameters,); None for the model's.
-    """
+    """An effect on one element of a machine, with its parameters there."""
 
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
+    #: Values in the specimen at hand, where its calibration has found others than the model's,
+    #: shape (parameters,); None for the model's.
     own: np.ndarray | None = None
 
     @property

@@ -116,30 +116,19 @@ def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> d
 
 @dataclass(frozen=True)
 class SizedRow:
-    """One parameter of an effect on joints or actuators; their size decides how far it goes.
+    """One parameter of an effect on joints or actuators; their size decides how far it goes."""
 
-    Attributes:
-        name: As in `EffectParameter`.
-        unit: As in `EffectParameter`; of a joint a pattern of `joint_unit`.
-        trials: To screen; shares of the size, added to the own value.
-        lower: Smallest value in sizes, absolute.
-        upper: Largest value in sizes, added to the own value.
-        size: Of a joint or actuator.
-        field: MuJoCo's field of a joint that holds its own value, see `native`. Half is tried too.
-        half_above: Only where the value is above so many sizes.
-        own: The own value where there is no field.
-    """
-
-    name: str
-    unit: str
-    trials: tuple[float, ...]
+    name: str  #: As in `EffectParameter`
+    unit: str  #: As in `EffectParameter`; of a joint a pattern of `joint_unit`
+    trials: tuple[float, ...]  #: To screen; shares of the size, added to the own value
     _: KW_ONLY
-    lower: float = 0.0
-    upper: float
-    size: Size = force_scale
+    lower: float = 0.0  #: Smallest value in sizes, absolute
+    upper: float  #: Largest value in sizes, added to the own value
+    size: Size = force_scale  #: Of a joint or actuator
+    #: MuJoCo's field of a joint that holds its own value, see `native`. Half is tried too.
     field: str = ""
-    half_above: float = 0.0
-    own: Size = lambda machine, element: 0.0
+    half_above: float = 0.0  #: Only where the value is above so many sizes
+    own: Size = lambda machine, element: 0.0  #: The own value where there is no field
 
     def __call__(self, machine: Machine, element: str) -> EffectParameter:
         """The parameter on a joint or actuator."""

@@ -20,17 +20,12 @@ _UNIT = "is it in bar?"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Admitted:
-    """Recordings that a diagnosis can use.
+    """Recordings that a diagnosis can use."""
 
-    Attributes:
-        recordings: By name, with the columns that the diagnosis needs and positions unwrapped.
-        held_out: Names of those on which it is judged.
-        notes: What was left out, repaired or doubted, each said once.
-    """
-
+    #: By name, with the columns that the diagnosis needs and positions unwrapped.
     recordings: Mapping[str, Recording]
-    held_out: tuple[str, ...]
-    notes: tuple[str, ...]
+    held_out: tuple[str, ...]  #: Names of those on which it is judged
+    notes: tuple[str, ...]  #: What was left out, repaired or doubted, each said once
 
 
 def admit(

@@ -5,16 +5,11 @@ from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """One remark on a recording.
+    """One remark on a recording."""
 
-    Attributes:
-        text: What is remarked, the same for all places.
-        recording: Name.
-        place: Column in quotes, with what is special about it; "" for the recording as a whole.
-    """
-
-    text: str
-    recording: str
+    text: str  #: What is remarked, the same for all places
+    recording: str  #: Name
+    #: Column in quotes, with what is special about it; "" for the recording as a whole.
     place: str = ""
 
 

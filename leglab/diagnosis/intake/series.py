@@ -29,28 +29,19 @@ _UNCLEAR = DEFAULT.certain * DEFAULT.same
 
 @dataclass(frozen=True)
 class UniformSeries:
-    """One recording, ready for replay.
+    """One recording, ready for replay."""
 
-    Attributes:
-        name: Of its file.
-        period: s.
-        time: Shape (n,), s.
-        columns: Samples on the grid by column, each (n,), gaps bridged.
-        valid: Where every channel was measured, shape (n,).
-        steps: Least step of quantised columns as they were logged; 0 where there is none.
-        noise: Standard deviation of white noise on the grid that averages as the logged samples do,
-            by column, 0 where none shows; empty where the log is on the grid as it is.
-        command_lead: By how much commands reach native actuators before their time [s].
-    """
-
-    name: str
-    period: float
-    time: np.ndarray
-    columns: dict[str, np.ndarray]
-    valid: np.ndarray
+    name: str  #: Of its file
+    period: float  #: s
+    time: np.ndarray  #: Shape (n,), s
+    columns: dict[str, np.ndarray]  #: Samples on the grid by column, each (n,), gaps bridged
+    valid: np.ndarray  #: Where every channel was measured, shape (n,)
+    #: Least step of quantised columns as they were logged; 0 where there is none.
     steps: dict[str, float]
+    #: Standard deviation of white noise on the grid that averages as the logged samples do, by
+    #: column, 0 where none shows; empty where the log is on the grid as it is.
     noise: dict[str, float]
-    command_lead: float
+    command_lead: float  #: By how much commands reach native actuators before their time [s]
 
     @classmethod
     def from_recording(
@@ -94,22 +85,15 @@ class UniformSeries:
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The stamps of a recording, as its logger's clock meant them.
+    """The stamps of a recording, as its logger's clock meant them."""
 
-    Attributes:
-        period: Usual time between two rows [s], free of jitter and lost rows.
-        stamps: Shape (n,), s; those of a uniform clock that rounds are straightened.
-        rounding: Step to which stamps were rounded [s]; 0 where they were not, or evenly.
-        jitter: RMS of the stamps' departures from whole periods between neighbours, in periods.
-        lost: Rows that are missing between others.
-        clear: Whether the period is known well; it is not where jitter and lost rows hide the beat.
-    """
-
-    period: float
-    stamps: np.ndarray
-    rounding: float
+    period: float  #: Usual time between two rows [s], free of jitter and lost rows
+    stamps: np.ndarray  #: Shape (n,), s; those of a uniform clock that rounds are straightened
+    rounding: float  #: Step to which stamps were rounded [s]; 0 where they were not, or evenly
+    #: RMS of the stamps' departures from whole periods between neighbours, in periods.
     jitter: float
-    lost: int
+    lost: int  #: Rows that are missing between others
+    #: Whether the period is known well; it is not where jitter and lost rows hide the beat.
     clear: bool
 
     @classmethod

@@ -33,23 +33,15 @@ class Columns:
 
     Rows of a window are channels x bins of its replay, then joints x blocks of the forces that its
     measured motion leaves over.
-
-    Attributes:
-        base: The hypothesis.
-        x: Its departures, (unknowns,).
-        errors: (windows, rows).
-        tangents: Change of the errors by one trial, (windows, rows, unknowns).
-        jumps: What was jumped.
-        changes: Change of the errors by each jump, (windows, rows, jumps).
-        fine: Whether tangents of all of which the data tell are differences over small steps.
     """
 
-    base: Hypothesis
-    x: np.ndarray
-    errors: np.ndarray
-    tangents: np.ndarray
-    jumps: tuple[Jump, ...]
-    changes: np.ndarray
+    base: Hypothesis  #: The hypothesis
+    x: np.ndarray  #: Its departures, (unknowns,)
+    errors: np.ndarray  #: (windows, rows)
+    tangents: np.ndarray  #: Change of the errors by one trial, (windows, rows, unknowns)
+    jumps: tuple[Jump, ...]  #: What was jumped
+    changes: np.ndarray  #: Change of the errors by each jump, (windows, rows, jumps)
+    #: Whether tangents of all of which the data tell are differences over small steps.
     fine: bool = False
 
 

@@ -57,29 +57,17 @@ def robust_weights(
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Evidence of a set.
+    """Evidence of a set."""
 
-    Attributes:
-        members: The set.
-        log: Log evidence.
-        fit: The same but for what the members cost: their priors and how well they are known.
-        size: Place of the most probable size of the model's own error.
-        spread: Place of the most probable spread of machines.
-        values: Departures of the members, (members,).
-        deviations: Their standard deviations.
-        shift: Change of all single unknowns beside the members, (single,).
-        coefficients: Of the members' columns.
-    """
-
-    members: tuple[Member, ...]
-    log: float
-    fit: float
-    size: int
-    spread: int
-    values: np.ndarray
-    deviations: np.ndarray
-    shift: np.ndarray
-    coefficients: np.ndarray
+    members: tuple[Member, ...]  #: The set
+    log: float  #: Log evidence
+    fit: float  #: The same but for what the members cost: their priors and how well they are known
+    size: int  #: Place of the most probable size of the model's own error
+    spread: int  #: Place of the most probable spread of machines
+    values: np.ndarray  #: Departures of the members, (members,)
+    deviations: np.ndarray  #: Their standard deviations
+    shift: np.ndarray  #: Change of all single unknowns beside the members, (single,)
+    coefficients: np.ndarray  #: Of the members' columns
 
     @property
     def unknowns(self) -> tuple[int, ...]:

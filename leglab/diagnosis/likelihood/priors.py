@@ -21,24 +21,19 @@ from leglab.diagnosis.thresholds import (
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Priors of everything but the errors.
+    """Priors of everything but the errors."""
 
-    Attributes:
-        spreads: Standard deviations of good machines about the specimen, in smallest trials, all
-            as probable; of parameters with a tolerance, that tolerance, and more on machines that
-            depart more. Those beyond the roughest machines' hold beside a large fault alone, and
-            without healthy recordings there are none: a rough machine would buy its own departures
-            by any large fault.
-        tolerances: Share of the tolerances that counts.
-        covariance: Of all single unknowns, by healthy recordings, (single, single); None without.
-        sizes: Of the model's own error in its unit size; 0 is an exact model.
-        log_sizes: Log probabilities of these, (sizes,).
-    """
-
+    #: Standard deviations of good machines about the specimen, in smallest trials, all as probable;
+    #: of parameters with a tolerance, that tolerance, and more on machines that depart more. Those
+    #: beyond the roughest machines' hold beside a large fault alone, and without healthy recordings
+    #: there are none: a rough machine would buy its own departures by any large fault.
     spreads: tuple[float, ...] = SPREADS
-    tolerances: float = 1.0
+    tolerances: float = 1.0  #: Share of the tolerances that counts
+    #: Of all single unknowns, by healthy recordings, (single, single); None without.
     covariance: np.ndarray | None = None
+    #: Of the model's own error in its unit size; 0 is an exact model.
     sizes: tuple[float, ...] = SIZES
+    #: Log probabilities of these, (sizes,).
     log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(len(SIZES)))
 
     @property

@@ -24,21 +24,13 @@ from leglab.diagnosis.thresholds import KINDS_OF_FORCE, LONGEST_DELAY, TOP_QUANT
 
 @dataclass(frozen=True)
 class Motion:
-    """Largest values of a joint.
+    """Largest values of a joint."""
 
-    Attributes:
-        position: Half its range [rad or m].
-        deflection: From where its spring rests, or a spring that it lacks would [rad or m].
-        velocity: Per second.
-        acceleration: Per second squared.
-        force: Of the drive, of gravity and the like, or of inertia [N m or N].
-    """
-
-    position: float
-    deflection: float
-    velocity: float
-    acceleration: float
-    force: float
+    position: float  #: Half its range [rad or m]
+    deflection: float  #: From where its spring rests, or a spring that it lacks would [rad or m]
+    velocity: float  #: Per second
+    acceleration: float  #: Per second squared
+    force: float  #: Of the drive, of gravity and the like, or of inertia [N m or N]
 
     def of_unit(self, unit: str) -> float:
         """Size of a quantity in a unit; 0 where its dimension says nothing."""
@@ -69,22 +61,15 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shown:
-    """Largest quantities that recordings show.
+    """Largest quantities that recordings show."""
 
-    Attributes:
-        joints: By joint.
-        commands: Half the range of what each actuator acts on, by actuator: its command, or of a
-            position servo the error of its position.
-        period: Sampling period [s].
-        change: Shortest time in which a command changes by its size, rms u / rms du/dt [s].
-        correlation: Longest time at which a command's autocorrelation falls to a half [s].
-    """
-
-    joints: Mapping[str, Motion]
+    joints: Mapping[str, Motion]  #: By joint
+    #: Half the range of what each actuator acts on, by actuator: its command, or of a position
+    #: servo the error of its position.
     commands: Mapping[str, float]
-    period: float
-    change: float
-    correlation: float
+    period: float  #: Sampling period [s]
+    change: float  #: Shortest time in which a command changes by its size, rms u / rms du/dt [s]
+    correlation: float  #: Longest time at which a command's autocorrelation falls to a half [s]
 
     @classmethod
     def largest(cls, several: Sequence["Shown"]) -> "Shown":

@@ -71,15 +71,10 @@ def _pattern(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Covariance of the model's own error in every recording, at its unit size.
+    """Covariance of the model's own error in every recording, at its unit size."""
 
-    Attributes:
-        replays: (recordings, size, size).
-        forces: (recordings, joints x blocks, joints x blocks).
-    """
-
-    replays: np.ndarray
-    forces: np.ndarray
+    replays: np.ndarray  #: (recordings, size, size)
+    forces: np.ndarray  #: (recordings, joints x blocks, joints x blocks)
 
     @classmethod
     def of(cls, at: Errors, errors: np.ndarray) -> "Spread":
@@ -153,22 +148,14 @@ class Whitening:
 
     With N^-1 = L'L and L D L' = Q diag(r) Q', rows of Q'L are independent and have the variances
     1 + s^2 r.
-
-    Attributes:
-        basis: Q'L, (windows, rows, rows); below it inverse roots of forces.
-        ratio: r, (windows, size).
-        noise: Diagonal of N, (windows, size).
-        own: Diagonal of D, (windows, size).
-        log: Log determinants of N, (windows,).
-        force_log: Those of forces, in units of what the model as it is leaves over.
     """
 
-    basis: np.ndarray
-    ratio: np.ndarray
-    noise: np.ndarray
-    own: np.ndarray
-    log: np.ndarray
-    force_log: np.ndarray
+    basis: np.ndarray  #: Q'L, (windows, rows, rows); below it inverse roots of forces
+    ratio: np.ndarray  #: r, (windows, size)
+    noise: np.ndarray  #: Diagonal of N, (windows, size)
+    own: np.ndarray  #: Diagonal of D, (windows, size)
+    log: np.ndarray  #: Log determinants of N, (windows,)
+    force_log: np.ndarray  #: Those of forces, in units of what the model as it is leaves over
 
     def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
         """Factors that make rows of unit variance, (windows, rows), and log determinants.

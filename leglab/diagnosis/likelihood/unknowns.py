@@ -23,34 +23,21 @@ class Unknowns:
     The first unknowns are parameters of the library, each at one place. The others, `tied`, move
     the same parameter on all like parts by the same number of trials: a bus that delays all
     commands, one batch of worn valves. What a tied unknown moves, the single ones still move about.
-
-    Attributes:
-        library: The effects.
-        places: Parameters that each unknown moves.
-        keys: Effect and element of each; the element is `EVERY` for tied ones.
-        scale: Smallest trial, as the parameter's `from_nominal` has it; 1 for tied ones.
-        tolerance: Standard deviation between good machines, in trials; 0 where none is known.
-        lower: Least departure, in trials.
-        upper: Largest departure, in trials.
-        shape: Whether it means nothing while the effect's strengths are nominal.
-        nameable: Whether it can be a fault.
-        gradual: Whether a good machine may have a little of it.
-        above: Whether faults lie above nominal.
-        below: Whether faults lie below nominal.
     """
 
-    library: Library
-    places: tuple[tuple[Place, ...], ...]
-    keys: tuple[Key, ...]
-    scale: np.ndarray
+    library: Library  #: The effects
+    places: tuple[tuple[Place, ...], ...]  #: Parameters that each unknown moves
+    keys: tuple[Key, ...]  #: Effect and element of each; the element is `EVERY` for tied ones
+    scale: np.ndarray  #: Smallest trial, as the parameter's `from_nominal` has it; 1 for tied ones
+    #: Standard deviation between good machines, in trials; 0 where none is known.
     tolerance: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    shape: np.ndarray
-    nameable: np.ndarray
-    gradual: np.ndarray
-    above: np.ndarray
-    below: np.ndarray
+    lower: np.ndarray  #: Least departure, in trials
+    upper: np.ndarray  #: Largest departure, in trials
+    shape: np.ndarray  #: Whether it means nothing while the effect's strengths are nominal
+    nameable: np.ndarray  #: Whether it can be a fault
+    gradual: np.ndarray  #: Whether a good machine may have a little of it
+    above: np.ndarray  #: Whether faults lie above nominal
+    below: np.ndarray  #: Whether faults lie below nominal
 
     @classmethod
     def of(cls, library: Library) -> "Unknowns":

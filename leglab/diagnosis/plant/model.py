@@ -36,21 +36,14 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Variant:
-    """A compiled model and what is needed to start it.
+    """A compiled model and what is needed to start it."""
 
-    Attributes:
-        model: Compiled at the replay's time step.
-        elements: Place in `plugin_state` and table of every plugin instance, by name.
-        joint_of: Joint that a passive instance acts on, by instance.
-        drawn_by: Cylinders that draw from each supply, by its instance.
-        plugin_state: After a reset, shape (npluginstate,): parameters and initial states.
-    """
-
-    model: mujoco.MjModel
+    model: mujoco.MjModel  #: Compiled at the replay's time step
+    #: Place in `plugin_state` and table of every plugin instance, by name.
     elements: dict[str, tuple[int, PluginTable]]
-    joint_of: dict[str, str]
-    drawn_by: dict[str, tuple[str, ...]]
-    plugin_state: np.ndarray
+    joint_of: dict[str, str]  #: Joint that a passive instance acts on, by instance
+    drawn_by: dict[str, tuple[str, ...]]  #: Cylinders that draw from each supply, by its instance
+    plugin_state: np.ndarray  #: After a reset, shape (npluginstate,): parameters and initial states
 
     def slot(self, element: str, name: str) -> int:
         """Index in `plugin_state` of a parameter or state.
@@ -219,36 +212,26 @@ def moved(moments: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """Measured series of one recording, smoothed, for the reconstruction of hidden states.
+    """Measured series of one recording, smoothed, for the reconstruction of hidden states."""
 
-    Attributes:
-        period: Sampling period [s].
-        position: Joint positions by joint, each (n,).
-        velocity: Joint velocities by joint, each (n,).
-        piston_velocity: d(actuator length)/dt of the cylinders by actuator [m/s], each (n,).
-        lever: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
-        command: What reaches each actuator (command path applied), each (n,).
-        pressure: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
-        samples: Where windows start, shape (windows,).
-        start: Time of the first sample [s].
-        pushed: Part of the velocity by commands of native actuators that act at once, by joint,
-            each (n,): its slope jumps with them.
-        touched: Whether something touches what a joint carries, (n,) by joint, where it can.
-        hidden_states: Cache along the recording.
-    """
-
-    period: float
-    position: dict[str, np.ndarray]
-    velocity: dict[str, np.ndarray]
+    period: float  #: Sampling period [s]
+    position: dict[str, np.ndarray]  #: Joint positions by joint, each (n,)
+    velocity: dict[str, np.ndarray]  #: Joint velocities by joint, each (n,)
+    #: d(actuator length)/dt of the cylinders by actuator [m/s], each (n,).
     piston_velocity: dict[str, np.ndarray]
+    #: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
     lever: dict[str, np.ndarray]
-    command: dict[str, np.ndarray]
+    command: dict[str, np.ndarray]  #: What reaches each actuator (command path applied), each (n,)
+    #: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
     pressure: dict[str, np.ndarray]
-    samples: np.ndarray
-    start: float = 0.0
+    samples: np.ndarray  #: Where windows start, shape (windows,)
+    start: float = 0.0  #: Time of the first sample [s]
+    #: Part of the velocity by commands of native actuators that act at once, by joint, each (n,):
+    #: its slope jumps with them.
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
+    #: Whether something touches what a joint carries, (n,) by joint, where it can.
     touched: dict[str, np.ndarray] = field(default_factory=dict)
-    hidden_states: HiddenStates = field(default_factory=HiddenStates)
+    hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the recording
 
 
 @dataclass(frozen=True)

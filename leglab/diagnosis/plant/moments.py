@@ -14,25 +14,16 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MomentForces:
-    """Forces at moments; what was not asked for is empty.
+    """Forces at moments; what was not asked for is empty."""
 
-    Attributes:
-        lacking: Forces that the accelerations need beyond the modelled ones, (moments, nv).
-        load: Of actuators on joints, (moments, nv).
-        bias: Gravity, Coriolis and centrifugal forces, (moments, nv).
-        length: Of actuators, (moments, nu).
-        speed: Of actuators, (moments, nu).
-        pull: Of actuators, (moments, nu).
-        inertia: Joint-space inertia, (moments, nv, nv).
-    """
-
+    #: Forces that the accelerations need beyond the modelled ones, (moments, nv).
     lacking: np.ndarray
-    load: np.ndarray
-    bias: np.ndarray
-    length: np.ndarray
-    speed: np.ndarray
-    pull: np.ndarray
-    inertia: np.ndarray
+    load: np.ndarray  #: Of actuators on joints, (moments, nv)
+    bias: np.ndarray  #: Gravity, Coriolis and centrifugal forces, (moments, nv)
+    length: np.ndarray  #: Of actuators, (moments, nu)
+    speed: np.ndarray  #: Of actuators, (moments, nu)
+    pull: np.ndarray  #: Of actuators, (moments, nu)
+    inertia: np.ndarray  #: Joint-space inertia, (moments, nv, nv)
 
 
 def forces_at(

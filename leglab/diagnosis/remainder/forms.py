@@ -16,24 +16,17 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
-    """Additive term of one variable before its size is known.
-
-    Attributes:
-        knots: Of its spline, shape (knots,).
-        columns: What its unknowns add to the means over windows, (windows, unknowns).
-        penalty: Roughness, (unknowns, unknowns).
-        shape: Coefficients of the spline by unknown, (knots + 2, unknowns); None where they are
-            the unknowns. Those of sines are a constant, cosine and sine of each harmonic, and in
-            a form by how much the period is longer.
-        smoothing: Weight of the roughness, relative to the columns' size.
-    """
+    """Additive term of one variable before its size is known."""
 
     variable: str
-    knots: np.ndarray
-    columns: np.ndarray
-    penalty: np.ndarray
+    knots: np.ndarray  #: Of its spline, shape (knots,)
+    columns: np.ndarray  #: What its unknowns add to the means over windows, (windows, unknowns)
+    penalty: np.ndarray  #: Roughness, (unknowns, unknowns)
+    #: Coefficients of the spline by unknown, (knots + 2, unknowns); None where they are the
+    #: unknowns. Those of sines are a constant, cosine and sine of each harmonic, and in a form by
+    #: how much the period is longer.
     shape: np.ndarray | None = None
-    smoothing: float = 0.0
+    smoothing: float = 0.0  #: Weight of the roughness, relative to the columns' size
 
     @property
     def count(self) -> int:

@@ -24,22 +24,14 @@ MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """A learned static remainder, its gain proved on held-out recordings.
+    """A learned static remainder, its gain proved on held-out recordings."""
 
-    Attributes:
-        parts: Forces of joints and command offsets of cylinders.
-        hypothesis: Replaces the one beside which it was learned, nuisances refitted.
-        problem: With the parts in every hypothesis, noise model about the end.
-        closed_fraction: (before - after) / (before - 1) of the held-out RMS in noise levels.
-        memory: Whether what is left has a memory.
-    """
-
-    parts: tuple[Part, ...]
-    hypothesis: Hypothesis
+    parts: tuple[Part, ...]  #: Forces of joints and command offsets of cylinders
+    hypothesis: Hypothesis  #: Replaces the one beside which it was learned, nuisances refitted
     described: tuple[Described, ...]
-    problem: Problem
-    closed_fraction: float
-    memory: bool
+    problem: Problem  #: With the parts in every hypothesis, noise model about the end
+    closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
+    memory: bool  #: Whether what is left has a memory
 
     def write(self, spec: mujoco.MjSpec) -> None:
         """Adds its plugin instances to a specification."""

@@ -19,39 +19,24 @@ _NO_BOUND = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Periodicity:
-    """A repetition over the position.
+    """A repetition over the position."""
 
-    Attributes:
-        length: rad or m.
-        interval: 95 %.
-        amplitudes: Of the harmonics, the first that of the whole period.
-    """
-
-    length: float
-    interval: tuple[float, float]
-    amplitudes: tuple[float, ...]
+    length: float  #: rad or m
+    interval: tuple[float, float]  #: 95 %
+    amplitudes: tuple[float, ...]  #: Of the harmonics, the first that of the whole period
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """A learned static force on a joint, or command offset of a cylinder.
-
-    Attributes:
-        joint: Whose motion it goes with.
-        actuator: Whose command it depends on; empty for none.
-        oil: Whether it is a command offset.
-        terms: Splines by variable; their sum counts.
-        period: Of the position, where there is one.
-        bound: Largest magnitude of the sum.
-    """
+    """A learned static force on a joint, or command offset of a cylinder."""
 
     element: str
-    joint: str
-    actuator: str
-    oil: bool
-    terms: Mapping[str, CubicSpline]
-    period: Periodicity | None = None
-    bound: float = _NO_BOUND
+    joint: str  #: Whose motion it goes with
+    actuator: str  #: Whose command it depends on; empty for none
+    oil: bool  #: Whether it is a command offset
+    terms: Mapping[str, CubicSpline]  #: Splines by variable; their sum counts
+    period: Periodicity | None = None  #: Of the position, where there is one
+    bound: float = _NO_BOUND  #: Largest magnitude of the sum
 
     @property
     def name(self) -> str:

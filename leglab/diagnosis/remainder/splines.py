@@ -10,15 +10,10 @@ DEGREE = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CubicSpline:
-    """A cubic B-spline of one variable, constant beyond its knots.
+    """A cubic B-spline of one variable, constant beyond its knots."""
 
-    Attributes:
-        knots: Increasing, shape (knots,): range of the data.
-        coefficients: Shape (knots + 2,).
-    """
-
-    knots: np.ndarray
-    coefficients: np.ndarray
+    knots: np.ndarray  #: Increasing, shape (knots,): range of the data
+    coefficients: np.ndarray  #: Shape (knots + 2,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Values at inputs of any shape."""

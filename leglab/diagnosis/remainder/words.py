@@ -19,44 +19,28 @@ _HARDLY = DEFAULT.smaller_share
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """Shape of one additive term.
-
-    Attributes:
-        size: Half the difference of its largest and smallest value on the data [N m, N or 1].
-        interval: Range of the data [unit of the variable].
-        parity: Of a curve through zero input; None for positions and where one sign is missing.
-        one_sided: Sign of the inputs on which it changes; None for both.
-        saturating: Whether it is nearly flat in the outer halves of its range.
-        rising: Whether it grows with the variable on the whole: against motion it falls.
-        period: Of a position.
-    """
+    """Shape of one additive term."""
 
     variable: str
-    size: float
-    interval: tuple[float, float]
+    size: float  #: Half the difference of its largest and smallest value on the data [N m, N or 1]
+    interval: tuple[float, float]  #: Range of the data [unit of the variable]
+    #: Of a curve through zero input; None for positions and where one sign is missing.
     parity: Parity | None
-    one_sided: Side | None
-    saturating: bool
-    rising: bool
-    period: Periodicity | None
+    one_sided: Side | None  #: Sign of the inputs on which it changes; None for both
+    saturating: bool  #: Whether it is nearly flat in the outer halves of its range
+    rising: bool  #: Whether it grows with the variable on the whole: against motion it falls
+    period: Periodicity | None  #: Of a position
 
 
 @dataclass(frozen=True, kw_only=True)
 class Described:
-    """A learned part in words.
-
-    Attributes:
-        unit: Of its sizes.
-        shapes: Of its terms, the largest first.
-        constant: Mean over the data.
-        text: One sentence.
-    """
+    """A learned part in words."""
 
     element: str
-    unit: str
-    shapes: tuple[Shape, ...]
-    constant: float
-    text: str
+    unit: str  #: Of its sizes
+    shapes: tuple[Shape, ...]  #: Of its terms, the largest first
+    constant: float  #: Mean over the data
+    text: str  #: One sentence
 
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:

@@ -38,40 +38,26 @@ Along = tuple[Cut, Measured, np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReplayErrors:
-    """Measured less predicted.
+    """Measured less predicted."""
 
-    Attributes:
-        values: Averaged over bins, in corrected units, shape (windows, channels, bins).
-        normalised: With the sensors' own noise, which corrections multiply, same shape.
-        left: As `Replay.lacking` has it, where it was asked for.
-        pushed: What louder commands change in it, same shape.
-    """
-
-    values: np.ndarray
-    normalised: np.ndarray
-    left: np.ndarray | None
-    pushed: np.ndarray | None
+    values: np.ndarray  #: Averaged over bins, in corrected units, shape (windows, channels, bins)
+    normalised: np.ndarray  #: With the sensors' own noise, which corrections multiply, same shape
+    left: np.ndarray | None  #: As `Replay.lacking` has it, where it was asked for
+    pushed: np.ndarray | None  #: What louder commands change in it, same shape
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Course:
-    """A recording from one of its windows on.
+    """A recording from one of its windows on."""
 
-    Attributes:
-        period: Sampling period [s].
-        time: Of the samples [s], (samples,).
-        positions: Of the joints, corrected and smoothed, by joint, each (samples,).
-        state: Full physics state at the start, (nstate,).
-        controls: At every step of the replay, (steps, actuators).
-        moves: How far a command that is larger by 1 moves each joint within half a window and a
-            whole one, the median of windows, (2, actuators, joints).
-    """
-
-    period: float
-    time: np.ndarray
+    period: float  #: Sampling period [s]
+    time: np.ndarray  #: Of the samples [s], (samples,)
+    #: Of the joints, corrected and smoothed, by joint, each (samples,).
     positions: dict[str, np.ndarray]
-    state: np.ndarray
-    controls: np.ndarray
+    state: np.ndarray  #: Full physics state at the start, (nstate,)
+    controls: np.ndarray  #: At every step of the replay, (steps, actuators)
+    #: How far a command that is larger by 1 moves each joint within half a window and a whole one,
+    #: the median of windows, (2, actuators, joints).
     moves: np.ndarray
 
 

@@ -23,15 +23,11 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
-    """Scatter of the replay errors of a right model, about one hypothesis.
+    """Scatter of the replay errors of a right model, about one hypothesis."""
 
-    Attributes:
-        defect: Error of the replays' time step, shape (windows, channels, bins).
-        whitening: Inverse Cholesky factors of the windows' covariances, which turn errors into
-            numbers of unit variance, shape (windows, size, size).
-    """
-
-    defect: np.ndarray
+    defect: np.ndarray  #: Error of the replays' time step, shape (windows, channels, bins)
+    #: Inverse Cholesky factors of the windows' covariances, which turn errors into numbers of unit
+    #: variance, shape (windows, size, size).
     whitening: np.ndarray
     # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
     # take the same ones, and copying them costs as much as a replay of a leg.

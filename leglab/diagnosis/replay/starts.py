@@ -65,22 +65,15 @@ def spool(command: np.ndarray, frequency: float, damping: float, period: float) 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instances:
-    """Plugin instances of a variant at window starts; what is reconstructed is written to `state`.
+    """Plugin instances of a variant at window starts; `state` takes what is reconstructed."""
 
-    Attributes:
-        machine: The unmodified machine.
-        measured: Series of one recording.
-        variant: Compiled model.
-        state: Parameters and states at window starts, shape (windows, npluginstate).
-        followed: Along the recording by element and name, each (n,), as far as they are
-            reconstructed: "spool_position", "bristle", and what presses on it, "carried": the load
-            of a joint, or the sum of a cylinder's gauge pressures.
-    """
-
-    machine: Machine
-    measured: Measured
-    variant: Variant
-    state: np.ndarray
+    machine: Machine  #: The unmodified machine
+    measured: Measured  #: Series of one recording
+    variant: Variant  #: Compiled model
+    state: np.ndarray  #: Parameters and states at window starts, shape (windows, npluginstate)
+    #: Along the recording by element and name, each (n,), as far as they are reconstructed:
+    #: "spool_position", "bristle", and what presses on it, "carried": the load of a joint, or the
+    #: sum of a cylinder's gauge pressures.
     followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:

@@ -21,20 +21,13 @@ from leglab.machine.simulation import actuator_moments
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """One measured output that a replay predicts.
+    """One measured output that a replay predicts."""
 
-    Attributes:
-        column: Of the recordings.
-        joint: That it belongs to.
-        cylinder: Whose chamber it is; None for a position.
-        chamber: "pressure_a" or "pressure_b"; None for a position.
-        filter: Length in samples and order of the Savitzky-Golay filter that smooths it.
-    """
-
-    column: str
-    joint: str
-    cylinder: str | None = None
-    chamber: str | None = None
+    column: str  #: Of the recordings
+    joint: str  #: That it belongs to
+    cylinder: str | None = None  #: Whose chamber it is; None for a position
+    chamber: str | None = None  #: "pressure_a" or "pressure_b"; None for a position
+    #: Length in samples and order of the Savitzky-Golay filter that smooths it.
     filter: tuple[int, int] = (21, 4)
 
 
@@ -157,23 +150,15 @@ def filter_difference(
 
 @dataclass(kw_only=True)
 class Cut:
-    """Windows of one series.
+    """Windows of one series."""
 
-    Attributes:
-        series: The recording.
-        firsts: Samples at which windows start, shape (windows,).
-        levers: d(actuator length)/d(joint position) of the cylinders, each (n,).
-        touched: Whether something touches what a joint carries, (n,) by joint.
-        pushes: What commands of native actuators do at once.
-        hidden_states: Cache along the series.
-    """
-
-    series: UniformSeries
-    firsts: np.ndarray
+    series: UniformSeries  #: The recording
+    firsts: np.ndarray  #: Samples at which windows start, shape (windows,)
+    #: d(actuator length)/d(joint position) of the cylinders, each (n,).
     levers: dict[str, np.ndarray]
-    touched: dict[str, np.ndarray]
-    pushes: Pushes
-    hidden_states: HiddenStates = field(default_factory=HiddenStates)
+    touched: dict[str, np.ndarray]  #: Whether something touches what a joint carries, (n,) by joint
+    pushes: Pushes  #: What commands of native actuators do at once
+    hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the series
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (n,)."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leglab.base.scale import rms
+from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.likelihood.columns import Errors
@@ -14,39 +15,21 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
 from leglab.diagnosis.search.settle import Fitter
-from leglab.diagnosis.thresholds import (
-    COARSE,
-    DAY_FACTOR,
-    DAY_SIZES,
-    DAY_TOLERANCES,
-    KAPPA,
-    SPREADS,
-    WIDER,
-    WINDOWS,
-)
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """A machine as its healthy recordings show it.
+    """A machine as its healthy recordings show it."""
 
-    Attributes:
-        problem: Healthy recordings and machine.
-        values: Of all strengths.
-        priors: Of the same machine on another day.
-        spread: Pattern of the error that the calibrated model leaves, by healthy recording.
-        kappa: 1/design effect.
-        levels: Error of each healthy recording in noise levels, before and after calibration,
-            (recordings, 2).
-        usual: Median error of its windows after calibration, in noise levels, (recordings,).
-    """
-
-    problem: Problem
-    values: Hypothesis
-    priors: Priors
-    spread: Spread
-    kappa: float
+    problem: Problem  #: Healthy recordings and machine
+    values: Hypothesis  #: Of all strengths
+    priors: Priors  #: Of the same machine on another day
+    spread: Spread  #: Pattern of the error that the calibrated model leaves, by healthy recording
+    kappa: float  #: 1/design effect
+    #: Error of each healthy recording in noise levels, before and after calibration, (recordings,
+    #: 2).
     levels: np.ndarray
+    #: Median error of its windows after calibration, in noise levels, (recordings,).
     usual: np.ndarray
 
     def nearest(self, problem: Problem) -> list[int]:
@@ -66,7 +49,7 @@ class Specimen:
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
         largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
         # Of several recordings the largest departs by two deviations where none is ill.
-        limits = np.exp([DAY_FACTOR, 2.0 * DAY_FACTOR])
+        limits = np.exp([thresholds.DAY_FACTOR, 2.0 * thresholds.DAY_FACTOR])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
 
@@ -81,11 +64,11 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
     unknowns = Unknowns.of(problem.library)
-    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * WINDOWS // 2))
+    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * thresholds.WINDOWS // 2))
     fitter = Fitter(at, Priors())
-    first = at.columns(Hypothesis(), step=COARSE)
+    first = at.columns(Hypothesis(), step=thresholds.COARSE)
     spread, weight = fitter.about(first.errors)
-    kappa = KAPPA
+    kappa = thresholds.KAPPA
     for _ in range(2):
         fit = fitter.fit(first, {}, (), spread, weight, kappa)
         spread, weight, first = fit.spread, fit.weight, fit.columns
@@ -99,11 +82,11 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     sites = problem.library.sites
     values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
-        spreads=SPREADS + WIDER,
-        tolerances=DAY_TOLERANCES,
+        spreads=thresholds.SPREADS + thresholds.WIDER,
+        tolerances=thresholds.DAY_TOLERANCES,
         covariance=evidence.posterior(score),
-        sizes=DAY_SIZES,
-        log_sizes=-0.5 * (np.log(DAY_SIZES) / DAY_FACTOR) ** 2,
+        sizes=thresholds.DAY_SIZES,
+        log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
     )
     squares = [problem.noise_levels(h) for h in (Hypothesis(), values)]
     windows = [problem.replay.recording == i for i in range(len(problem.series))]

@@ -5,25 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from leglab.base.scale import rms
+from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, noise_alone, thinned
 from leglab.diagnosis.search.settle import Fitter
-from leglab.diagnosis.thresholds import (
-    BEHIND,
-    COARSE,
-    DEFAULT,
-    EARLY_SHARE,
-    FEWEST_WINDOWS,
-    HOPELESS,
-    KAPPA,
-    NEAR,
-    ONSET_RISE,
-    ONSET_TOLD,
-    WINDOWS,
-)
+from leglab.diagnosis.thresholds import DEFAULT
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
@@ -36,17 +25,19 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
         return None
     ends = np.array([series.time[[0, -1]] for series in problem.series])
-    limit = ends[:, 0] + EARLY_SHARE * np.ptp(ends, axis=1)
+    limit = ends[:, 0] + thresholds.EARLY_SHARE * np.ptp(ends, axis=1)
     early = problem.fitted & (replay.start + replay.window < limit[replay.recording])
-    if early.sum() < FEWEST_WINDOWS:
+    if early.sum() < thresholds.FEWEST_WINDOWS:
         return None
-    some = thinned(early, WINDOWS // 2)
+    some = thinned(early, thresholds.WINDOWS // 2)
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
-    columns = fitter.at.columns(Hypothesis(), step=COARSE)
+    columns = fitter.at.columns(Hypothesis(), step=thresholds.COARSE)
     # Most recordings show at once that no onset is to be looked for.
     spread, weight = fitter.about(columns.errors)
-    hopeless = HOPELESS * DEFAULT.explained
-    fit = fitter.fit(columns, {}, (), spread, weight, KAPPA, give_up=hopeless, renewals=0)
+    hopeless = thresholds.HOPELESS * DEFAULT.explained
+    fit = fitter.fit(
+        columns, {}, (), spread, weight, thresholds.KAPPA, give_up=hopeless, renewals=0
+    )
     if fit.level > DEFAULT.explained:
         return None
     base = fit.columns.base
@@ -83,7 +74,7 @@ def begun(
     for key in named:
         present = problem.window_cost(final)
         later = problem.window_cost(final.with_onset(key, onsets))
-        if problem.size * (present - later).sum() < 2.0 * BEHIND * NEAR:
+        if problem.size * (present - later).sum() < 2.0 * thresholds.BEHIND * thresholds.NEAR:
             continue
         absent = problem.window_cost(final.without(key))
         evidence = problem.size * (absent - present)
@@ -93,14 +84,20 @@ def begun(
             after = present[here & (begin > seen)]
             if not after.size:
                 continue
-            met = present < max(DEFAULT.explained, ONSET_RISE * float(np.median(after)))
+            met = present < max(DEFAULT.explained, thresholds.ONSET_RISE * float(np.median(after)))
             # Where a replay without the effect misses far more than one with it, it had begun.
-            missed = ~met & (absent < ONSET_RISE * present)
-            out = here & ((evidence < -ONSET_TOLD) | missed) & (begin < seen)
+            missed = ~met & (absent < thresholds.ONSET_RISE * present)
+            out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
                 continue
             last = begin[out].max()
-            clear = here & (evidence > ONSET_TOLD) & met & (begin > last) & (begin + length < seen)
+            clear = (
+                here
+                & (evidence > thresholds.ONSET_TOLD)
+                & met
+                & (begin > last)
+                & (begin + length < seen)
+            )
             seen = min([seen, *begin[clear]])
             ends[i] = min(seen, last + length), seen
         final, between[key] = final.with_onset(key, ends.mean(axis=1)), ends
@@ -110,9 +107,11 @@ def begun(
 def _change_point(values: np.ndarray) -> int | None:
     """First index after the most likely rise of the mean (Page 1954), None where there is none."""
     count = values.size
-    places = np.arange(FEWEST_WINDOWS, count - FEWEST_WINDOWS + 1)
+    places = np.arange(thresholds.FEWEST_WINDOWS, count - thresholds.FEWEST_WINDOWS + 1)
     rise = np.array([values[k:].mean() - values[:k].mean() for k in places])
-    gain = np.where(rise > np.log(ONSET_RISE), rise**2 * places * (count - places) / count, 0.0)
+    gain = np.where(
+        rise > np.log(thresholds.ONSET_RISE), rise**2 * places * (count - places) / count, 0.0
+    )
     if not gain.any():
         return None
     where = int(places[np.argmax(gain)])

@@ -19,40 +19,24 @@ _MEMORY = 2e8
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A fitted set where it is most probable.
+    """A fitted set where it is most probable."""
 
-    Attributes:
-        fit: The fit.
-        evidence: At its own linearisation, or at another's.
-        score: Of the set there.
-        gain: By how much it is more probable there than at its own linearisation [nats].
-    """
-
-    fit: Fit
-    evidence: Evidence
-    score: Score
-    gain: float
+    fit: Fit  #: The fit
+    evidence: Evidence  #: At its own linearisation, or at another's
+    score: Score  #: Of the set there
+    gain: float  #: By how much it is more probable there than at its own linearisation [nats]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set to fit.
+    """A set to fit."""
 
-    Attributes:
-        members: Its unknowns.
-        start: By how much unknowns move from where the fit begins.
-        columns: Linearisation there.
-        spread: Pattern of the model's own error at first.
-        weight: Of windows at first.
-        promise: Log evidence that first order promises.
-    """
-
-    members: tuple[int, ...]
-    start: Mapping[int, float]
-    columns: Columns
-    spread: Spread
-    weight: np.ndarray
-    promise: float = np.inf
+    members: tuple[int, ...]  #: Its unknowns
+    start: Mapping[int, float]  #: By how much unknowns move from where the fit begins
+    columns: Columns  #: Linearisation there
+    spread: Spread  #: Pattern of the model's own error at first
+    weight: np.ndarray  #: Of windows at first
+    promise: float = np.inf  #: Log evidence that first order promises
 
 
 class Compared:

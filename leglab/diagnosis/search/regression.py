@@ -20,14 +20,10 @@ from leglab.diagnosis.thresholds import COARSE, DEFAULT, EACH_WAY, JOINT_EFFECTS
 
 @dataclass(frozen=True)
 class Balanced:
-    """A set that balances one joint.
+    """A set that balances one joint."""
 
-    Attributes:
-        start: Departures of its unknowns.
-        gain: Nats gained over no effect, at one number a window, less half log windows a parameter.
-    """
-
-    start: dict[int, float]
+    start: dict[int, float]  #: Departures of its unknowns
+    #: Nats gained over no effect, at one number a window, less half log windows a parameter.
     gain: float
 
 

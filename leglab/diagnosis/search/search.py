@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
@@ -16,54 +17,26 @@ from leglab.diagnosis.search.beam import beam, without_idle
 from leglab.diagnosis.search.rank import Candidate, Compared, Ranked, next_candidate, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
 from leglab.diagnosis.search.settle import Fit, Fitter
-from leglab.diagnosis.thresholds import (
-    ANNEALINGS,
-    BEHIND,
-    COARSE,
-    DEFAULT,
-    EACH_WAY,
-    FINE,
-    FIRST_FITS,
-    FRUITLESS,
-    FURTHER_FITS,
-    HOPELESS,
-    IDLE,
-    KAPPA,
-    LARGEST_SET,
-    MANY_UNKNOWNS,
-    NEAR,
-    RENEWALS,
-    SURE_FITS,
-    WINDOWS,
-)
+from leglab.diagnosis.thresholds import DEFAULT
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """All fitted sets, best first.
+    """All fitted sets, best first."""
 
-    Attributes:
-        fitter: With which they were fitted.
-        ranks: The sets.
-        kappa: 1/design effect.
-        first: Linearisation of the model as it is, with all trials.
-        level: Of the model as it is.
-        onsets: As `search` was given them.
-    """
-
-    fitter: Fitter
-    ranks: tuple[Ranked, ...]
-    kappa: float
-    first: Columns
-    level: float
-    onsets: np.ndarray | None = None
+    fitter: Fitter  #: With which they were fitted
+    ranks: tuple[Ranked, ...]  #: The sets
+    kappa: float  #: 1/design effect
+    first: Columns  #: Linearisation of the model as it is, with all trials
+    level: float  #: Of the model as it is
+    onsets: np.ndarray | None = None  #: As `search` was given them
 
 
 def search(
     problem: Problem,
     priors: Priors | None = None,
     fixed: Spread | None = None,
-    kappa: float = KAPPA,
+    kappa: float = thresholds.KAPPA,
     onsets: np.ndarray | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> Found:
@@ -82,14 +55,17 @@ def search(
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    windows = max(WINDOWS // 2, min(WINDOWS, WINDOWS * MANY_UNKNOWNS // len(u)))
+    windows = max(
+        thresholds.WINDOWS // 2,
+        min(thresholds.WINDOWS, thresholds.WINDOWS * thresholds.MANY_UNKNOWNS // len(u)),
+    )
     at = Errors(problem, u, thinned(looked_at, windows))
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = at.at(Hypothesis())
     as_it_is, clear = fitter.level(errors), fitter.clear(errors)
     # Where noise alone is left no large fault hides, for that would show: first order is exact.
-    first = at.columns(Hypothesis(), step=FINE if clear else COARSE)
+    first = at.columns(Hypothesis(), step=thresholds.FINE if clear else thresholds.COARSE)
     first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
@@ -110,8 +86,8 @@ def search(
             # A balance of what the machine does not do promises what no replay holds; one that
             # leaves little more than noise is a rival whatever else explains.
             level = begins(seed)
-            if level < HOPELESS * as_it_is:
-                near_noise = level < HOPELESS * DEFAULT.explained
+            if level < thresholds.HOPELESS * as_it_is:
+                near_noise = level < thresholds.HOPELESS * DEFAULT.explained
                 wanted[names] = replace(seed, promise=np.inf) if near_noise else seed
         elif begins(seed) < begins(wanted[names]):
             # A set that both propose begins where a replay is nearer.
@@ -126,7 +102,7 @@ def search(
             new.spread,
             new.weight,
             kappa,
-            give_up=HOPELESS * lowest,
+            give_up=thresholds.HOPELESS * lowest,
             beside=beside,
             renewals=renewals,
         )
@@ -139,7 +115,7 @@ def search(
     tried: set[frozenset[int]] = {frozenset()}
     # Beside what explains everything only what promises nearly as much is a rival, or is simpler:
     # far from the base first order errs. Near noise it is exact, and a rival promises more.
-    room = NEAR + DEFAULT.smaller_share * worth
+    room = thresholds.NEAR + DEFAULT.smaller_share * worth
     least = nothing.promise if clear else -np.inf
     fewest = 0 if clear else len(u)
     for new in wanted.values():
@@ -181,7 +157,7 @@ def search(
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
-        behind = BEHIND * NEAR
+        behind = thresholds.BEHIND * thresholds.NEAR
         if not fitter.explains(least_left.fit):
             behind += DEFAULT.smaller_share * (
                 top - next(r.score.log for r in ranks if not r.fit.members)
@@ -194,7 +170,7 @@ def search(
             if r.score.log + r.fit.gained > top - behind
             or (r.fit.level <= noise and len(r.fit.members) <= small)
         ]
-        most = HOPELESS * least_left.fit.level
+        most = thresholds.HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
         fresh = (f for f in open_ if f not in ended)
         begun = next((f for f in fresh if needed(f, compared.own(f, kappa))), None)
@@ -202,7 +178,7 @@ def search(
             # From where it is, or from where what leaves least is: whichever leaves less.
             where = [begun, *([least_left.fit] if least_left.fit.finished else [])]
             starts = (_from(fitter, begun, point, kappa) for point in where)
-            ended.add(run(min(starts, key=begins), beside=True, renewals=RENEWALS))
+            ended.add(run(min(starts, key=begins), beside=True, renewals=thresholds.RENEWALS))
             fits.remove(begun)
             continue
         points = {id(f.columns): f for f in fits}
@@ -210,17 +186,23 @@ def search(
             (r.fit, point)
             for r in near
             for point in [points[id(r.evidence.columns)]]
-            if r.gain > NEAR and (r.fit.keys, point.keys) not in again and needed(r.fit, r.evidence)
+            if r.gain > thresholds.NEAR
+            and (r.fit.keys, point.keys) not in again
+            and needed(r.fit, r.evidence)
         )
         late, point = next(moved, (None, None))
         if late is not None and point is not None:
             again.add((late.keys, point.keys))
             there = Candidate(late.members, {}, point.columns, point.spread, point.weight)
-            run(there, beside=True, renewals=RENEWALS)
+            run(there, beside=True, renewals=thresholds.RENEWALS)
             continue
         # What was proposed last is a rival now, or was in vain.
-        vain = 0 if last in {r.fit.keys for r in near if r.score.log > top - NEAR} else vain + 1
-        done = vain > FRUITLESS or more >= FURTHER_FITS
+        vain = (
+            0
+            if last in {r.fit.keys for r in near if r.score.log > top - thresholds.NEAR}
+            else vain + 1
+        )
+        done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
         then = None if done else next_candidate(fitter, ranks, tried, removed)
         if then is None:
             best = ranks[0].fit
@@ -247,7 +229,7 @@ def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, l
     """Sets by the first linearisation, with the pattern of errors that the best of them leaves."""
     spread, weight = fitter.about(first.errors)
     last = None
-    for _ in range(ANNEALINGS):
+    for _ in range(thresholds.ANNEALINGS):
         evidence = fitter.evidence(first, spread, weight, kappa)
         ranked = beam(evidence)
         best = ranked[0]
@@ -271,20 +253,20 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
         return frozenset(u.keys[q] for q in score.unknowns)
 
     nothing = next(s for s in ranked if not s.members)
-    idle = IDLE[0] + IDLE[1] * max(ranked[0].log - nothing.log, 0.0)
+    idle = thresholds.IDLE[0] + thresholds.IDLE[1] * max(ranked[0].log - nothing.log, 0.0)
     for score in ranked:
         score = without_idle(evidence, score, idle)
-        near = len(picked) < FIRST_FITS and score.log > ranked[0].log - NEAR
-        if keys(score) not in picked and (len(picked) < SURE_FITS or near):
+        near = len(picked) < thresholds.FIRST_FITS and score.log > ranked[0].log - thresholds.NEAR
+        if keys(score) not in picked and (len(picked) < thresholds.SURE_FITS or near):
             picked[keys(score)] = score
-    for score in [s for s in ranked if len(s.members) == 1][:SURE_FITS]:
+    for score in [s for s in ranked if len(s.members) == 1][: thresholds.SURE_FITS]:
         picked.setdefault(keys(score), score)
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = int(evidence.priors.usual().sum()) - 1
     shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
-    for _, member in evidence.additions(exact)[:EACH_WAY]:
+    for _, member in evidence.additions(exact)[: thresholds.EACH_WAY]:
         score = evidence.score((member,))
         picked.setdefault(keys(score), score)
     return [_of(evidence, score) for names, score in picked.items() if names]
@@ -318,7 +300,7 @@ def _seeds(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candida
             best = next(one for one in gaining if len(one.start) <= count)
             joined.setdefault(count, {}).update(best.start)
     for start in joined.values():
-        if len(start) <= LARGEST_SET:
+        if len(start) <= thresholds.LARGEST_SET:
             seeds.setdefault(frozenset(start), start)
     columns, spread, weight = evidence.columns, evidence.spread, evidence.weight
     return [

@@ -14,80 +14,44 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leglab.base.scale import rms
+from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors, change
 from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import noise_alone
-from leglab.diagnosis.thresholds import (
-    BENDS,
-    BLOWN,
-    COARSE,
-    DAMPINGS,
-    DEFAULT,
-    ENOUGH,
-    FAULT_SIZE,
-    FINE,
-    LADDER,
-    NEAR,
-    RENEWALS,
-    STIFF,
-    STIFF_TURNS,
-    TURNS,
-)
+from leglab.diagnosis.thresholds import DEFAULT
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set fitted by replays.
+    """A set fitted by replays."""
 
-    Attributes:
-        members: Unknowns of the set.
-        keys: Their effects and elements.
-        columns: Linearisation where the fit ended.
-        spread: Pattern of the error that the set leaves.
-        weight: Of windows.
-        score: Evidence there.
-        level: Median error in noise levels of the sensors.
-        ended: Members that ended at a bound.
-        finished: Whether another turn would gain nothing.
-        unkept: What tangents promise where it ended, and no replay keeps [nats].
-        gained: What its turns have gained where it is not finished [nats]: it may gain as much.
-    """
-
-    members: tuple[int, ...]
-    keys: frozenset[Key]
-    columns: Columns
-    spread: Spread
-    weight: np.ndarray
-    score: Score
-    level: float
-    ended: tuple[int, ...]
-    finished: bool
-    unkept: float
+    members: tuple[int, ...]  #: Unknowns of the set
+    keys: frozenset[Key]  #: Their effects and elements
+    columns: Columns  #: Linearisation where the fit ended
+    spread: Spread  #: Pattern of the error that the set leaves
+    weight: np.ndarray  #: Of windows
+    score: Score  #: Evidence there
+    level: float  #: Median error in noise levels of the sensors
+    ended: tuple[int, ...]  #: Members that ended at a bound
+    finished: bool  #: Whether another turn would gain nothing
+    unkept: float  #: What tangents promise where it ended, and no replay keeps [nats]
+    #: What its turns have gained where it is not finished [nats]: it may gain as much.
     gained: float
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where a fit stands.
+    """Where a fit stands."""
 
-    Attributes:
-        hypothesis: Values of all effects.
-        errors: There, (windows, rows).
-        x: Departures of all unknowns.
-        values: Of the members, (members,).
-        spikes: Departures of the single unknowns beside the members, (single,).
-        tangents: As far as they are known, (windows, rows, unknowns).
-    """
-
-    hypothesis: Hypothesis
-    errors: np.ndarray
-    x: np.ndarray
-    values: np.ndarray
-    spikes: np.ndarray
-    tangents: np.ndarray
+    hypothesis: Hypothesis  #: Values of all effects
+    errors: np.ndarray  #: There, (windows, rows)
+    x: np.ndarray  #: Departures of all unknowns
+    values: np.ndarray  #: Of the members, (members,)
+    spikes: np.ndarray  #: Departures of the single unknowns beside the members, (single,)
+    tangents: np.ndarray  #: As far as they are known, (windows, rows, unknowns)
 
     @property
     def columns(self) -> Columns:
@@ -107,7 +71,7 @@ class Fitter:
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
         self.at, self.priors, self.fixed = at, priors, fixed
-        tolerances, spread = STIFF
+        tolerances, spread = thresholds.STIFF
         self._stiff = replace(priors, spreads=(spread,), tolerances=tolerances, covariance=None)
         self._sensors = at.problem.noise.whitening[at.chosen]
         self._of_noise: Spread | None = None
@@ -176,7 +140,7 @@ class Fitter:
         weight: np.ndarray,
         kappa: float,
         *,
-        renewals: int = RENEWALS,
+        renewals: int = thresholds.RENEWALS,
         give_up: float = np.inf,
         beside: bool = False,
     ) -> Fit:
@@ -202,7 +166,7 @@ class Fitter:
             if members or beside or self.level(errors) < self.level(point.errors):
                 point = self._point(moved, errors, columns.tangents, members)
                 spread, weight = self.about(errors)
-        stiff_turns = 0 if beside or not members else STIFF_TURNS
+        stiff_turns = 0 if beside or not members else thresholds.STIFF_TURNS
         # By so much tangents have missed what replays showed since they were taken [nats].
         missed, off = 0.0, _beyond(columns, point)
         slow = given_up = finished = False
@@ -210,9 +174,9 @@ class Fitter:
         fine = columns.fine
         telling = most = None
         renewed, taken = 0, columns.x
-        for turn in range(TURNS):
+        for turn in range(thresholds.TURNS):
             first, fresh = turn < stiff_turns, False
-            if not first and missed > ENOUGH and (slow or renewed < renewals):
+            if not first and missed > thresholds.ENOUGH and (slow or renewed < renewals):
                 if renewed == renewals:
                     break
                 begun = self.evidence(point.columns, spread, weight, kappa)
@@ -223,7 +187,7 @@ class Fitter:
                     # What hardly moves takes no step from its tangents, and errs by none.
                     step = self._by(members, *begun.step(here, point.values, 0.0), point)
                     gone = np.maximum(np.abs(step), np.abs(point.x - taken)[: step.size])
-                    which = telling & (gone > FINE[0] * most)
+                    which = telling & (gone > thresholds.FINE[0] * most)
                 point, taken = self._all_tangents(point, members, which, most), point.x
                 fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
             else:
@@ -240,15 +204,15 @@ class Fitter:
                 telling, most = evidence.telling(score), evidence.visible(score)
             # Damping begins one below that of the last step; with fresh tangents, and for members
             # alone, at none.
-            begin = 0 if first or fresh else max(DAMPINGS.index(damping) - 1, 0)
-            dampings = DAMPINGS[:1] if first else DAMPINGS[begin:]
+            begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(damping) - 1, 0)
+            dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
             promise, then = self._stepped(evidence, score, point, members, dampings, lower=first)
             if then is None:
                 if first:
                     stiff_turns = turn + 1
                     continue
                 # Tangents that promise what no step keeps are wrong.
-                if fresh or (fine and missed + promise < ENOUGH):
+                if fresh or (fine and missed + promise < thresholds.ENOUGH):
                     finished, unkept = True, promise
                     break
                 slow, missed, off = True, np.inf, 0.0 * off
@@ -260,19 +224,19 @@ class Fitter:
                 gained += gain
                 # As explanations get better, errors are worth more numbers.
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
-            if turn + 1 >= STIFF_TURNS and self.level(point.errors) > give_up:
+            if turn + 1 >= thresholds.STIFF_TURNS and self.level(point.errors) > give_up:
                 # Machines depart, and may make up for it.
                 there = self.evidence(point.columns, spread, weight, kappa)
                 ahead = self.level(there.left(there.score([(q, None) for q in members])))
                 if ahead > give_up:
                     given_up = True
                     break
-            if not first and gain < ENOUGH:
-                if fresh or (fine and missed + promise - gain < ENOUGH):
+            if not first and gain < thresholds.ENOUGH:
+                if fresh or (fine and missed + promise - gain < thresholds.ENOUGH):
                     finished, unkept = True, promise - gain
                     break
                 missed = np.inf
-            slow = damping > 0.0 or gain < NEAR
+            slow = damping > 0.0 or gain < thresholds.NEAR
         evidence = self.evidence(point.columns, spread, weight, kappa)
         score = evidence.score([(q, None) for q in members])
         return Fit(
@@ -349,9 +313,9 @@ class Fitter:
         for damping in dampings:
             values, spikes, by = step(damping)
             own = promised(values, spikes, by)
-            if own < ENOUGH:
+            if own < thresholds.ENOUGH:
                 break
-            for _ in range(1 + BENDS):
+            for _ in range(1 + thresholds.BENDS):
                 moved = self._moved(point, by)
                 errors = self.at.at(moved)
                 after = self._cost(evidence, score, errors, values, spikes)
@@ -362,7 +326,7 @@ class Fitter:
                 # What a step showed beyond the tangents, its bend, is there at its end: the next
                 # one meets it (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
-                bend[np.abs(errors).max(axis=1) > BLOWN] = 0.0
+                bend[np.abs(errors).max(axis=1) > thresholds.BLOWN] = 0.0
                 values, spikes, by = step(damping, bend)
             # A step that keeps little of its promise is too long (Conn, Gould and Toint 2000).
             if 0.5 * (before - lowest) > DEFAULT.smaller_share * own:
@@ -403,7 +367,7 @@ class Fitter:
         square = self._square(evidence, score, errors)
         spread = evidence.priors.spreads[score.spread]
         precision, _ = evidence.priors.precision(self.at.unknowns, spread)
-        fault = float(2.0 * np.log1p((values / FAULT_SIZE) ** 2).sum())
+        fault = float(2.0 * np.log1p((values / thresholds.FAULT_SIZE) ** 2).sum())
         return square + float(spikes @ precision @ spikes) + fault
 
     def _square(self, evidence: Evidence, score: Score, errors: np.ndarray) -> float:
@@ -423,7 +387,7 @@ class Fitter:
         """With the tangents of the members and their shapes taken anew."""
         at, u = self.at, self.at.unknowns
         which = [q for q in members if q < u.single] + self._shapes(members)
-        step = COARSE if coarse else FINE
+        step = thresholds.COARSE if coarse else thresholds.FINE
         out = at.tangents(point.hypothesis, point.errors, which, step, point.tangents, most)
         for q in members:
             if q >= u.single:
@@ -445,7 +409,7 @@ class Fitter:
         ]
         known = point.tangents.copy()
         known[:, :, : u.single][:, :, u.shape[: u.single]] = 0.0
-        out = self.at.tangents(point.hypothesis, point.errors, which, FINE, known, most)
+        out = self.at.tangents(point.hypothesis, point.errors, which, thresholds.FINE, known, most)
         return replace(point, tangents=out)
 
     def _on_ladder(
@@ -456,7 +420,9 @@ class Fitter:
         lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
         for n, q in enumerate(members):
             now = float(point.values[n])
-            sizes = sorted({float(np.clip(f * now, u.lower[q], u.upper[q])) for f in LADDER})
+            sizes = sorted(
+                {float(np.clip(f * now, u.lower[q], u.upper[q])) for f in thresholds.LADDER}
+            )
             sizes = [y for y in sizes if abs(y - now) > DEFAULT.same * abs(now)]
             if len(sizes) < 2:
                 continue

@@ -15,40 +15,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Key
 from leglab.diagnosis.likelihood.columns import DRIVE_GAIN, Errors
 from leglab.diagnosis.result import Verdict
 from leglab.diagnosis.search.healthy import Specimen
-from leglab.diagnosis.thresholds import (
-    DEFAULT,
-    EDGE,
-    IMPOSTOR,
-    LIBRARY_ODDS,
-    NAMED,
-    POSSIBLE,
-    RESISTING,
-    TIE,
-    VISIBLE,
-)
+from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.sets import Row, Sets
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One effect.
+    """One effect."""
 
-    Attributes:
-        confidence: Probability that the name is right.
-        possible: The same without the part of the recordings that speaks most against it.
-        evidence: Probability by evidence alone.
-        ties: Sets without it that the data do not tell apart from it.
-    """
-
-    confidence: float
-    possible: float
-    evidence: float
-    ties: tuple[frozenset[Key], ...]
+    confidence: float  #: Probability that the name is right
+    possible: float  #: The same without the part of the recordings that speaks most against it
+    evidence: float  #: Probability by evidence alone
+    ties: tuple[frozenset[Key], ...]  #: Sets without it that the data do not tell apart from it
 
 
 class Judgement:
@@ -71,11 +55,15 @@ class Judgement:
             above = [k for k, e in effects.items() if getattr(e, measure) > least]
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
-        named = most("confidence", NAMED, "confidence")
+        named = most("confidence", thresholds.NAMED, "confidence")
         # Three equal ones have a third each: what is not told from the most possible one counts.
         top = max((e.possible for e in effects.values()), default=0.0)
-        confused = not named and top > POSSIBLE
-        confusion = most("possible", min(POSSIBLE, top / TIE), "evidence") if confused else ()
+        confused = not named and top > thresholds.POSSIBLE
+        confusion = (
+            most("possible", min(thresholds.POSSIBLE, top / thresholds.TIE), "evidence")
+            if confused
+            else ()
+        )
         tied = [k for k, e in effects.items() if e.ties]
         if tied and not named:
             leader = max(tied, key=lambda k: effects[k].evidence)
@@ -96,7 +84,7 @@ def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
     """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
     whole = _shares(np.array([r.score.log for r in sets.rows]))
     for row, own in zip(sets.rows, whole, strict=True):
-        if row.keys or own < POSSIBLE:
+        if row.keys or own < thresholds.POSSIBLE:
             continue
         if specimen:
             return specimen.as_it_was(sets.at.problem)
@@ -139,7 +127,7 @@ def _effect(sets: Sets, key: Key, impostor: tuple[float, float]) -> Judged:
         sure = min(sure, least * inside[row])
         most = max(least, float(parts[there].sum(axis=0).max()))
         possible = max(possible, most * inside[row])
-    ties = _ties(rows, best[0], key) if sure > NAMED else ()
+    ties = _ties(rows, best[0], key) if sure > thresholds.NAMED else ()
     evidence = float(_shares(logs)[has].sum())
     return Judged(sure / (1 + len(ties)), possible, evidence, ties)
 
@@ -164,10 +152,10 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
     What holds the effect as a special case always fits as well, and says nothing against it.
     """
     library, shared = first.evidence.unknowns.library, first.keys - {key}
-    numbers = len(first.score.members) - 1 + RESISTING
+    numbers = len(first.score.members) - 1 + thresholds.RESISTING
     found: list[frozenset[Key]] = []
     for row in rows:
-        new, ahead = row.keys - shared, first.drive - row.drive - np.log(TIE)
+        new, ahead = row.keys - shared, first.drive - row.drive - np.log(thresholds.TIE)
         rival = new and key not in row.keys and not row.ended & new
         near = row.score.log > first.score.log + ahead
         if key[0] == DRIVE_GAIN and len(row.score.members) <= numbers:
@@ -207,14 +195,14 @@ def impostors(sets: Sets) -> tuple[float, float]:
     best_of: dict[Key, tuple[float, float]] = {}
     for b in range(len(keys)):
         others = kinds != kinds[b]
-        if size[b] < VISIBLE or not others.any():
+        if size[b] < thresholds.VISIBLE or not others.any():
             continue
         share = np.maximum(product[others, b], 0.0) ** 2 / (size[others] * size[b])
         if keys[b] not in best_of or size[b] > best_of[keys[b]][0]:
             best_of[keys[b]] = float(size[b]), float(min(share.max(), 1.0))
     shares = np.array([share for _, share in best_of.values()])
     x = np.log((shares + 1e-3) / (1.0 - shares + 1e-3))
-    m0, s0, w = IMPOSTOR
+    m0, s0, w = thresholds.IMPOSTOR
     mean = (w * m0 + x.sum()) / (w + x.size)
     variance = w * (s0**2 + (m0 - mean) ** 2) + ((x - mean) ** 2).sum()
     return float(mean), float(np.sqrt(variance / (w + x.size)))
@@ -247,6 +235,6 @@ def _inside(share: float, impostor: tuple[float, float], top: float) -> float:
     mean, deviation = impostor
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)
     outside = norm.pdf(t, mean, deviation)
-    own = 1.0 / (1.0 + np.exp(-t / EDGE)) / max(top, 1.0)
-    odds = LIBRARY_ODDS * own / max(float(outside), 1e-12)
+    own = 1.0 / (1.0 + np.exp(-t / thresholds.EDGE)) / max(top, 1.0)
+    odds = thresholds.LIBRARY_ODDS * own / max(float(outside), 1e-12)
     return float(odds / (1.0 + odds))

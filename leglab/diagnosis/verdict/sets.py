@@ -20,31 +20,19 @@ from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, WIN
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A set with its evidence.
+    """A set with its evidence."""
 
-    Attributes:
-        keys: Its effects.
-        ended: Those that ended at a bound.
-        score: Where the set is most probable.
-        evidence: Linearisation there.
-        apart: Log evidence without each part of the recordings in turn, (parts,).
-        left: Errors that it leaves, (windows, rows).
-        hypothesis: Where it leaves them.
-        level: Median of these in noise levels.
-        renamed: Effects that go by the name of a twin.
-        drive: Nats by which it loses in units of the drive, 0 and less.
-    """
-
-    keys: frozenset[Key]
-    ended: frozenset[Key]
-    score: Score
-    evidence: Evidence
-    apart: np.ndarray
-    left: np.ndarray
-    hypothesis: Hypothesis
-    level: float
+    keys: frozenset[Key]  #: Its effects
+    ended: frozenset[Key]  #: Those that ended at a bound
+    score: Score  #: Where the set is most probable
+    evidence: Evidence  #: Linearisation there
+    apart: np.ndarray  #: Log evidence without each part of the recordings in turn, (parts,)
+    left: np.ndarray  #: Errors that it leaves, (windows, rows)
+    hypothesis: Hypothesis  #: Where it leaves them
+    level: float  #: Median of these in noise levels
+    #: Effects that go by the name of a twin.
     renamed: Mapping[Key, Key] = field(default_factory=dict)
-    drive: float = 0.0
+    drive: float = 0.0  #: Nats by which it loses in units of the drive, 0 and less
 
     def places(self, key: Key) -> list[int]:
         """Places among the members of an effect's parameters."""

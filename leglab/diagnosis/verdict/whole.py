@@ -22,19 +22,13 @@ from leglab.machine.plugin import headless
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """A simulation of a whole recording; arrays over its samples, (samples,).
+    """A simulation of a whole recording; arrays over its samples, (samples,)."""
 
-    Attributes:
-        time: Of the recording [s].
-        measured: Positions by joint [rad or m], smoothed, as the hypothesis corrects them.
-        simulated: NaN from where the simulation blew up.
-        correction: What the loop added to the commands, by actuator.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  #: Of the recording [s]
+    #: Positions by joint [rad or m], smoothed, as the hypothesis corrects them.
     measured: dict[str, np.ndarray]
-    simulated: dict[str, np.ndarray]
-    correction: dict[str, np.ndarray]
+    simulated: dict[str, np.ndarray]  #: NaN from where the simulation blew up
+    correction: dict[str, np.ndarray]  #: What the loop added to the commands, by actuator
 
     def deviation(self, joint: str) -> float:
         """RMS of simulated less measured; infinite where the simulation blew up."""
