@@ -36,23 +36,14 @@ _HIDDEN: tuple[int | tuple[str, ...], ...] = (1, 1, 2, 1, 0, 4, _IMITATED)
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Parameters of a joint's cylinder, spring ("spring") or encoder ("") that change together.
+    """Parameters of a joint's cylinder, spring ("spring") or encoder ("") that change together."""
 
-    Attributes:
-        part: Suffix of the element.
-        parameters: Names.
-        kind: "scale", "set", or "add" for a difference to what the model has.
-        low: Smallest size, log-uniform.
-        high: Largest.
-        signed: Whether either sign is drawn.
-    """
-
-    part: str
-    parameters: tuple[str, ...]
-    kind: str
-    low: float
-    high: float
-    signed: bool = False
+    part: str  #: Suffix of the element
+    parameters: tuple[str, ...]  #: Names
+    kind: str  #: "scale", "set", or "add" for a difference to what the model has
+    low: float  #: Smallest size, log-uniform
+    high: float  #: Largest
+    signed: bool = False  #: Whether either sign is drawn
 
 
 FAULTS = {

@@ -27,26 +27,16 @@ SURE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A machine.
+    """A machine."""
 
-    Attributes:
-        name: What it is.
-        folder: Of its recordings, below `data`.
-        model: File in the folder, or name of a model.
-        recordings: Pattern of their files.
-        most: How many of them.
-        healthy: Pattern of recordings before it changed; empty for none.
-        known: What is known to be missing, in words.
-        causes: Effects that are right, each with the elements where; none for nothing.
-    """
-
-    name: str
-    folder: str
-    model: str = "knee_bench"
-    recordings: str = "*"
-    most: int = 99
-    healthy: str = ""
-    known: str
+    name: str  #: What it is
+    folder: str  #: Of its recordings, below `data`
+    model: str = "knee_bench"  #: File in the folder, or name of a model
+    recordings: str = "*"  #: Pattern of their files
+    most: int = 99  #: How many of them
+    healthy: str = ""  #: Pattern of recordings before it changed; empty for none
+    known: str  #: What is known to be missing, in words
+    #: Effects that are right, each with the elements where; none for nothing.
     causes: dict[str, tuple[str, ...]]
 
 

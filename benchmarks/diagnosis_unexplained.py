@@ -74,29 +74,17 @@ print(np.sqrt(np.mean(np.square(off[rest]))), np.sqrt(np.mean(np.square(added[re
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A machine to diagnose.
+    """A machine to diagnose."""
 
-    Attributes:
-        model: Name or file.
-        recordings: By name.
-        held: The recording that no fit sees.
-        hidden: What is hidden, in words.
-        left_out: Effects that are not looked for.
-        joint: That is followed.
-        drive: Of the joint.
-        loop: Command by error and by its rate.
-        unit: Of the joint, with the factor from SI.
-    """
-
-    model: str
-    recordings: Mapping[str, Recording]
-    held: str
-    hidden: str
-    left_out: tuple[str, ...]
-    joint: str
-    drive: str
-    loop: tuple[float, float]
-    unit: tuple[float, str]
+    model: str  #: Name or file
+    recordings: Mapping[str, Recording]  #: By name
+    held: str  #: The recording that no fit sees
+    hidden: str  #: What is hidden, in words
+    left_out: tuple[str, ...]  #: Effects that are not looked for
+    joint: str  #: That is followed
+    drive: str  #: Of the joint
+    loop: tuple[float, float]  #: Command by error and by its rate
+    unit: tuple[float, str]  #: Of the joint, with the factor from SI
 
 
 def known(name: str) -> str:

@@ -41,19 +41,12 @@ _KINDS = {"single": 1, "null": 2, "pair": 3, "removed": 4, "onset": 5}  # in the
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Effects hidden in one set of recordings.
+    """Effects hidden in one set of recordings."""
 
-    Attributes:
-        kind: "single", "null", "pair", "removed" or "onset".
-        number: Of the case among its kind; with the seed it fixes every random choice.
-        effects: Hidden effects.
-        onset: s; 0 where they are there throughout.
-    """
-
-    kind: str
-    number: int
-    effects: tuple[str, ...]
-    onset: float = 0.0
+    kind: str  #: "single", "null", "pair", "removed" or "onset"
+    number: int  #: Of the case among its kind; with the seed it fixes every random choice
+    effects: tuple[str, ...]  #: Hidden effects
+    onset: float = 0.0  #: s; 0 where they are there throughout
 
 
 def cases(counts: Mapping[str, int], seed: int, names: Sequence[str]) -> list[Case]:
@@ -93,38 +86,24 @@ def make(case: Case, seed: int) -> tuple[dict[str, Recording], tuple[HiddenValue
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """A case and its diagnosis.
+    """A case and its diagnosis."""
 
-    Attributes:
-        kind: Of the case.
-        number: Of the case.
-        hidden: Effects that were there.
-        severities: "parameter=value" of each.
-        verdict: Of the diagnosis.
-        named: Effects that it names, first the one that contributes most; smaller ones as well.
-        alternatives: Effects that each is not told apart from.
-        confidence: Of each.
-        covered: For each parameter whose true value is known: whether its interval holds it.
-        onsets: Estimated onsets [s]; empty where none was found.
-        before: Gap on the held-out recording.
-        after: The same with the named effects.
-        seconds: Time of the diagnosis on one thread.
-        onset_intervals: Earliest and latest onset [s], in the order of `onsets`.
-    """
-
-    kind: str
-    number: int
-    hidden: tuple[str, ...]
-    severities: tuple[str, ...]
-    verdict: str
+    kind: str  #: Of the case
+    number: int  #: Of the case
+    hidden: tuple[str, ...]  #: Effects that were there
+    severities: tuple[str, ...]  #: "parameter=value" of each
+    verdict: str  #: Of the diagnosis
+    #: Effects that it names, first the one that contributes most; smaller ones as well.
     named: tuple[str, ...]
-    alternatives: tuple[tuple[str, ...], ...]
-    confidence: tuple[float, ...]
+    alternatives: tuple[tuple[str, ...], ...]  #: Effects that each is not told apart from
+    confidence: tuple[float, ...]  #: Of each
+    #: For each parameter whose true value is known: whether its interval holds it.
     covered: tuple[bool, ...]
-    onsets: tuple[float, ...]
-    before: float
-    after: float
-    seconds: float
+    onsets: tuple[float, ...]  #: Estimated onsets [s]; empty where none was found
+    before: float  #: Gap on the held-out recording
+    after: float  #: The same with the named effects
+    seconds: float  #: Time of the diagnosis on one thread
+    #: Earliest and latest onset [s], in the order of `onsets`.
     onset_intervals: tuple[tuple[float, float], ...] = ()
 
     @property

@@ -42,19 +42,12 @@ _RANKED = 5  # effects of the screening that are kept
 
 @dataclass(frozen=True, kw_only=True)
 class RoughTestSettings:
-    """What is hidden where.
+    """What is hidden where."""
 
-    Attributes:
-        rough: Rough specimens; else exact ones.
-        sizes: "gross", or "visible" for everything from just visible to gross.
-        healthy: Whether the diagnosis gets recordings from before the fault.
-        seed: With it every random choice is fixed.
-    """
-
-    rough: bool = True
-    sizes: str = "gross"
-    healthy: bool = True
-    seed: int = 0
+    rough: bool = True  #: Rough specimens; else exact ones
+    sizes: str = "gross"  #: "gross", or "visible" for everything from just visible to gross
+    healthy: bool = True  #: Whether the diagnosis gets recordings from before the fault
+    seed: int = 0  #: With it every random choice is fixed
 
     def __post_init__(self) -> None:
         if self.sizes not in SIZES:
@@ -69,46 +62,27 @@ class RoughTestSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RoughTestCase:
-    """Faults hidden in one set of recordings.
+    """Faults hidden in one set of recordings."""
 
-    Attributes:
-        kind: A key of `SHARES`.
-        number: Of the case among its kind.
-        specimen: Seed for `rough_case`.
-        faults: Names of the bench's faults.
-    """
-
-    kind: str
-    number: int
-    specimen: int
-    faults: tuple[str, ...]
+    kind: str  #: A key of `SHARES`
+    number: int  #: Of the case among its kind
+    specimen: int  #: Seed for `rough_case`
+    faults: tuple[str, ...]  #: Names of the bench's faults
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoughOutcome:
-    """A case and what the diagnosis said of it.
+    """A case and what the diagnosis said of it."""
 
-    Attributes:
-        kind: Of the case.
-        number: Of the case.
-        specimen: Seed for `rough_case`.
-        faults: That were there.
-        severities: Parameter and true value of each.
-        diagnosis: What diagnosis.json holds; empty where the diagnosis failed.
-        ranking: Best effects alone: name, element, gain.
-        seconds: Time of the diagnosis on one thread.
-        error: Why it failed.
-    """
-
-    kind: str
-    number: int
-    specimen: int
-    faults: tuple[str, ...]
-    severities: tuple[tuple[str, float], ...]
-    diagnosis: dict[str, Any]
-    ranking: tuple[tuple[str, str, float], ...]
-    seconds: float
-    error: str = ""
+    kind: str  #: Of the case
+    number: int  #: Of the case
+    specimen: int  #: Seed for `rough_case`
+    faults: tuple[str, ...]  #: That were there
+    severities: tuple[tuple[str, float], ...]  #: Parameter and true value of each
+    diagnosis: dict[str, Any]  #: What diagnosis.json holds; empty where the diagnosis failed
+    ranking: tuple[tuple[str, str, float], ...]  #: Best effects alone: name, element, gain
+    seconds: float  #: Time of the diagnosis on one thread
+    error: str = ""  #: Why it failed
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -389,21 +363,13 @@ def all_claims(outcomes: Iterable[RoughOutcome]) -> Iterator[tuple[bool, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Bin:
-    """Claims between two confidences.
+    """Claims between two confidences."""
 
-    Attributes:
-        low: Least confidence.
-        high: Confidence of the next bin; the last one holds it as well.
-        count: Claims.
-        right: Of them.
-        mean: Confidence; nan without claims.
-    """
-
-    low: float
-    high: float
-    count: int
-    right: int
-    mean: float
+    low: float  #: Least confidence
+    high: float  #: Confidence of the next bin; the last one holds it as well
+    count: int  #: Claims
+    right: int  #: Of them
+    mean: float  #: Confidence; nan without claims
 
 
 def reliability(outcomes: Iterable[RoughOutcome]) -> list[Bin]:

@@ -83,51 +83,37 @@ class NamedEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class Remaining:
-    """RMS error at the end of a replay window, on the held-out recordings, in one channel.
+    """RMS error at the end of a replay window, on the held-out recordings, in one channel."""
 
-    Attributes:
-        channel: Column of the recordings.
-        unit: "rad", "m" or "Pa".
-        horizon: Time from the measured start of a replay to its end [s].
-        noise: Standard deviation of the sensor's samples.
-        learned: Of the improved model, where something was learned for it; else None.
-    """
-
-    channel: str
-    unit: str
-    horizon: float
+    channel: str  #: Column of the recordings
+    unit: str  #: "rad", "m" or "Pa"
+    horizon: float  #: Time from the measured start of a replay to its end [s]
     before: float
     after: float
-    noise: float
+    noise: float  #: Standard deviation of the sensor's samples
+    #: Of the improved model, where something was learned for it; else None.
     learned: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A specimen as its healthy recordings show it.
+    """A specimen as its healthy recordings show it."""
 
-    Attributes:
-        recordings: Name, normalised error of the model as it was, and of the calibrated one.
-        estimates: Effect, element and parameter that differ, the largest difference first.
-    """
-
+    #: Name, normalised error of the model as it was, and of the calibrated one.
     recordings: tuple[tuple[str, float, float], ...]
+    #: Effect, element and parameter that differ, the largest difference first.
     estimates: tuple[tuple[str, str, Estimate], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Where simulation and data disagree, and in which region most.
+    """Where simulation and data disagree, and in which region most."""
 
-    Attributes:
-        residual: "mechanical" (pressures to motion), "hydraulic" (command and motion to
-            pressures) or "motion" (command to motion) where there are no pressures.
-        level: RMS in noise levels, of the model as it was.
-    """
-
+    #: "mechanical" (pressures to motion), "hydraulic" (command and motion to pressures) or "motion"
+    #: (command to motion) where there are no pressures.
     residual: str
     element: str
-    level: float
+    level: float  #: RMS in noise levels, of the model as it was
     region: str
 
 
@@ -192,82 +178,56 @@ def closed(before: float, after: float, floor: float = 1.0) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Rank:
-    """One effect that was tried.
-
-    Attributes:
-        gain: Log of the factor by which it alone makes the recordings more probable, first order.
-    """
+    """One effect that was tried."""
 
     name: str
     element: str
+    #: Log of the factor by which it alone makes the recordings more probable, first order.
     gain: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rivals:
-    """Sets of effects that were fitted to the end.
+    """Sets of effects that were fitted to the end."""
 
-    Attributes:
-        names: Effects of each set, joined by " + ", or "nothing"; most probable first.
-        cost: Mean square error of each; noise alone gives about 1.
-        preference: [i, j] is the probability of set i against set j.
-    """
-
+    #: Effects of each set, joined by " + ", or "nothing"; most probable first.
     names: tuple[str, ...]
-    cost: tuple[float, ...]
-    preference: np.ndarray
+    cost: tuple[float, ...]  #: Mean square error of each; noise alone gives about 1
+    preference: np.ndarray  #: [i, j] is the probability of set i against set j
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualTrace:
-    """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,).
-
-    Attributes:
-        unit: Of the channel and its errors.
-        time: s.
-        position: Of the channel's joint [rad or m], with its velocity.
-        pressure: Pressure difference across the piston [Pa]; None where not measured.
-        before: Measured less predicted, as is `after`.
-        measured: The channel itself.
-        bins: Number of bins of a window; windows lie behind each other.
-    """
+    """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,)."""
 
     recording: str
     channel: str
-    unit: str
-    time: np.ndarray
-    position: np.ndarray
+    unit: str  #: Of the channel and its errors
+    time: np.ndarray  #: s
+    position: np.ndarray  #: Of the channel's joint [rad or m], with its velocity
     velocity: np.ndarray
+    #: Pressure difference across the piston [Pa]; None where not measured.
     pressure: np.ndarray | None
-    before: np.ndarray
+    before: np.ndarray  #: Measured less predicted, as is `after`
     after: np.ndarray
-    measured: np.ndarray
-    bins: int
+    measured: np.ndarray  #: The channel itself
+    bins: int  #: Number of bins of a window; windows lie behind each other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeRecording:
-    """A recording simulated in one go, in closed loop; arrays (samples,).
-
-    Attributes:
-        joint: Whose position strays most.
-        unit: "rad" or "m", of the positions.
-        actuator: Whose command the loop corrects.
-        time: s.
-        measured: Position of the joint.
-        before: As simulated, as is `after`; NaN from where that blew up.
-        correction_before: What the loop added to the command, in standard deviations of that
-            command, as is `correction_after`.
-    """
+    """A recording simulated in one go, in closed loop; arrays (samples,)."""
 
     recording: str
-    joint: str
-    unit: str
-    actuator: str
-    time: np.ndarray
-    measured: np.ndarray
-    before: np.ndarray
+    joint: str  #: Whose position strays most
+    unit: str  #: "rad" or "m", of the positions
+    actuator: str  #: Whose command the loop corrects
+    time: np.ndarray  #: s
+    measured: np.ndarray  #: Position of the joint
+    before: np.ndarray  #: As simulated, as is `after`; NaN from where that blew up
     after: np.ndarray
+    #: What the loop added to the command, in standard deviations of that command, as is
+    #: `correction_after`.
     correction_before: np.ndarray
     correction_after: np.ndarray
 
@@ -295,18 +255,13 @@ class NotTestable:
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """The experiment that would separate the rivals best.
-
-    Attributes:
-        separation: Expected chi-square between them.
-        separation_now: The same in the present recordings.
-    """
+    """The experiment that would separate the rivals best."""
 
     name: str
     description: str
     rivals: tuple[str, str]
-    separation: float
-    separation_now: float
+    separation: float  #: Expected chi-square between them
+    separation_now: float  #: The same in the present recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

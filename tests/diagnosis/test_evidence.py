@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.evidence import Evidence
 from leglab.diagnosis.likelihood.priors import Priors
@@ -32,7 +31,7 @@ def evidence():
     problem = set_up(PENDULUM.model, logs, (), DiagnosisSettings(effects=EFFECTS, threads=1))
     at = Errors(problem, Unknowns.of(problem.library), thinned(problem.fitted, 12))
     fitter = Fitter(at, Priors())
-    columns = at.columns(Hypothesis(), step=FINE)
+    columns = at.columns(FINE)
     spread, _ = fitter.about(columns.errors)
     weight = np.linspace(0.4, 1.0, len(columns.errors))  # as robust weights may be
     return Evidence(at, columns, spread, weight, 0.3, fitter.priors)

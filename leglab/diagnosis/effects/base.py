@@ -154,12 +154,9 @@ class Effect(ABC):
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Records in `change` what these values do; nominal values must change nothing."""
 
-    def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
-        """Where to fit shapes from that a few trials cannot find, by the force left on the joint.
-
-        Only the first is used.
-        """
-        return ()
+    def guess(self, left: ForceLeft) -> Values | None:
+        """Where to fit shapes from that few trials can find, by the force left on the joint."""
+        return None
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes into a patched model what `apply` does to the command or sensor path.

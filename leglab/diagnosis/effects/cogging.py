@@ -54,10 +54,9 @@ class Cogging(JointEffect):
         EffectParameter("second_cosine", "1", lower=-1.0, upper=1.0, trials=(0.3,), role="shape"),
     )
 
-    def guesses(self, machine: Machine, element: str, left: ForceLeft) -> tuple[Values, ...]:
+    def guess(self, left: ForceLeft) -> Values | None:
         """The highest peak in the spectrum of the force left over along the position."""
-        found = wave(left)
-        return () if found is None else (found,)
+        return wave(left)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Inserts a spring-damper that has nothing but the ripple."""

@@ -92,10 +92,9 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         """The same with an effect set."""
         return Hypothesis({**self._values, key: values}, self.onsets)
 
-    def with_onset(self, key: Key, onset: np.ndarray | None) -> "Hypothesis":
-        """The same with an effect that begins at times, or throughout for None."""
-        onsets = {k: v for k, v in {**self.onsets, key: onset}.items() if v is not None}
-        return Hypothesis(self._values, onsets)
+    def with_onset(self, key: Key, onset: np.ndarray) -> "Hypothesis":
+        """The same with an effect that begins at times."""
+        return Hypothesis(self._values, {**self.onsets, key: onset})
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
         """Returns the hypothesis restricted to the given effects."""

@@ -17,7 +17,6 @@ from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
 
@@ -109,7 +108,7 @@ class Errors:
             hypothesis = hypothesis.with_values(gain, LOUDER * own)
         made = problem.library.change(hypothesis, problem.replay.machine)
         if louder is not None and not scaled:
-            _louder(made, [louder])
+            made.commands.setdefault(louder, []).insert(0, lambda u, _: LOUDER * u)
         blocks = DEFAULT.force_blocks if problem.balanced else 0
         found = problem.replay.error(made, chosen=self.chosen, blocks=blocks)
         errors = found.normalised + problem.noise.defect[self.chosen]
@@ -165,7 +164,7 @@ class Errors:
         errors: np.ndarray,
         which: Iterable[int],
         step: tuple[float, float],
-        known: np.ndarray | None = None,
+        known: np.ndarray,
         most: np.ndarray | None = None,
     ) -> np.ndarray:
         """Tangents by differences over a step, (windows, rows, unknowns).
@@ -173,18 +172,15 @@ class Errors:
         Args:
             base: Where.
             errors: There.
-            which: Unknowns to take; tied ones are sums of the single ones.
+            which: Single unknowns to take; tied ones are sums of these.
             step: In trials, and as a share of a large departure.
-            known: Of the others; None for 0.
+            known: Of the others.
             most: Largest steps, (single,), but of moving parts; None for any.
         """
         u = self.unknowns
-        out = np.zeros((*errors.shape, len(u))) if known is None else known.copy()
-        x = u.departures(base)
+        out, x = known.copy(), u.departures(base)
         steps: dict[int, float] = {}
         for i in which:
-            if i >= u.single:
-                continue
             h = max(step[0], step[1] * abs(x[i]))
             if most is not None and u.gradual[i]:
                 h = min(h, float(most[i]))
@@ -196,9 +192,8 @@ class Errors:
         moved = self.each([u.moved(base, {i: h}) for i, h in steps.items()])
         for (i, h), there in zip(steps.items(), moved, strict=True):
             out[:, :, i] = change(errors, there) / h
-        index = {places[0]: i for i, places in enumerate(u.places[: u.single])}
         for i in range(u.single, len(u)):
-            out[:, :, i] = sum(out[:, :, index[place]] for place in u.places[i])
+            out[:, :, i] = sum(out[:, :, one] for one in u.singles(i))
         return out
 
     def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
@@ -230,20 +225,14 @@ class Errors:
             return None
         return replace(columns, base=base, x=u.departures(base), errors=errors)
 
-    def columns(
-        self, base: Hypothesis, *, step: tuple[float, float], known: np.ndarray | None = None
-    ) -> Columns:
-        """Errors and all tangents at a hypothesis, without jumps.
-
-        Tangents of shapes whose effects are not there are 0.
-        """
+    def columns(self, step: tuple[float, float]) -> Columns:
+        """Errors and tangents of the model as it is, without jumps; tangents of shapes are 0."""
+        base, u = Hypothesis(), self.unknowns
         errors = self.at(base)
-        u = self.unknowns
-        x = u.departures(base)
-        there = {u.keys[i] for i in range(u.single) if x[i] != 0.0 and not u.shape[i]}
-        which = [i for i in range(u.single) if not u.shape[i] or u.keys[i] in there]
-        tangents = self.tangents(base, errors, which, step, known)
-        return Columns(base, x, errors, tangents, (), np.zeros((*errors.shape, 0)))
+        which = np.flatnonzero(~u.shape[: u.single]).tolist()
+        tangents = self.tangents(base, errors, which, step, np.zeros((*errors.shape, len(u))))
+        none = np.zeros((*errors.shape, 0))
+        return Columns(base, u.departures(base), errors, tangents, (), none)
 
 
 # In a process of `Errors.each`, that for which it works.
@@ -275,26 +264,16 @@ def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
     return out
 
 
-def _louder(change: Change, actuators: Iterable[str]) -> None:
-    for actuator in actuators:
-        change.commands.setdefault(actuator, []).insert(0, lambda u, _: LOUDER * u)
-
-
 def trials(unknowns: Unknowns) -> list[Jump]:
     """Jumps to the trials beyond the smallest, which tangents know, of all that can be faults."""
     found: list[Jump] = []
-    sites = unknowns.library.sites
-    for u in range(len(unknowns)):
-        if not unknowns.nameable[u]:
-            continue
-        sizes = []
-        for key, i in unknowns.places[u]:
-            p = sites[key].parameters[i]
-            sizes.append(sorted(round(p.from_nominal(t) / p.scale, 6) for t in p.trials))
+    for u in np.flatnonzero(unknowns.nameable).tolist():
         # What like parts share goes by the first one's trials.
+        key, i = unknowns.places[u][0]
+        p = unknowns.library.sites[key].parameters[i]
         found += [
             (u, float(by))
-            for by in sizes[0]
+            for by in sorted(round(p.from_nominal(t) / p.scale, 6) for t in p.trials)
             if abs(by) > 1.0 + 1e-6
             and unknowns.lower[u] <= by <= unknowns.upper[u]
             and ((by > 0 and unknowns.above[u]) or (by < 0 and unknowns.below[u]))

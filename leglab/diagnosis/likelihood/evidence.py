@@ -19,9 +19,8 @@ from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 
 from leglab.diagnosis.likelihood.columns import Columns, Errors
-from leglab.diagnosis.likelihood.priors import Priors, log_fault, log_set, slab_curvature
+from leglab.diagnosis.likelihood.priors import Priors, log_fault, slab_curvature
 from leglab.diagnosis.likelihood.spread import Spread
-from leglab.diagnosis.replay.residual import robust_weight
 from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FEW_RECORDINGS, FINE, SECANT
 
 # An unknown, and the place of its jump among the columns' jumps; None for its tangent.
@@ -45,14 +44,6 @@ def parts_of(recording: np.ndarray) -> np.ndarray:
             out[run] = count
             count += 1
     return out
-
-
-def robust_weights(
-    at: Errors, errors: np.ndarray, spread: Spread, size: float, forces: float
-) -> np.ndarray:
-    """Weights of windows, (windows,), by how unusual their errors are (Huber 1964)."""
-    square = np.mean(spread.whitening(at).white(errors, size, forces) ** 2, axis=1)
-    return robust_weight(square / max(float(np.median(square)), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +181,6 @@ class Evidence:
         self.part = parts_of(at.recording)
         self.gram, self.log_covariance = self._products(np.ones(self.part.size, dtype=bool))
 
-    @property
-    def _sizes(self) -> range:
-        return range(len(self.places))
-
     def _white(
         self, sizes: Iterable[int], own: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -203,7 +190,7 @@ class Evidence:
         turned = whitening.basis[own] @ np.concatenate(stacked, axis=2)
         for k in sizes:
             place = self.places[k]
-            factors, log = whitening.at(self.priors.sizes[place], self.force_size(place))
+            factors, log = whitening.at(self.priors.sizes[place], self.priors.force_size(place))
             weight = self.weight[own]
             factors = factors[own] * np.sqrt(weight)[:, None]
             yield factors[:, :, None] * turned, weight * log[own]
@@ -211,7 +198,7 @@ class Evidence:
     def _products(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of some windows: inner products of columns, (sizes, columns, columns), determinants."""
         gram, logs = [], []
-        for white, log in self._white(self._sizes, own):
+        for white, log in self._white(range(len(self.places)), own):
             flat = white.reshape(-1, white.shape[2])
             gram.append(flat.T @ flat)
             logs.append(log.sum())
@@ -219,12 +206,12 @@ class Evidence:
 
     def white(self, errors: np.ndarray, score: Score) -> np.ndarray:
         """Errors as independent numbers at the size of a score, (windows, rows)."""
-        size, forces = self.priors.sizes[score.size], self.force_size(score.size)
+        size, forces = self.priors.sizes[score.size], self.priors.force_size(score.size)
         return self.spread.whitening(self.at).white(errors, size, forces)
 
     def _against(self, errors: np.ndarray, score: Score) -> np.ndarray:
         """Inner products of all tangents with errors, (unknowns,)."""
-        size, forces = self.priors.sizes[score.size], self.force_size(score.size)
+        size, forces = self.priors.sizes[score.size], self.priors.force_size(score.size)
         whitening = self.spread.whitening(self.at)
         factors, _ = whitening.at(size, forces)
         scaled = self.weight[:, None] * factors * whitening.white(errors, size, forces)
@@ -237,17 +224,6 @@ class Evidence:
         other.kappa = kappa
         other.__dict__.pop("whole", None)
         return other
-
-    def force_size(self, place: int) -> float:
-        """Size of the model's own error in forces, by place of that in replays."""
-        return max(1.0, self.priors.sizes[place]) if self.priors.calibrated else 1.0
-
-    # Places of columns.
-    def _tangent(self, unknown: int) -> int:
-        return 1 + unknown
-
-    def _jump(self, place: int) -> int:
-        return 1 + len(self.unknowns) + place
 
     def apart(self, members: Sequence[Member], spread: int | None = None) -> list[Score]:
         """Evidence of a set without each part of the recordings in turn; `spread` as of `score`."""
@@ -272,32 +248,28 @@ class Evidence:
         self, members: Sequence[Member]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places, trials a unit, lower and upper coefficients of the members' columns."""
-        u, columns = self.unknowns, self.columns
-        index, unit, lower, upper = [], [], [], []
+        u, rows = self.unknowns, []
         for unknown, jump in members:
-            low = max(u.lower[unknown], 0.0 if not u.below[unknown] else -np.inf)
-            high = min(u.upper[unknown], 0.0 if not u.above[unknown] else np.inf)
+            low = max(u.lower[unknown], -np.inf if u.below[unknown] else 0.0)
+            high = min(u.upper[unknown], np.inf if u.above[unknown] else 0.0)
             if jump is None:
-                index.append(self._tangent(unknown))
-                unit.append(1.0)
-                lower.append(low)
-                upper.append(high)
+                rows.append((1 + unknown, 1.0, low, high))
             else:
-                by = columns.jumps[jump][1]
-                ends = sorted((low / by, high / by))
-                index.append(self._jump(jump))
-                unit.append(by)
-                lower.append(max(SECANT[0], ends[0]))
-                upper.append(max(SECANT[0], min(SECANT[1], ends[1])))
-        return np.array(index, dtype=int), np.array(unit), np.array(lower), np.array(upper)
+                by = self.columns.jumps[jump][1]
+                low, high = sorted((low / by, high / by))
+                high = max(SECANT[0], min(SECANT[1], high))
+                rows.append((1 + len(u) + jump, by, max(SECANT[0], low), high))
+        index, unit, lower, upper = np.array(rows).reshape(-1, 4).T.copy()
+        return index.astype(int), unit, lower, upper
 
     def _odds(self, members: Sequence[int]) -> float:
-        """Log prior odds of a set; none of two names of the same motion."""
+        """Log prior odds of a set over none; none of two names of the same motion."""
         u = self.unknowns
-        keys = {u.keys[q] for q in members}
+        keys = u.names(members)
         if any(pair <= keys for pair in self.at.twins):
             return -np.inf
-        return log_set(u, tuple(members))
+        first = len(keys) * np.log(FAULT_ODDS / max(u.sites, 1))
+        return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))
 
     def score(
         self,
@@ -376,7 +348,7 @@ class Evidence:
         """
         u = self.unknowns
         on = set(score.unknowns)
-        there = {u.keys[q] for q in on}
+        there = u.names(on)
         both: list[Member] = [(q, j) for j, (q, _) in enumerate(self.columns.jumps)]
         both += [(q, None) for q in range(len(u))]
         also = [m for m in both if u.nameable[m[0]] and m[0] not in on]
@@ -420,7 +392,8 @@ class Evidence:
         At the size and spread of a score.
         """
         inner = self.whole.every(self.places.index(score.size), score.spread)
-        return inner[self._jump(0) :, self._jump(0) :]
+        first = 1 + len(self.unknowns)
+        return inner[first:, first:]
 
     def left(self, score: Score) -> np.ndarray:
         """Errors that the fit of a score leaves, to first order, (windows, rows)."""

@@ -9,7 +9,6 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.thresholds import (
     ABSENT,
     BESIDE,
-    FAULT_ODDS,
     FAULT_SIZE,
     NO_FAULT,
     SHAPE_SPREAD,
@@ -40,6 +39,10 @@ class Priors:
     def calibrated(self) -> bool:
         """Whether healthy recordings say how the specimen was and how far the model misses it."""
         return self.covariance is not None
+
+    def force_size(self, place: int) -> float:
+        """Size of the model's own error in forces, by place of that in replays."""
+        return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
         """Mask of the spreads beside a fault of `largest` trials, (..., spreads)."""
@@ -79,10 +82,3 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
 def slab_curvature(x: np.ndarray) -> np.ndarray:
     """Curvature of the Cauchy density of faults' sizes x, by its weight there: never negative."""
     return np.asarray(2.0 / (FAULT_SIZE**2 + x**2))
-
-
-def log_set(unknowns: Unknowns, members: tuple[int, ...]) -> float:
-    """Log prior odds of a set of faulty parameters over none."""
-    keys = {unknowns.keys[u] for u in members}
-    first = len(keys) * np.log(FAULT_ODDS / max(unknowns.sites, 1))
-    return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))

@@ -6,7 +6,7 @@ bench: a machine of a hundred times the inertia has faults of a hundred times th
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -37,24 +37,17 @@ class Motion:
         q, y = max(self.position, 1e-12), max(self.deflection, 1e-12)
         v, a = max(self.velocity, 1e-12), max(self.acceleration, 1e-12)
         f = self.force
+        for of_hinge, of_slide in (("N m", "N"), ("kg m^2", "kg"), ("rad", "m")):
+            unit = unit.replace(of_hinge, of_slide)
         return {
-            "N m": f,
             "N": f,
-            "N m s/rad": f / v,
             "N s/m": f / v,
-            "N m s^2/rad^2": f / v**2,
             "N s^2/m^2": f / v**2,
-            "kg m^2": f / a,
             "kg": f / a,
-            "N m/rad": f / y,
             "N/m": f / y,
-            "N m/rad^3": f / y**3,
             "N/m^3": f / y**3,
-            "rad": q,
             "m": q,
-            "rad/s": v,
             "m/s": v,
-            "rad/(N m)": q / f if f else 0.0,
             "m/(N)": q / f if f else 0.0,
         }.get(unit, 0.0)
 
@@ -71,19 +64,15 @@ class Shown:
     change: float  #: Shortest time in which a command changes by its size, rms u / rms du/dt [s]
     correlation: float  #: Longest time at which a command's autocorrelation falls to a half [s]
 
-    @classmethod
-    def largest(cls, several: Sequence["Shown"]) -> "Shown":
-        """The largest of what several sets of recordings show."""
-        first = several[0]
-        fields = ("position", "deflection", "velocity", "acceleration", "force")
+    def or_larger(self, other: "Shown") -> "Shown":
+        """The larger of what two sets of recordings show."""
         joints = {
-            j: Motion(*(max(getattr(s.joints[j], f) for s in several) for f in fields))
-            for j in first.joints
+            joint: Motion(*map(max, astuple(own), astuple(other.joints[joint])))
+            for joint, own in self.joints.items()
         }
-        commands = {a: max(s.commands[a] for s in several) for a in first.commands}
-        period = max(s.period for s in several)
-        change = min(s.change for s in several)
-        return cls(joints, commands, period, change, max(s.correlation for s in several))
+        commands = {a: max(own, other.commands[a]) for a, own in self.commands.items()}
+        period, change = max(self.period, other.period), min(self.change, other.change)
+        return Shown(joints, commands, period, change, max(self.correlation, other.correlation))
 
 
 def shown(problem: Problem) -> Shown:

@@ -41,15 +41,9 @@ def _pattern(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance over the bins, of trace `bins`, and mean square by recording.
 
-    The middle of all windows counts: single ones start in stick-slip or beside a jump.
-
-    Args:
-        errors: By direction, (windows, directions, bins).
-        recording: Of each window.
-        count: Of recordings.
-
-    Returns:
-        (directions, bins, bins) and (recordings, directions); 0 for recordings without windows.
+    Of errors (windows, directions, bins) in `count` recordings: (directions, bins, bins) and
+    (recordings, directions), 0 for recordings without windows. The middle of all windows counts:
+    single ones start in stick-slip or beside a jump.
     """
     windows, directions, bins = errors.shape
     size = np.sqrt((errors**2).mean(axis=2))

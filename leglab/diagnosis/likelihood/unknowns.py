@@ -1,6 +1,6 @@
 """Unknowns of a diagnosis: all parameters of all effects, and those that like parts share."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -88,6 +88,10 @@ class Unknowns:
         """The single unknowns that an unknown moves."""
         return tuple(self._index[place] for place in self.places[unknown])
 
+    def names(self, unknowns: Iterable[int]) -> frozenset[Key]:
+        """Effects and elements of some unknowns."""
+        return frozenset(self.keys[q] for q in unknowns)
+
     def effect(self, unknown: int) -> Effect:
         """Effect of an unknown, of the first part where it has several."""
         return self.library.sites[self.places[unknown][0][0]].effect
@@ -128,10 +132,8 @@ class Unknowns:
             site = self.library.sites[key]
             if not site.effect.gradual:
                 for i, p in enumerate(site.parameters):
-                    if (
-                        p.role == "strength"
-                        and abs(values[i] - site.nominal[i]) < 0.5 * FINE[0] * p.scale
-                    ):
+                    least = 0.5 * FINE[0] * p.scale
+                    if p.role == "strength" and abs(values[i] - site.nominal[i]) < least:
                         values[i] = site.nominal[i]
             hypothesis = hypothesis.with_values(key, np.clip(values, site.lower, site.upper))
         return hypothesis

@@ -14,7 +14,7 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.search.settle import Candidate, Fitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,11 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
     unknowns = Unknowns.of(problem.library)
     at = Errors(problem, unknowns, thinned(problem.fitted, 3 * thresholds.WINDOWS // 2))
     fitter = Fitter(at, Priors())
-    first = at.columns(Hypothesis(), step=thresholds.COARSE)
+    first = at.columns(thresholds.COARSE)
     spread, weight = fitter.about(first.errors)
     kappa = thresholds.KAPPA
     for _ in range(2):
-        fit = fitter.fit(first, {}, (), spread, weight, kappa)
+        fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
         spread, weight, first = fit.spread, fit.weight, fit.columns
         evidence = fitter.evidence(first, spread, weight, kappa)
         kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)

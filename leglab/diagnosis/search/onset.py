@@ -11,7 +11,7 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, noise_alone, thinned
-from leglab.diagnosis.search.settle import Fitter
+from leglab.diagnosis.search.settle import Candidate, Fitter
 from leglab.diagnosis.thresholds import DEFAULT
 
 
@@ -31,13 +31,11 @@ def onset_of(problem: Problem) -> np.ndarray | None:
         return None
     some = thinned(early, thresholds.WINDOWS // 2)
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
-    columns = fitter.at.columns(Hypothesis(), step=thresholds.COARSE)
+    columns = fitter.at.columns(thresholds.COARSE)
+    nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
     # Most recordings show at once that no onset is to be looked for.
-    spread, weight = fitter.about(columns.errors)
     hopeless = thresholds.HOPELESS * DEFAULT.explained
-    fit = fitter.fit(
-        columns, {}, (), spread, weight, thresholds.KAPPA, give_up=hopeless, renewals=0
-    )
+    fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
     if fit.level > DEFAULT.explained:
         return None
     base = fit.columns.base

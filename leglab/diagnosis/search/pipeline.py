@@ -150,7 +150,7 @@ def searched(
     whole = replace(settings, effects=None, excluded=())
     before = _problem(machine, earlier, whole, beside=admitted.recordings)
     later = _problem(machine, admitted, whole, beside=earlier.recordings)
-    seen = Shown.largest([shown(before), shown(later)])
+    seen = shown(before).or_larger(shown(later))
     progress("calibration of the specimen")
     specimen = calibrate(_sized(before, seen), progress)
     problem = _problem(
@@ -165,26 +165,26 @@ def searched(
 def _sized(problem: Problem, seen: Shown) -> Problem:
     """The problem with sizes of parameters as recorded, and shapes as the forces left suggest."""
     sites = dict(sized(problem.library, problem.machine, seen).sites)
-    guessing = {k: s for k, s in sites.items() if type(s.effect).guesses is not Effect.guesses}
+    guessing = {k: s for k, s in sites.items() if type(s.effect).guess is not Effect.guess}
     left = forces_left(problem, Hypothesis()) if guessing else {}
     for key, site in guessing.items():
-        force = left.get(site.element)
-        guesses = site.effect.guesses(problem.machine, site.element, force) if force else ()
-        for values in guesses[:1]:
-            parameters = tuple(
-                replace(p, nominal=float(np.clip(values[p.name], p.lower, p.upper)))
-                if p.role == "shape"
-                else p
-                for p in site.parameters
-            )
-            own = site.own
-            if own is not None:
-                # What a specimen hardly has takes the shape of what has come.
-                found = np.array([values[p.name] for p in parameters])
-                if _most(parameters, own) >= NO_FAULT or _most(parameters, found) < NO_FAULT:
-                    continue
-                own = np.array([p.nominal for p in parameters])
-            sites[key] = replace(site, parameters=parameters, own=own)
+        force, own = left.get(site.element), site.own
+        values = force and site.effect.guess(force)
+        if not values:
+            continue
+        parameters = tuple(
+            replace(p, nominal=float(np.clip(values[p.name], p.lower, p.upper)))
+            if p.role == "shape"
+            else p
+            for p in site.parameters
+        )
+        if own is not None:
+            # What a specimen hardly has takes the shape of what has come.
+            found = np.array([values[p.name] for p in parameters])
+            if _most(parameters, own) >= NO_FAULT or _most(parameters, found) < NO_FAULT:
+                continue
+            own = np.array([p.nominal for p in parameters])
+        sites[key] = replace(site, parameters=parameters, own=own)
     other = copy(problem)
     other.library = problem.library.with_sites(sites)
     return other

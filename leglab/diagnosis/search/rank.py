@@ -1,6 +1,6 @@
 """Fitted sets under each other: their evidence, and which set to fit next."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from leglab.diagnosis.likelihood.columns import Columns
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
-from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, SCORED, SURE_FITS
 
 # Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
@@ -25,18 +25,6 @@ class Ranked:
     evidence: Evidence  #: At its own linearisation, or at another's
     score: Score  #: Of the set there
     gain: float  #: By how much it is more probable there than at its own linearisation [nats]
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A set to fit."""
-
-    members: tuple[int, ...]  #: Its unknowns
-    start: Mapping[int, float]  #: By how much unknowns move from where the fit begins
-    columns: Columns  #: Linearisation there
-    spread: Spread  #: Pattern of the model's own error at first
-    weight: np.ndarray  #: Of windows at first
-    promise: float = np.inf  #: Log evidence that first order promises
 
 
 class Compared:
@@ -115,7 +103,7 @@ def next_candidate(
     fitter: Fitter,
     ranks: Sequence[Ranked],
     tried: set[frozenset[int]],
-    removed: dict[tuple[Fit, Key], Columns | None],
+    without: Callable[[Fit, Key], Columns | None],
 ) -> Candidate | None:
     """The next set to fit; None where nothing promises to come near the best one.
 
@@ -126,7 +114,7 @@ def next_candidate(
         fitter: Of the sets.
         ranks: Sets that are fitted.
         tried: Unknowns of all sets that have been.
-        removed: Linearisations without an effect, by fit and effect, as far as they are made.
+        without: Linearisation of a fit without an effect, see `Errors.without`.
     """
     u = fitter.at.unknowns
     # What ended at a bound is a rival, but no yardstick: it would be another machine beyond.
@@ -138,7 +126,7 @@ def next_candidate(
         simpler = both_ways(u, row.fit.members, row.fit.columns.x[list(row.fit.members)].tolist())
         if simpler is None:
             continue
-        names = frozenset(u.keys[q] for q in simpler)
+        names = u.names(simpler)
         once = frozenset(simpler) | frozenset(row.fit.members)  # from here
         if once not in tried and row.fit.level < levels.get(names, np.inf):
             tried.add(once)
@@ -166,10 +154,7 @@ def next_candidate(
         fit = row.fit
         out = fit.members if fit is best else fit.ended
         for key in dict.fromkeys(u.keys[q] for q in out):
-            if (fit, key) not in removed:
-                removed[fit, key] = fitter.at.without(fit.columns, fit.members, key)
-            columns = removed[fit, key]
-            if columns is not None:
+            if (columns := without(fit, key)) is not None:
                 rest = [q for q in fit.members if u.keys[q] != key]
                 add(fitter.evidence(columns, fit.spread, fit.weight, kappa), rest, fit)
     found = [

@@ -1,9 +1,8 @@
 """Sets of effects from the balance of forces, by regression: joint by joint, nothing integrated.
 
-Along the measured motion, the force that a joint's drive, gravity and friction leave over is nearly
-linear in most parameters, however far they are from where they should be, and no joint's balance
-depends on what another joint lacks (inverse dynamic identification; Gautier and Khalil 1992).
-A replay of motion tells less where much is missing: any misfit makes a weaker drive look right.
+Along the measured motion the force that is left over is nearly linear in most parameters, and no
+joint's balance depends on what another one lacks (Gautier and Khalil 1992). A replay tells less
+where much is missing: any misfit makes a weaker drive look right.
 """
 
 from collections.abc import Iterable, Sequence

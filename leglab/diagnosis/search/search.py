@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
-from leglab.diagnosis.search.rank import Candidate, Compared, Ranked, next_candidate, rank
+from leglab.diagnosis.search.rank import Compared, Ranked, next_candidate, rank
 from leglab.diagnosis.search.regression import Balanced, balanced_sets
-from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import DEFAULT
 
 
@@ -65,21 +66,21 @@ def search(
     errors = at.at(Hypothesis())
     as_it_is, clear = fitter.level(errors), fitter.clear(errors)
     # Where noise alone is left no large fault hides, for that would show: first order is exact.
-    first = at.columns(Hypothesis(), step=thresholds.FINE if clear else thresholds.COARSE)
+    first = at.columns(thresholds.FINE if clear else thresholds.COARSE)
     first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
-        spread, weight = fitter.about(first.errors)
-        fits.append(fitter.fit(first, {}, (), spread, weight, kappa, renewals=0))
+        as_built = Candidate((), {}, first, *fitter.about(first.errors))
+        fits.append(fitter.fit(as_built, kappa, renewals=0))
     evidence, ranked, kappa = _annealed(fitter, fits[0].columns if clear else first, kappa)
-    wanted = {_names(u, one): one for one in _wanted(evidence, ranked)}
+    wanted = {u.names(one.members): one for one in _wanted(evidence, ranked)}
 
     def begins(one: Candidate) -> float:
         return fitter.level(at.at(u.moved(one.columns.base, one.start)))
 
     log("balance of forces")
     for seed in [] if clear else _seeds(evidence, balanced_sets(at, trials(u))):
-        names = _names(u, seed)
+        names = u.names(seed.members)
         if any(pair <= names for pair in at.twins):
             continue
         if names not in wanted:
@@ -94,18 +95,8 @@ def search(
             wanted[names] = replace(seed, promise=wanted[names].promise)
 
     def run(new: Candidate, *, beside: bool = False, renewals: int = 0) -> Fit:
-        lowest = min((f.level for f in fits), default=np.inf)
-        fit = fitter.fit(
-            new.columns,
-            new.start,
-            new.members,
-            new.spread,
-            new.weight,
-            kappa,
-            give_up=thresholds.HOPELESS * lowest,
-            beside=beside,
-            renewals=renewals,
-        )
+        most = thresholds.HOPELESS * min((f.level for f in fits), default=np.inf)
+        fit = fitter.fit(new, kappa, give_up=most, beside=beside, renewals=renewals)
         log(f"fitted {told(u, fit.score)}: {fit.level:.3g} noise levels")
         fits.append(fit)
         return fit
@@ -129,7 +120,7 @@ def search(
         run(nothing)
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
-    removed: dict[tuple[Fit, Key], Columns | None] = {}
+    without = cache(lambda fit, key: at.without(fit.columns, fit.members, key))
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
     unexplained = fitter.rms(errors)
@@ -137,7 +128,7 @@ def search(
     def needed(fit: Fit, there: Evidence) -> bool:
         """Whether no other fitted set does as well there without some of the members."""
         less = without_idle(there, there.score([(q, None) for q in fit.members]), 0.0)
-        names = frozenset(u.keys[q] for q in less.unknowns)
+        names = u.names(less.unknowns)
         return names == fit.keys or all(names != f.keys for f in fits)
 
     def left(fit: Fit) -> float:
@@ -203,7 +194,7 @@ def search(
             else vain + 1
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
-        then = None if done else next_candidate(fitter, ranks, tried, removed)
+        then = None if done else next_candidate(fitter, ranks, tried, without)
         if then is None:
             best = ranks[0].fit
             # What does without an effect of the best set is fitted from there.
@@ -211,15 +202,12 @@ def search(
             if out is None or len(best.keys) < 2:
                 break
             simpler.add((best, out))
-            if (best, out) not in removed:
-                removed[best, out] = at.without(best.columns, best.members, out)
-            columns = removed[best, out]
-            if columns is not None:
+            if (columns := without(best, out)) is not None:
                 rest = tuple(q for q in best.members if u.keys[q] != out)
                 run(Candidate(rest, {}, columns, best.spread, best.weight), beside=True)
             continue
         more += 1
-        last = _names(u, then)
+        last = u.names(then.members)
         tried.add(frozenset(then.members))
         run(then)
     return Found(fitter, tuple(ranks), kappa, first, as_it_is, onsets)
@@ -249,18 +237,15 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
     u = evidence.unknowns
     picked: dict[frozenset[Key], Score] = {}
 
-    def keys(score: Score) -> frozenset[Key]:
-        return frozenset(u.keys[q] for q in score.unknowns)
-
     nothing = next(s for s in ranked if not s.members)
     idle = thresholds.IDLE[0] + thresholds.IDLE[1] * max(ranked[0].log - nothing.log, 0.0)
     for score in ranked:
         score = without_idle(evidence, score, idle)
         near = len(picked) < thresholds.FIRST_FITS and score.log > ranked[0].log - thresholds.NEAR
-        if keys(score) not in picked and (len(picked) < thresholds.SURE_FITS or near):
-            picked[keys(score)] = score
+        if len(picked) < thresholds.SURE_FITS or near:
+            picked.setdefault(u.names(score.unknowns), score)
     for score in [s for s in ranked if len(s.members) == 1][: thresholds.SURE_FITS]:
-        picked.setdefault(keys(score), score)
+        picked.setdefault(u.names(score.unknowns), score)
     # What leads where the model is exact: its own error, as estimated while something is missing,
     # has that one's shape and hides it.
     widest = int(evidence.priors.usual().sum()) - 1
@@ -268,12 +253,8 @@ def _wanted(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
     for _, member in evidence.additions(exact)[: thresholds.EACH_WAY]:
         score = evidence.score((member,))
-        picked.setdefault(keys(score), score)
+        picked.setdefault(u.names(score.unknowns), score)
     return [_of(evidence, score) for names, score in picked.items() if names]
-
-
-def _names(u: Unknowns, one: Candidate) -> frozenset[Key]:
-    return frozenset(u.keys[q] for q in one.members)
 
 
 def _of(evidence: Evidence, score: Score) -> Candidate:

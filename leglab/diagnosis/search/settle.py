@@ -1,11 +1,8 @@
-"""Fits of one set of effects by replays, to the end.
+"""Fits of one set of effects by replays, to the end: Gauss-Newton on the likelihood of `Evidence`.
 
-Gauss-Newton on the likelihood of `likelihood.evidence`: tangents of the members are taken anew at
-every turn, those of all other unknowns are corrected by what the replays show (Broyden 1965) and
-taken anew at the end. The model's own error is what the set itself leaves. Members find their
-place first, while the rest of the machine stays as it is built: beside a gross fault the rest
-would move to where it does not belong. What is not smooth (play, dead band, delay) is looked at
-along a ladder of sizes.
+Members find their place first, while the rest of the machine stays as it is built: beside a gross
+fault it would move to where it does not belong. Tangents of the members are taken anew at every
+turn, all others are corrected by what replays show (Broyden 1965) and taken anew at the end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,11 +14,23 @@ from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors, change
-from leglab.diagnosis.likelihood.evidence import Evidence, Score, robust_weights
+from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
-from leglab.diagnosis.replay.residual import noise_alone
+from leglab.diagnosis.replay.residual import noise_alone, robust_weight
 from leglab.diagnosis.thresholds import DEFAULT
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A set to fit."""
+
+    members: tuple[int, ...]  #: Its unknowns
+    start: Mapping[int, float]  #: By how much unknowns move from where the fit begins
+    columns: Columns  #: Linearisation there
+    spread: Spread  #: Pattern of the model's own error at first
+    weight: np.ndarray  #: Of windows at first
+    promise: float = np.inf  #: Log evidence that first order promises
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,18 +135,17 @@ class Fitter:
         return spread, self.weights(errors, spread, self.priors.sizes.index(1.0))
 
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
-        """Robust weights of windows, at a size of the model's own error by its place."""
-        size = self.priors.sizes[place]
-        forces = max(1.0, size) if self.priors.calibrated else 1.0
-        return robust_weights(self.at, errors, spread, size, forces)
+        """Weights of windows by how unusual their errors are (Huber 1964), (windows,).
+
+        At a size of the model's own error by its place.
+        """
+        size, forces = self.priors.sizes[place], self.priors.force_size(place)
+        square = np.mean(spread.whitening(self.at).white(errors, size, forces) ** 2, axis=1)
+        return robust_weight(square / max(float(np.median(square)), 1.0))
 
     def fit(
         self,
-        columns: Columns,
-        start: Mapping[int, float],
-        members: Sequence[int],
-        spread: Spread,
-        weight: np.ndarray,
+        new: Candidate,
         kappa: float,
         *,
         renewals: int = thresholds.RENEWALS,
@@ -147,21 +155,17 @@ class Fitter:
         """Fits a set.
 
         Args:
-            columns: Linearisation from which it starts; its tangents are corrected on the way.
-            start: By how much unknowns move from there at first.
-            members: Unknowns of the set.
-            spread: Pattern of the model's own error at first.
-            weight: Of windows at first.
+            new: The set; the tangents of its linearisation are corrected on the way.
             kappa: 1/design effect at first.
             renewals: All tangents are taken anew so often at most.
             give_up: Level of the errors beyond which the fit is not finished.
             beside: Whether the rest of the machine starts where another set has left it, and moves
                 with the members from the first turn on.
         """
-        members, u = tuple(members), self.at.unknowns
+        members, columns, spread, weight = new.members, new.columns, new.spread, new.weight
         point = self._point(columns.base, columns.errors, columns.tangents, members)
-        if start:
-            moved = u.moved(columns.base, start)
+        if new.start:
+            moved = self.at.unknowns.moved(columns.base, new.start)
             errors = self.at.at(moved)
             if members or beside or self.level(errors) < self.level(point.errors):
                 point = self._point(moved, errors, columns.tangents, members)
@@ -174,13 +178,17 @@ class Fitter:
         fine = columns.fine
         telling = most = None
         renewed, taken = 0, columns.x
+
+        def judged(priors: Priors | None = None) -> tuple[Evidence, Score]:
+            made = self.evidence(point.columns, spread, weight, kappa, priors)
+            return made, made.score([(q, None) for q in members])
+
         for turn in range(thresholds.TURNS):
             first, fresh = turn < stiff_turns, False
             if not first and missed > thresholds.ENOUGH and (slow or renewed < renewals):
                 if renewed == renewals:
                     break
-                begun = self.evidence(point.columns, spread, weight, kappa)
-                here = begun.score([(q, None) for q in members])
+                begun, here = judged()
                 telling, most = begun.telling(here), begun.visible(here)
                 which = telling
                 if renewed:
@@ -193,20 +201,18 @@ class Fitter:
             else:
                 point = self._own_tangents(point, members, first, most)
             priors = self._stiff if first else self.priors
-            evidence = self.evidence(point.columns, spread, weight, kappa, priors)
-            score = evidence.score([(q, None) for q in members])
+            evidence, score = judged(priors)
             missed += 0.5 * self._square(evidence, score, off)
-            if first and (other := self._on_ladder(evidence, score, point, members)):
+            if first and (other := self._on_ladder(evidence, score, point)):
                 point = other
-                evidence = self.evidence(point.columns, spread, weight, kappa, priors)
-                score = evidence.score([(q, None) for q in members])
+                evidence, score = judged(priors)
             if not first:
                 telling, most = evidence.telling(score), evidence.visible(score)
             # Damping begins one below that of the last step; with fresh tangents, and for members
             # alone, at none.
             begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(damping) - 1, 0)
             dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
-            promise, then = self._stepped(evidence, score, point, members, dampings, lower=first)
+            promise, then = self._stepped(evidence, score, point, dampings, lower=first)
             if then is None:
                 if first:
                     stiff_turns = turn + 1
@@ -226,9 +232,8 @@ class Fitter:
                 kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             if turn + 1 >= thresholds.STIFF_TURNS and self.level(point.errors) > give_up:
                 # Machines depart, and may make up for it.
-                there = self.evidence(point.columns, spread, weight, kappa)
-                ahead = self.level(there.left(there.score([(q, None) for q in members])))
-                if ahead > give_up:
+                there, ahead = judged()
+                if self.level(there.left(ahead)) > give_up:
                     given_up = True
                     break
             if not first and gain < thresholds.ENOUGH:
@@ -237,11 +242,10 @@ class Fitter:
                     break
                 missed = np.inf
             slow = damping > 0.0 or gain < thresholds.NEAR
-        evidence = self.evidence(point.columns, spread, weight, kappa)
-        score = evidence.score([(q, None) for q in members])
+        _, score = judged()
         return Fit(
             members=members,
-            keys=frozenset(u.keys[q] for q in members),
+            keys=self.at.unknowns.names(members),
             columns=replace(point.columns, fine=fine),
             spread=spread,
             weight=weight,
@@ -276,7 +280,6 @@ class Fitter:
         evidence: Evidence,
         score: Score,
         point: Point,
-        members: Sequence[int],
         dampings: Sequence[float],
         *,
         lower: bool,
@@ -290,7 +293,6 @@ class Fitter:
             evidence: There.
             score: Of the set there.
             point: There.
-            members: Of the set.
             dampings: That are tried, in order.
             lower: Whether errors may not grow beside the sensors' noise either: while a gross
                 fault is there, its own shape is in the pattern of errors, and the cost is low
@@ -298,7 +300,7 @@ class Fitter:
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
-        single = self.at.unknowns.single
+        u, single, members = self.at.unknowns, self.at.unknowns.single, score.unknowns
 
         def step(damping: float, bend: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
             values, spikes = evidence.step(score, point.values, damping, bend)
@@ -316,7 +318,8 @@ class Fitter:
             if own < thresholds.ENOUGH:
                 break
             for _ in range(1 + thresholds.BENDS):
-                moved = self._moved(point, by)
+                steps = {i: d for i, d in enumerate(by.tolist()) if d != 0.0}
+                moved = u.moved(point.hypothesis, steps)
                 errors = self.at.at(moved)
                 after = self._cost(evidence, score, errors, values, spikes)
                 if after < lowest and self.level(errors) <= highest:
@@ -334,7 +337,7 @@ class Fitter:
         if best is None:
             return promise, None
         damping, moved, errors, values, spikes = best
-        x = self.at.unknowns.departures(moved)
+        x = u.departures(moved)
         tangents, off = _broyden(
             point.tangents, errors - point.errors, x - point.x, members, single
         )
@@ -350,10 +353,6 @@ class Fitter:
         for q, value in zip(members, values, strict=True):
             goal[list(u.singles(q))] += value
         return goal - point.x[: u.single]
-
-    def _moved(self, point: Point, by: np.ndarray) -> Hypothesis:
-        u = self.at.unknowns
-        return u.moved(point.hypothesis, {i: float(d) for i, d in enumerate(by) if d != 0.0})
 
     def _cost(
         self,
@@ -412,11 +411,9 @@ class Fitter:
         out = self.at.tangents(point.hypothesis, point.errors, which, thresholds.FINE, known, most)
         return replace(point, tangents=out)
 
-    def _on_ladder(
-        self, evidence: Evidence, score: Score, point: Point, members: Sequence[int]
-    ) -> Point | None:
+    def _on_ladder(self, evidence: Evidence, score: Score, point: Point) -> Point | None:
         """The best size of each member that is not smooth, all else as it is; None for no other."""
-        u, begun = self.at.unknowns, point
+        u, begun, members = self.at.unknowns, point, score.unknowns
         lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
         for n, q in enumerate(members):
             now = float(point.values[n])

@@ -13,7 +13,7 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.onset import begun
-from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import ABSENT, RENEWALS
 from leglab.diagnosis.verdict.confidence import Judgement
 from leglab.diagnosis.verdict.sets import Row
@@ -114,16 +114,10 @@ def _lean(
     goal = np.where(u.shape, old.x, 0.0)[: u.single]
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
-    fit = lean.fit(
-        replace(old, errors=at.at(old.base)),
-        dict(enumerate((goal - old.x[: u.single]).tolist())),
-        tuple(kept),
-        row.evidence.spread,
-        row.evidence.weight,
-        kappa,
-        renewals=RENEWALS if kept else 0,
-        beside=True,
-    )
+    there = replace(old, errors=at.at(old.base))
+    start = dict(enumerate((goal - old.x[: u.single]).tolist()))
+    new = Candidate(tuple(kept), start, there, row.evidence.spread, row.evidence.weight)
+    fit = lean.fit(new, kappa, renewals=RENEWALS if kept else 0, beside=True)
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
     return fit, _scatter(evidence, evidence.score([(q, None) for q in kept]))
 

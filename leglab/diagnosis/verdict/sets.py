@@ -15,6 +15,7 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
+from leglab.diagnosis.search.settle import Candidate
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, WINDOWS
 
 
@@ -137,8 +138,8 @@ class Sets:
         lost, all_parts = float(losses[best]), float(beyond[best].sum()) + cost
         parts = np.array([one.log for one in evidence.apart(chosen, spread_there)])
         return Row(
-            keys=frozenset(u.keys[q] for q in members),
-            ended=frozenset(u.keys[q] for q in ended if q in members),
+            keys=u.names(members),
+            ended=u.names(q for q in ended if q in members),
             score=replace(score, log=score.log - lost, fit=score.fit - lost),
             evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
             apart=parts - np.maximum(all_parts - beyond[best], 0.0),
@@ -187,9 +188,8 @@ class Sets:
                 if frozenset(members) in rivals:
                     continue
                 rivals.add(frozenset(members))
-                rest = fitter.fit(
-                    columns, {}, members, pattern, best.weight, best.kappa, renewals=0, beside=True
-                )
+                less = Candidate(members, {}, columns, pattern, best.weight)
+                rest = fitter.fit(less, best.kappa, renewals=0, beside=True)
                 # What it is without the effect has a pattern of its own.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
@@ -216,7 +216,7 @@ class Sets:
         if simpler is None:
             return None
         both = [i for i, q in enumerate(members) if q not in simpler]
-        names = frozenset(u.keys[q] for q in simpler)
+        names = u.names(simpler)
         new, old = names - row.keys, u.keys[members[both[0]]]
         if len(new) != 1 or old in names or np.ptp(values[both]) > LAW * abs(values[both].mean()):
             return None
