@@ -71,8 +71,7 @@ def bin_motion(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Motion of a joint in the middle of every bin of a recording's windows, each (bins,).
 
-    Returns:
-        Number of the sample, position, velocity.
+    Number of the sample, position and velocity.
     """
     replay, series = problem.replay, problem.series[recording]
     middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)

@@ -109,18 +109,9 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 class Library:
     """The effects that can sit on a machine.
 
-    Args:
-        machine: The unmodified machine.
-        names: Effects to use; None for all.
-        excluded: Effects to leave out.
-        specimen: Values of the specimen at hand; others are the model's.
-        shortest: Time [s] that the recordings can tell; delays and lags are tried from there on.
-
-    Attributes:
-        sites: Effects to use, those of the specimen and all that no diagnosis names.
-        searched: Those to use.
-        too_fast: Those that would be used, were they not over within a shorter time.
-        specimen: As given.
+    By `names`, None for all, but those that are `excluded`. Values of the specimen at hand are the
+    model's where none are given. Delays and lags are tried from the `shortest` time [s] on that the
+    recordings can tell.
     """
 
     def __init__(
@@ -140,6 +131,7 @@ class Library:
             for joint in machine.driven[cylinder][:1]
         }
         self.specimen = dict(specimen or {})
+        #: Effects to use, those of the specimen and all that no diagnosis names.
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
         for effect in all_effects():
@@ -153,8 +145,9 @@ class Library:
                     given = effect.parameters(machine, element)
                     parameters = tuple(p.stretched(shortest) for p in given)
                     self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
+        #: Those that would be used, were they not over within a shorter time.
         self.too_fast = frozenset(k for k in searched if self.sites[k].slowest < shortest)
-        self.searched = frozenset(searched) - self.too_fast
+        self.searched = frozenset(searched) - self.too_fast  #: those to use
 
     @property
     def names(self) -> tuple[str, ...]:

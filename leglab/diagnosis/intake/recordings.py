@@ -46,11 +46,7 @@ def split_held_out(
 ) -> tuple[dict[str, Recording], tuple[str, ...]]:
     """Says which recordings are held out; cuts the end off a single one.
 
-    Args:
-        model: MJCF file, or the name of a model that ships with leglab.
-        recordings: By name.
-        wanted: Names, with or without suffix; empty for the tool's choice.
-        thresholds: Say how much of a single recording is held out.
+    Those `wanted` go by names, with or without suffix; the tool chooses where there are none.
 
     Raises:
         LeglabError: A name does not exist, or nothing is left to fit.

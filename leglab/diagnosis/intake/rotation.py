@@ -13,14 +13,10 @@ def unwrapped(
     """Takes out the jumps of an encoder that begins anew after a full turn.
 
     A jump is a step of more than half of all that the encoder shows, after which the motion goes on
-    as before. It is a turn of 2 pi on a hinge, or whatever all jumps agree on (an encoder before a
-    gear, a counter that overflows) if every angle in between is seen. The joint must move less than
-    half a turn between two samples.
-
-    Args:
-        time: s, shape (n,).
-        samples: Shape (n,), NaN where missing.
-        hinge: Whether 2 pi and its parts are turns; else only what jumps agree on is.
+    as before. It is a turn of 2 pi or its parts on a `hinge`, or whatever all jumps agree on (an
+    encoder before a gear, a counter that overflows) if every angle in between is seen. The joint
+    must move less than half a turn between two samples, (n,), NaN where missing, at a time [s],
+    (n,).
 
     Returns:
         The samples without jumps, (n,), the size of a turn in their unit, and how many jumps there

@@ -45,12 +45,7 @@ class Columns:
 
 
 class Errors:
-    """Errors of hypotheses in some windows of a problem.
-
-    Args:
-        problem: Recordings and machine.
-        unknowns: Its unknowns.
-        chosen: Mask of the windows, (all windows,).
+    """Errors of hypotheses in the `chosen` windows of a problem, by a mask of all.
 
     Attributes:
         recording: Of each chosen window, (windows,).
@@ -94,11 +89,8 @@ class Errors:
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Errors of a hypothesis, (windows, rows).
 
-        Args:
-            hypothesis: Effects and what else departs.
-            louder: Actuator whose force is `LOUDER` times what it is, where its gain is known to
-                scale it (a servo's motion does not grow with that), else its command; None for no
-                one.
+        `louder` is an actuator whose force is `LOUDER` times what it is, where its gain is known to
+        scale it (a servo's motion does not grow with that), else its command; None for no one.
         """
         problem = self.problem
         gain = (DRIVE_GAIN, louder or "")
@@ -199,10 +191,7 @@ class Errors:
     def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
         """Columns with jumps; in windows in which a replay blows up they change nothing.
 
-        Args:
-            columns: Without jumps.
-            jumps: What to try.
-            near: Whether tangents stand for jumps of all that a machine may have a little of.
+        Where `near`, tangents stand for jumps of all that a machine may have a little of.
         """
         u = self.unknowns
         replayed = [k for k, (q, _) in enumerate(jumps) if not (near and u.gradual[q])]

@@ -69,15 +69,9 @@ class Score:
 class _Reduced:
     """Inner products of columns with the single unknowns integrated out.
 
-    Args:
-        evidence: Of which linearisation.
-        gram: Inner products of all columns, (sizes, columns, columns).
-        log: Log determinants of the windows, (sizes,).
-        stays: Which single unknowns are held, by size and spread; None for those of these products.
-
-    Attributes:
-        base: Log evidence of no member, but for the errors' square, (sizes, spreads).
-        stays: Which single unknowns are held, by size and spread.
+    Made of those of all columns, (sizes, columns, columns), and log determinants of the windows,
+    (sizes,). `base` is the log evidence of no member, but for the errors' square, (sizes, spreads),
+    and `stays` says which single unknowns are held, by size and spread: here or as it is given.
     """
 
     def __init__(
@@ -277,12 +271,9 @@ class Evidence:
         reduced: _Reduced | None = None,
         spread: int | None = None,
     ) -> Score:
-        """Evidence of a set.
+        """Evidence of a set, by `reduced` products, else those of all parts.
 
-        Args:
-            members: The set.
-            reduced: Products; None for those of all parts.
-            spread: Place of the only spread of machines that counts; None for all of them.
+        `spread` is the place of the only spread of machines that counts; None for all of them.
         """
         members = tuple(members)
         own = reduced or self.whole
@@ -405,10 +396,9 @@ class Evidence:
         return errors
 
     def telling(self, score: Score) -> np.ndarray:
-        """Mask of the single unknowns of which the data tell something beside their prior.
+        """Mask of the single unknowns of which the data tell more than a tenth of the prior.
 
-        That by which the data narrow an unknown alone is below a tenth of its prior for the others,
-        whatever share of the data counts: it grows as explanations get better.
+        Whatever share of the data counts: it grows as explanations get better.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
@@ -449,8 +439,8 @@ class Evidence:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Most probable values of members and spikes within their bounds.
 
-        At the size and spread of a score; members by their tangents. What the data tell nothing
-        of stays where it is: it would gain less than half a nat, and what is built takes time.
+        At the size and spread of a score; members by their tangents. What the data tell nothing of
+        stays where it is: it would gain less than half a nat, and what is built takes time.
 
         Args:
             score: The set.
@@ -534,14 +524,8 @@ def _held(
 ) -> np.ndarray:
     """Mask of the single unknowns that stand at a bound and would pass it: no friction is negative.
 
-    What is far from its prior is a member of the set that was fitted there, and free.
-
-    Args:
-        data: Inner products of errors and tangents, (1 + single, 1 + single).
-        precision: Of the prior, (single, single).
-        now: Departures, (single,).
-        lower: How far down each may go from there.
-        upper: How far up.
+    What is far from its prior is a member of the set that was fitted there, and free. `data` are
+    inner products of errors and tangents, `lower` and `upper` how far each may go from `now`.
     """
     near = np.minimum(-lower, upper) < FINE[0]
     if not near.any():

@@ -154,12 +154,9 @@ class Whitening:
     def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
         """Factors that make rows of unit variance, (windows, rows), and log determinants.
 
-        Forces have no covariance of their sensors': they count by the share of the replays' error
-        that is the model's own. Those of an exact model are noise and say nothing.
-
-        Args:
-            size: Of the model's own error in replays, as a factor.
-            forces: The same in forces.
+        `size` and `forces` are factors on the model's own error in replays and in forces. Forces
+        have no covariance of their sensors': they count by the share of the replays' error that is
+        the model's own. Those of an exact model are noise and say nothing.
         """
         n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
         variance = 1.0 + size**2 * self.ratio

@@ -60,20 +60,8 @@ class Variant:
 class Machine:
     """An MJCF model whose hinge and slide joints are measured.
 
-    Args:
-        path: MJCF file, or the name of a model that ships with leglab.
-        timestep: Of the replays [s]; None for the file's own.
-
-    Attributes:
-        base: The model as it is.
-        joints: Names of the hinge and slide joints.
-        actuators: Names of the actuators.
-        moments: Of the actuators near qpos0, (nu, nv).
-        driven: Joints that each actuator moves, by actuator: those of its moments.
-        cylinders: Names of the actuators that are cylinders.
-        on_cylinders: Joints that cylinders move.
-        carried: Command paths and sensor corrections in the file, see `take_out`; variants are
-            free of them.
+    By its file, or the name of a model that ships with leglab, at a time step of replays [s], the
+    file's own for None.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
@@ -88,9 +76,10 @@ class Machine:
             raise leglab.machine.plugin.load_error(error, self.path.name) from error
         self.file_timestep = float(self._spec.option.timestep)
         self.timestep = timestep or self.file_timestep
+        #: Command paths and sensor corrections in the file; variants are free of them.
         self.carried = take_out(self._spec)
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
-        self.base = self.variant(())
+        self.base = self.variant(())  #: the model as it is
         model = self.base.model
         self.joints = tuple(model.joint(i).name for i in range(model.njnt))
         for joint, kind in zip(self.joints, model.jnt_type, strict=True):
@@ -102,7 +91,8 @@ class Machine:
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
-        self.moments = actuator_moments(model, data)
+        self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
+        #: Joints that each actuator moves, by actuator: those of its moments.
         self.driven = {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
             for name, row in zip(self.actuators, self.moments, strict=True)

@@ -34,12 +34,8 @@ def forces_at(
 ) -> MomentForces:
     """Forces of a model at some moments, each for itself.
 
-    Args:
-        model: Compiled.
-        states: Full physics states, (moments, nstate).
-        commands: Controls, (moments, nu).
-        accelerations: Of the motion, (moments, nv), NaN where a joint moves as the model has it;
-            None where no lacking forces are asked for.
+    By full physics states, (moments, nstate), controls, (moments, nu), and accelerations, (moments,
+    nv), NaN where a joint moves as the model has it; None where no lacking forces are asked for.
     """
     joints, actuators = (model.nv,), (model.nu,)
     shapes = dict.fromkeys(("load", "bias"), joints) | {"inertia": joints + joints}

@@ -39,8 +39,7 @@ Corrections = list[tuple[Correction, float]]
 def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[str, Corrections]]:
     """Makes command and sensor paths of a specification neutral, in place.
 
-    Returns:
-        What commands met, by actuator, in order, and what undoes the faults of a column.
+    What commands met, by actuator, in order, and what undoes the faults of a column.
     """
     commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
@@ -152,10 +151,9 @@ def undo(offset: float, scale: float) -> Corrections:
 
 
 def undo_delay(delay: float) -> Correction:
-    """Brings measured samples forward by a delay [s].
+    """Brings measured samples forward by a delay [s], by a windowed sinc (Kaiser 1974).
 
-    Between samples by a windowed sinc (Kaiser 1974): straight lines would average neighbours, and a
-    fit could take their noise away by a delay.
+    Straight lines would average neighbours, and a fit could take their noise away by a delay.
     """
 
     def forward(samples: np.ndarray, period: float) -> np.ndarray:

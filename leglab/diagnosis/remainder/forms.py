@@ -37,11 +37,9 @@ class Term:
 class Form:
     """Form of one balance's remainder, with a first estimate.
 
-    Args:
-        fits: Of the balance.
-        terms: In the order in which they were chosen, sines last; unknowns follow one another.
-        period: Of the sines, about which the last unknown counts; None without sines.
-        gain: Share of the balance's squares that it explains in cross-validation.
+    Terms are in the order in which they were chosen, sines last; unknowns follow one another. About
+    the `period` of the sines the last unknown counts; None without sines. `gain` is the share of
+    the balance's squares that it explains in cross-validation.
 
     Attributes:
         values: Estimate, (unknowns,).

@@ -5,7 +5,6 @@ from copy import copy
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.balance.balances import balances
@@ -32,11 +31,6 @@ class Remainder:
     problem: Problem  #: With the parts in every hypothesis, noise model about the end
     closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
     memory: bool  #: Whether what is left has a memory
-
-    def write(self, spec: mujoco.MjSpec) -> None:
-        """Adds its plugin instances to a specification."""
-        for part in self.parts:
-            part.write(spec)
 
     @property
     def words(self) -> str:
@@ -67,14 +61,9 @@ def learn_remainder(
     """Learns a static remainder beside a hypothesis; None where no gain was proved.
 
     Additive splines are fitted to the balances of forces and oil along the measured motion, and
-    refined by replays together with the nuisances. What does not pay on held-out recordings is
-    left out.
-
-    Args:
-        problem: Without held-out windows nothing can be proved.
-        hypothesis: Named effects and nuisances.
-        named: Effects whose values stay; None for all that are not nuisances.
-        progress: Called with what is being done.
+    refined by replays together with the nuisances. What does not pay on held-out recordings is left
+    out, and without any nothing can be proved. Values of `named` effects stay; None for all that
+    are not nuisances.
     """
     held, sites, least = problem.held, problem.library.sites, problem.thresholds.explained
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
@@ -192,11 +181,8 @@ def refine(
 ) -> tuple[tuple[Part, ...], Hypothesis]:
     """Fits principal directions of the forms, and nuisances from a hypothesis on, to replays.
 
-    Effects in `fixed` stay as they are.
-
-    Returns:
-        The parts, in the order of the forms, each with a bound a little above what it reaches on
-        its data, and the hypothesis with the nuisances beside them.
+    Effects in `fixed` stay as they are. The parts, in the order of the forms, each with a bound a
+    little above what it reaches on its data, and the hypothesis with the nuisances beside them.
     """
     problem, limits = copy(problem), problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)

@@ -64,27 +64,10 @@ class Course:
 class Replay:
     """Windows of several recordings, replayed together by `mujoco.rollout` threads.
 
-    Args:
-        machine: Its time step must divide the sampling period.
-        series: Recordings of one sampling period.
-        channels: What is predicted.
-        thresholds: Of windows and their start states.
-        threads: Of the rollouts.
+    The machine's time step must divide the recordings' sampling period, which is the same for all.
 
     Raises:
         RecordingError: No window fits into the recordings.
-
-    Attributes:
-        cuts: The recordings with the samples at which windows start.
-        recording: Index of each window's recording, shape (windows,).
-        start: Time at which each window starts [s], shape (windows,).
-        bins: Number of bins in a window.
-        samples: Number of samples in a window.
-        window: How long a window lasts [s].
-        rest_time: As in the thresholds, and a sampling period at least [s].
-        sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
-        blind: Whether chamber pressures are not measured; they are then replayed as well.
-        rollouts: Replays of all windows so far.
     """
 
     def __init__(
@@ -99,17 +82,21 @@ class Replay:
         self.machine, self.channels, self.thresholds = machine, channels, thresholds
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
-        self.samples, self.bins = window_length(period, thresholds)
-        self.window = self.samples * period
-        self.rest_time = max(thresholds.rest_time, period)
+        self.samples, self.bins = window_length(period, thresholds)  #: of a window
+        self.window = self.samples * period  #: how long one lasts [s]
+        self.rest_time = max(thresholds.rest_time, period)  #: s
         chambers = sum(1 for c in channels if c.chamber)
+        #: Whether chamber pressures are not measured; they are then replayed as well.
         self.blind = chambers < 2 * len(machine.cylinders)
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
+        #: Standard deviation of each channel's samples, (recordings, channels).
         self.sensor_noise = sensor_noise(series, channels)
+        #: The recordings with the samples at which windows start.
         self.cuts = cut_all(
             machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
         )
         counts = [cut.firsts.size for cut in self.cuts]
+        #: Of each window, (windows,): index of its recording, and time at which it starts [s].
         self.recording = np.repeat(np.arange(len(self.cuts)), counts)
         self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:
@@ -124,7 +111,7 @@ class Replay:
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
         self._room = np.empty(0)  # for states
-        self.rollouts = 0.0
+        self.rollouts = 0.0  #: replays of all windows so far
 
     @property
     def windows(self) -> int:
@@ -155,11 +142,8 @@ class Replay:
     ) -> ReplayErrors:
         """Measured less predicted under a change, of all windows or those in a mask, (windows,).
 
-        Args:
-            change: What the hypothesis changes.
-            chosen: Mask of the windows.
-            nudge: Departure from the start states.
-            blocks: Into which a window is divided for the forces that it leaves over; 0 for none.
+        With a departure from the start states, and `blocks` into which a window is divided for the
+        forces that it leaves over, 0 for none.
         """
         parts = list(self._parts(change, chosen))
         left: np.ndarray | None = None
@@ -198,12 +182,10 @@ class Replay:
     def lacking(
         self, change: Change, chosen: np.ndarray | None, blocks: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces that the measured motion leaves over, averaged over blocks of a window.
+        """Forces that the measured motion leaves over, averaged over blocks of a window [N m or N].
 
-        Returns:
-            Shape (chosen windows, joints whose forces can be known, blocks) [N m or N], as
-            `comparable_forces` has them; and what commands of native actuators that are `LOUDER`
-            change in them.
+        Shape (chosen windows, joints whose forces can be known, blocks), as `comparable_forces` has
+        them; and what commands of native actuators that are `LOUDER` change in them.
         """
         return self._left(change, self.along(change, chosen, blocks), blocks)
 

@@ -85,23 +85,8 @@ def robust_weight(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) 
 class Problem:
     """Recordings and machine as a least-squares problem; immutable.
 
-    Args:
-        machine: The unmodified machine at the replay's time step.
-        library: Its effects.
-        series: The recordings.
-        channels: What is predicted.
-        fit: Indices of the recordings that are fitted; the others are held out.
-        threads: Of the rollouts.
-        thresholds: Of all steps.
-
-    Attributes:
-        replay: The windows.
-        threads: That replay at once.
-        fitted: Mask of windows that are fitted, shape (windows,).
-        held: Mask of windows that are held out.
-        balanced: Joints whose forces along the measured motion can be known.
-        sensor_noise: Standard deviation of each channel's samples, (recordings, channels).
-        noise: Noise model, at first about the unmodified machine; see `about`.
+    The machine is the unmodified one at the replay's time step, and `fit` the indices of the
+    recordings that are fitted; the others are held out.
     """
 
     def __init__(
@@ -120,9 +105,11 @@ class Problem:
         self.series, self.channels = series, channels
         self.replay = Replay(machine, series, channels, thresholds, threads=threads)
         self._fine = self._at(0.5)
+        #: Joints whose forces along the measured motion can be known.
         self.balanced = balanced_joints(machine, channels)
-        self.fitted = np.isin(self.replay.recording, list(fit))
+        self.fitted = np.isin(self.replay.recording, list(fit))  #: mask of windows, (windows,)
         self.held = ~self.fitted
+        #: Standard deviation of each channel's samples, (recordings, channels).
         self.sensor_noise = self.replay.sensor_noise
         some = np.zeros(self.replay.windows, dtype=bool)
         some[:: max(1, self.replay.windows // thresholds.order_windows)] = True
@@ -133,6 +120,7 @@ class Problem:
 
         whole, half, quarter = errors(self.replay), errors(self._fine), errors(self._at(0.25), some)
         self._beyond_half = extrapolation((half - whole)[some], quarter - half[some])
+        #: At first about the unmodified machine; see `about`.
         self.noise = self._noise_model(library.change(Hypothesis(), machine), whole, half - whole)
 
     @property

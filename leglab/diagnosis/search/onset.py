@@ -16,10 +16,9 @@ from leglab.diagnosis.thresholds import DEFAULT
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
-    """Time at which a model that explains the starts of the recordings does so no more [s].
+    """Times at which a model that explains the starts of recordings does so no more [s].
 
-    Returns:
-        Shape (recordings,), inf where a recording shows no change; None where nothing begins.
+    Shape (recordings,), inf where a recording shows no change; None where nothing begins.
     """
     replay = problem.replay
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
@@ -61,11 +60,8 @@ def begun(
     The onset is the middle of the time in which an effect may have begun: one that shows in fast
     motion alone departs from the noise some time after it began. It was surely absent in windows
     that replays with it miss, and present from the start of windows that replays without it miss
-    and those with it meet.
-
-    Returns:
-        The hypothesis, and by effect the earliest and the latest onset [s] that the recordings
-        allow, (recordings, 2), inf where it begins in none.
+    and those with it meet. Beside the hypothesis the earliest and the latest onset [s] that the
+    recordings allow by effect, (recordings, 2), inf where it begins in none.
     """
     begin, length = problem.replay.start, problem.replay.window
     between: dict[Key, np.ndarray] = {}

@@ -50,13 +50,7 @@ def set_up(
     held_out: Iterable[str],
     settings: DiagnosisSettings,
 ) -> Problem:
-    """Builds the fit problem.
-
-    Args:
-        model: MJCF file, or the name of a model that ships with leglab.
-        recordings: By name.
-        held_out: Names of the recordings that are not fitted.
-        settings: Of the diagnosis.
+    """Builds the fit problem of recordings by name, all but those held out fitted.
 
     Raises:
         LeglabError: Model or recordings do not fit each other, or are too short.
@@ -134,8 +128,7 @@ def searched(
 ) -> tuple[Found, Specimen | None, tuple[str, ...]]:
     """Searches recordings for what a model lacks; arguments as of `diagnose`.
 
-    Returns:
-        All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
+    All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
     """
     machine, limits = Machine(model), settings.thresholds
     admitted = admit(machine, recordings, held_out, limits)

@@ -108,13 +108,8 @@ def next_candidate(
     """The next set to fit; None where nothing promises to come near the best one.
 
     What says the same of both directions; then what adds a member to a good set, or leaves one out
-    or swaps it, of the best sets and of those that ended at a bound.
-
-    Args:
-        fitter: Of the sets.
-        ranks: Sets that are fitted.
-        tried: Unknowns of all sets that have been.
-        without: Linearisation of a fit without an effect, see `Errors.without`.
+    or swaps it, of the best sets and of those that ended at a bound. `tried` are the unknowns of
+    all sets that have been, and `without` linearises a fit without an effect, see `Errors.without`.
     """
     u = fitter.at.unknowns
     # What ended at a bound is a rival, but no yardstick: it would be another machine beyond.
@@ -177,13 +172,7 @@ def both_ways(
 ) -> dict[int, float] | None:
     """A set with an effect by direction replaced by the same one in both directions.
 
-    Args:
-        u: Unknowns.
-        members: Of the set.
-        values: Their departures.
-
-    Returns:
-        Departures of its members; None where the set has no such effect.
+    Departures of its members, from those of the set; None where that has no such effect.
     """
     value = dict(zip(members, values, strict=True))
     for q in members:

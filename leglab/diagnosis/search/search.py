@@ -45,8 +45,7 @@ def search(
 
     Args:
         problem: Recordings and machine about the specimen.
-        priors: Of everything but the errors; None for those of a machine without healthy
-            recordings.
+        priors: Of everything but the errors; None for a machine without healthy recordings.
         fixed: Pattern of the model's own error by healthy recordings; None without.
         kappa: 1/design effect at first.
         onsets: Time at which what is missing begins [s], (recordings,); None for throughout.

@@ -70,12 +70,9 @@ class Point:
 
 
 class Fitter:
-    """Fits sets of effects on the windows of a problem.
+    """Fits sets of effects on windows, under priors of all but the errors.
 
-    Args:
-        at: Windows.
-        priors: Of everything but the errors.
-        fixed: Pattern of the model's own error, where healthy recordings have shown it.
+    `fixed` is the pattern of the model's own error, where healthy recordings have shown it.
     """
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
@@ -137,7 +134,7 @@ class Fitter:
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
         """Weights of windows by how unusual their errors are (Huber 1964), (windows,).
 
-        At a size of the model's own error by its place.
+        `place` is that of a size of the model's own error.
         """
         size, forces = self.priors.sizes[place], self.priors.force_size(place)
         square = np.mean(spread.whitening(self.at).white(errors, size, forces) ** 2, axis=1)
@@ -284,19 +281,12 @@ class Fitter:
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
-        """Tries a step: its predicted decrease of the cost [nats], and what it reached if it fell.
+        """Tries a step by each damping: its predicted gain [nats], and what it reached.
 
         The latter is the damping, the gain [nats], what the step changed beyond the tangents, and
-        where it leads.
-
-        Args:
-            evidence: There.
-            score: Of the set there.
-            point: There.
-            dampings: That are tried, in order.
-            lower: Whether errors may not grow beside the sensors' noise either: while a gross
-                fault is there, its own shape is in the pattern of errors, and the cost is low
-                wherever that is left.
+        where it leads; None where no cost fell. Where `lower`, errors may not grow beside the
+        sensors' noise either: while a gross fault is there, its own shape is in the pattern of
+        errors, and the cost is low wherever that is left.
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)

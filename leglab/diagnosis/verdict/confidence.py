@@ -36,15 +36,10 @@ class Judged:
 
 
 class Judgement:
-    """Claims of a search from all its sets.
+    """Claims of a search from all its sets, the most probable first.
 
-    Attributes:
-        effects: All effects of all sets.
-        named: Effects, surest first.
-        confusion: Effects that are not told apart, the most probable by all recordings first;
-            empty where any is named.
-        verdict: As of a `Diagnosis`.
-        rows: The sets, most probable first.
+    Effects are `named`, surest first, or else in a confusion set of those that are not told apart,
+    the most probable by all recordings first.
     """
 
     def __init__(self, sets: Sets, specimen: Specimen | None) -> None:
@@ -227,10 +222,8 @@ def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float
 def _inside(share: float, impostor: tuple[float, float], top: float) -> float:
     """Probability that an effect stands for itself and not for a cause outside of the library.
 
-    Args:
-        share: Of what is left without it, that it explains.
-        impostor: Mean and standard deviation of that of impostors, as logits.
-        top: Largest logit that noise lets tell.
+    By the share that it explains of what is left without it, mean and standard deviation of that of
+    impostors, as logits, and the largest logit that noise lets tell.
     """
     mean, deviation = impostor
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)

@@ -20,25 +20,9 @@ from leglab.diagnosis.verdict.sets import Row
 
 
 class Outcome:
-    """A judged search: what is told of it.
+    """A judged search, after names and confidence: what is told of it.
 
-    Args:
-        judged: Names and confidence.
-        specimen: What healthy recordings said; None without any.
-
-    Attributes:
-        problem: Recordings and machine.
-        row: The set whose values are told.
-        spread: Covariance of all single unknowns there, in trials, (single, single).
-        baseline: Nothing missing, all parameters within what machines differ by.
-        final: The told set, all parameters as fitted beside it.
-        written: What an improved model carries: the told effects, and what has a tolerance.
-        about: The problem with its noise model about the told set: start states are as uncertain
-            as that makes them.
-        named: Effects that are told, named or in a confusion set.
-        onsets: Of effects that begin during a recording, the earliest and the latest time [s] at
-            which they can have begun, (recordings, 2), inf where an effect begins in none.
-        result: The verdict as it is told; `diagnose` sets it.
+    `result` is the verdict as it is told; `diagnose` sets it.
     """
 
     result: Diagnosis
@@ -51,15 +35,22 @@ class Outcome:
         row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])
         if judged.verdict == "nothing_missing":
             row = nothing
-        self.row, self.baseline, self.final = row, nothing.hypothesis, row.hypothesis
+        self.row = row  #: the set whose values are told
+        #: Nothing missing, all parameters within what machines differ by.
+        self.baseline = nothing.hypothesis
+        self.final = row.hypothesis  #: the told set, all parameters as fitted beside it
+        #: The problem where start states are as uncertain as the told set makes them.
         self.about = problem.about(self.final)
+        #: Covariance of all single unknowns there, in trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
+        #: Effects that are told, named or in a confusion set.
         self.named = tuple(
             key
             for name, element in names
             for key in sorted(problem.library.sites)
             if key[0] == name and element in (key[1], EVERY)
         )
+        #: What an improved model carries is the told effects, and what has a tolerance.
         if specimen is not None:
             self.written = self.final.only(self.named)
             if judged.verdict == "nothing_missing" and not self.named:
@@ -69,6 +60,8 @@ class Outcome:
             self.written = lean.columns.base
             if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
                 self.final, self.spread = self.written, spread
+        #: Of effects that begin during a recording, the earliest and the latest time [s] at which
+        #: they can have begun, (recordings, 2), inf where an effect begins in none.
         self.onsets: dict[Key, np.ndarray] = {}
         if self.found.onsets is not None:
             self.final, self.onsets = begun(problem, self.final, self.named, self.found.onsets)

@@ -47,13 +47,7 @@ class Row:
 
 
 class Sets:
-    """All sets of a search.
-
-    Attributes:
-        rows: The sets, most probable first.
-        removed: Linearisations of sets without an effect, by the set and the effect.
-        elsewhere: Windows of recordings that nobody fitted; None without any.
-    """
+    """All sets of a search in `rows`, most probable first."""
 
     def __init__(self, found: Found) -> None:
         self.found, self.fitter, self.at = found, found.fitter, found.fitter.at
@@ -61,10 +55,11 @@ class Sets:
         self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
         self.channels = len(problem.channels)
         self._roots = self._whiteners(self.at)
-        # Recordings that nobody fitted; they do not tell when something began.
+        # Windows of recordings that nobody fitted; they do not tell when something began.
         held = thinned(problem.held, WINDOWS)
         shown = held.any() and found.onsets is None
         self.elsewhere = Errors(problem, self.unknowns, held) if shown else None
+        # Linearisations of sets without an effect, by the set and the effect.
         self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
         rows = self._all()
         lost = self._in_units_of_the_drive(rows)
@@ -77,10 +72,9 @@ class Sets:
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Windows, and medians of squared errors with an effect, without, and of the difference.
+        """Windows that are fitted, then those that nobody fitted; with squares of errors of each.
 
-        Of the recordings that are fitted, and of those that nobody fitted; (3, recordings,
-        channels).
+        Medians with an effect, without, and of the difference, (3, recordings, channels).
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:

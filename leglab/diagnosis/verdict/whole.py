@@ -79,15 +79,11 @@ def follow(
     loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
-    """Simulates a recording from a window on to its end or first gap; None without that window.
+    """Simulates a recording, by its number, to its end or first gap; None without a first window.
 
-    Args:
-        problem: Recordings and machine.
-        hypothesis: Holds throughout.
-        recording: Its number.
-        loop: Share of an error that the loop takes off in the length of a window: all of it, in
-            0.3 s softer than the loops that legs and axes are run with; 0 for none.
-        after: The window is the first that starts at this time or later [s].
+    That is the first to start `after` a time [s]. The hypothesis holds throughout. `loop` is the
+    share of an error that the loop takes off in the length of a window: all of it, in 0.3 s softer
+    than the loops that legs and axes are run with; 0 for none.
     """
     change = problem.library.change(hypothesis, problem.machine)
     course = problem.replay.course(change, recording, after)
