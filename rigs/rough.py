@@ -228,38 +228,33 @@ def hide(rig: RoughRig, values: Values, fault: str, joint: int, rng: np.random.G
     if joint < outer:
         first = rig.links[joint]
         inertia += first[2] + first[0] * first[1] ** 2 + m * rig.length**2
-    if fault == "viscous_friction":
-        values["damping"][joint] += size * rig.damping[joint]
-    elif fault == "coulomb_friction":
-        values["coulomb"][joint] += size * rig.coulomb[joint]
+    # What grows by the size, and the unit of the size there.
+    grows = {
+        "viscous_friction": ("damping", rig.damping[joint]),
+        "coulomb_friction": ("coulomb", rig.coulomb[joint]),
+        "load_dependent_friction": ("loss", 1.0),
+        "stiction": ("breakaway", 1.0),
+        "command_delay": ("delay", 1.0),
+        "command_deadband": ("dead", torque / rig.gains[joint][0] if rig.servo else torque),
+        "armature": ("armature", inertia),
+        "spring_stiffness": ("stiffness", torque),
+        "force_offset": ("force", torque),
+        "encoder_offset": ("offset", 1.0),
+        "encoder_scale": ("scale", 1.0),
+    }
+    if fault in grows:
+        name, unit = grows[fault]
+        values[name][joint] += size * unit
     elif fault == "asymmetric_friction":
         side = "forward" if size > 0 else "backward"
         values[side][joint] = abs(size) * rig.coulomb[joint]
-    elif fault == "load_dependent_friction":
-        values["loss"][joint] += size
-    elif fault == "stiction":
-        values["breakaway"][joint] += size
     elif fault == "actuator_gain":
         values["gain"][joint] *= 1.0 + size
-    elif fault == "command_delay":
-        values["delay"][joint] += size
-    elif fault == "command_deadband":
-        values["dead"][joint] += size * (torque if not rig.servo else torque / rig.gains[joint][0])
     elif fault == "payload":
         values["payload"][outer] = size * m
         values["payload_at"][outer] = at * rng.uniform(0.8, 1.8)
-    elif fault == "armature":
-        values["armature"][joint] += size * inertia
-    elif fault == "spring_stiffness":
-        values["stiffness"][joint] += size * torque
     elif fault == "quadratic_damping":
         values["quadratic"][joint] += size * torque / _fastest(rig)[joint] ** 2
-    elif fault == "force_offset":
-        values["force"][joint] += size * torque
-    elif fault == "encoder_offset":
-        values["offset"][joint] += size
-    elif fault == "encoder_scale":
-        values["scale"][joint] += size
     else:
         values["ripple"][joint] = size * torque
         values["ripple_period"][joint] = math.exp(rng.uniform(math.log(0.15), math.log(0.9)))

@@ -181,21 +181,29 @@ def exact_specimen(seed: int) -> RoughBench:
     return RoughBench(values=values)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Size:
-    """Range of a fault's size, log-uniform.
+Changed = tuple[RoughBench, HiddenValue]
+Change = Callable[[RoughBench, float, np.random.Generator], Changed]
+
+
+@dataclass(frozen=True)
+class RoughFault:
+    """A fault of the bench, of a size that is drawn log-uniform.
 
     Attributes:
-        visible: Just visible on a rough specimen.
+        visible: Size that is just visible on a rough specimen.
         low: From here on gross.
         high: Largest; smaller than the others where a smaller value is worse.
+        change: The bench with it, and its true value as the diagnosis would call it.
         signed: Whether either sign is drawn.
+        effect: What the diagnosis calls it, where that is not the fault's own name.
     """
 
     visible: float
     low: float
     high: float
+    change: Change
     signed: bool = False
+    effect: str = ""
 
     def draw(self, rng: np.random.Generator, sizes: str) -> float:
         """A size; `sizes` is "gross", or "visible" for everything from just visible on."""
@@ -204,52 +212,33 @@ class Size:
         return value * float(rng.choice((-1.0, 1.0))) if self.signed else value
 
 
-Change = Callable[[RoughBench, float, np.random.Generator], tuple[RoughBench, HiddenValue]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RoughFault:
-    """A fault of the bench.
-
-    Attributes:
-        size: From which its size is drawn.
-        change: The bench with it, and its true value as the diagnosis would call it.
-        effect: What the diagnosis calls it, where that is not the fault's own name.
-    """
-
-    size: Size
-    change: Change
-    effect: str = ""
-
-
-def _scaled(name: str, parameter: str, *, by_sign: bool = False) -> Change:
+def _scaled(name: str, *, by_sign: bool = False) -> Change:
     """Multiplies a parameter by the size; with `by_sign` by 1 + size."""
 
-    def change(
-        bench: RoughBench, size: float, rng: np.random.Generator
-    ) -> tuple[RoughBench, HiddenValue]:
+    def change(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
         value = bench[name] * (1.0 + size if by_sign else size)
-        return bench.changed(**{name: value}), HiddenValue(parameter=parameter, value=value)
+        return bench.changed(**{name: value}), HiddenValue(parameter=name, value=value)
 
     return change
 
 
-def _shifted(names: Iterable[str], parameter: str) -> Change:
-    """Adds the size to parameters; the first one's value is told."""
-    names = tuple(names)
+def _shifted(parameter: str, *names: str) -> Change:
+    """Adds the size to parameters of the simulator; the first one's value is told.
 
-    def change(
-        bench: RoughBench, size: float, rng: np.random.Generator
-    ) -> tuple[RoughBench, HiddenValue]:
+    Args:
+        parameter: What the diagnosis calls it.
+        names: What the simulator calls them, where that is another name.
+    """
+    names = names or (parameter,)
+
+    def change(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
         values = {name: bench[name] + size for name in names}
         return bench.changed(**values), HiddenValue(parameter=parameter, value=values[names[0]])
 
     return change
 
 
-def _external(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _external(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     name = f"external_leakage_{rng.choice(('a', 'b'))}"
     return bench.changed(**{name: size}), HiddenValue(parameter=name, value=size)
 
@@ -264,59 +253,38 @@ def _viscosity(temperature: float) -> float:
     return float(np.exp(b / (temperature + c) - b / (40.0 + c)))
 
 
-def _temperature(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _temperature(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     temperature = 40.0 + size
     factor = _viscosity(temperature)
-    values = {
-        "viscous": bench["viscous"] * factor,
-        "internal_leakage": bench["internal_leakage"] / factor,
-    }
-    return bench.changed(**values), HiddenValue(parameter="oil_temperature", value=temperature)
+    changed = bench.changed(
+        viscous=bench["viscous"] * factor, internal_leakage=bench["internal_leakage"] / factor
+    )
+    return changed, HiddenValue(parameter="oil_temperature", value=temperature)
 
 
-def _air(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _air(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     added = (size - 1.0) * NOMINAL["entrained_air"]
     value = size * NOMINAL["entrained_air"]
     return bench.changed(added_air=added), HiddenValue(parameter="entrained_air", value=value)
 
 
-def _droop(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _droop(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     volume = float(rng.uniform(2e-5, 8e-5))
     hidden = HiddenValue(parameter="droop", value=size)
     return bench.changed(droop=bench["droop"] + size, gas_volume=volume), hidden
 
 
-def _gains(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _gains(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     changed = bench.changed(gain_positive=1.0 + size, gain_negative=1.0 - size)
     return changed, HiddenValue(parameter="flow_asymmetry", value=size)
 
 
-def _coulomb(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
-    values = {name: bench[name] + size for name in ("coulomb", "static_friction")}
-    hidden = HiddenValue(parameter="coulomb", value=values["coulomb"])
-    return bench.changed(**values), hidden
-
-
-def _asymmetric(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _asymmetric(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     name = "joint_forward" if size > 0.0 else "joint_backward"
     return bench.changed(**{name: abs(size)}), HiddenValue(parameter="", value=size)
 
 
-def _asymmetric_seal(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _asymmetric_seal(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     side = "extending" if size > 0.0 else "retracting"
     viscous = float(rng.uniform(0.0, 5.0)) * abs(size)
     changed = bench.changed(**{f"coulomb_{side}": abs(size), f"viscous_{side}": viscous})
@@ -324,9 +292,7 @@ def _asymmetric_seal(
     return changed, HiddenValue(parameter=f"coulomb_{side}", value=value)
 
 
-def _rounded(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _rounded(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     value = size * bench["edge_rounding"]
     changed = {"edge_rounding": value}
     if bench["edge_law"] == 1.0:  # a sharp edge has its clearance instead
@@ -334,9 +300,7 @@ def _rounded(
     return bench.changed(**changed), HiddenValue(parameter="edge_rounding", value=value)
 
 
-def _one_gain(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _one_gain(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     name = f"gain_{rng.choice(('positive', 'negative'))}"
     return bench.changed(**{name: 1.0 + size}), HiddenValue(parameter=name, value=1.0 + size)
 
@@ -344,9 +308,7 @@ def _one_gain(
 def _sensor_of_a_chamber(kind: str, neutral: float) -> Change:
     """Shifts zero or gain of one pressure sensor."""
 
-    def change(
-        bench: RoughBench, size: float, rng: np.random.Generator
-    ) -> tuple[RoughBench, HiddenValue]:
+    def change(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
         side = rng.choice(("a", "b"))
         name = f"pressure_{kind}_{side}"
         hidden = HiddenValue(parameter=f"{kind}_{side}", value=neutral + size)
@@ -355,17 +317,13 @@ def _sensor_of_a_chamber(kind: str, neutral: float) -> Change:
     return change
 
 
-def _loss(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _loss(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     braking = size * float(rng.uniform(0.5, 1.5))
     changed = bench.changed(load_loss_driving=size, load_loss_braking=braking)
     return changed, HiddenValue(parameter="", value=size)
 
 
-def _ripple(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _ripple(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     period = float(np.exp(rng.uniform(np.log(0.12), np.log(0.7))))
     changed = bench.changed(
         wave=size,
@@ -376,9 +334,7 @@ def _ripple(
     return changed, HiddenValue(parameter="period", value=period)
 
 
-def _payload(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
+def _payload(bench: RoughBench, size: float, rng: np.random.Generator) -> Changed:
     distance = float(rng.uniform(0.25, 0.5))
     moment = bench["mass"] * bench["centre"] + size * distance
     mass = bench["mass"] + size
@@ -388,142 +344,62 @@ def _payload(
     return changed, HiddenValue(parameter="mass", value=size)
 
 
-def _sensor_scale(
-    bench: RoughBench, size: float, rng: np.random.Generator
-) -> tuple[RoughBench, HiddenValue]:
-    return bench.changed(encoder_scale=1.0 + size), HiddenValue(parameter="scale", value=1.0 + size)
-
-
+_LAPS = ("lap_pa", "lap_at", "lap_pb", "lap_bt")
 FAULTS: dict[str, RoughFault] = {
-    "internal_leakage": RoughFault(
-        size=Size(visible=1.6, low=3.0, high=40.0),
-        change=_scaled("internal_leakage", "internal_leakage"),
-    ),
-    "external_leakage": RoughFault(
-        size=Size(visible=1.2e-13, low=3e-13, high=4e-12), change=_external
-    ),
-    "oil_viscosity": RoughFault(
-        size=Size(visible=5.0, low=12.0, high=35.0, signed=True), change=_temperature
-    ),
-    "entrained_air": RoughFault(size=Size(visible=2.0, low=3.0, high=12.0), change=_air),
-    "supply_droop": RoughFault(size=Size(visible=8e9, low=2e10, high=3e11), change=_droop),
+    "internal_leakage": RoughFault(1.6, 3.0, 40.0, _scaled("internal_leakage")),
+    "external_leakage": RoughFault(1.2e-13, 3e-13, 4e-12, _external),
+    "oil_viscosity": RoughFault(5.0, 12.0, 35.0, _temperature, signed=True),
+    "entrained_air": RoughFault(2.0, 3.0, 12.0, _air),
+    "supply_droop": RoughFault(8e9, 2e10, 3e11, _droop),
     "supply_pressure": RoughFault(
-        size=Size(visible=0.03, low=0.07, high=0.28, signed=True),
-        change=_scaled("supply_pressure", "supply_pressure", by_sign=True),
+        0.03, 0.07, 0.28, _scaled("supply_pressure", by_sign=True), signed=True
     ),
-    "valve_deadband": RoughFault(
-        size=Size(visible=0.005, low=0.012, high=0.07),
-        change=_shifted(("lap_pa", "lap_at", "lap_pb", "lap_bt"), "lap"),
+    "valve_deadband": RoughFault(0.005, 0.012, 0.07, _shifted("lap", *_LAPS)),
+    "valve_bias": RoughFault(0.006, 0.012, 0.05, _shifted("null_bias"), signed=True),
+    "valve_gain": RoughFault(0.06, 0.12, 0.4, _scaled("rated_flow", by_sign=True), signed=True),
+    "valve_gain_asymmetry": RoughFault(0.03, 0.06, 0.25, _gains, signed=True),
+    "valve_hysteresis": RoughFault(0.004, 0.01, 0.06, _shifted("hysteresis")),
+    "valve_null_leakage": RoughFault(1.5, 2.5, 6.0, _rounded),
+    "valve_bandwidth": RoughFault(0.5, 0.3, 0.05, _scaled("bandwidth_hz")),
+    "command_delay": RoughFault(1.5e-3, 3e-3, 2e-2, _shifted("delay", "command_delay")),
+    "viscous_friction": RoughFault(1.3, 1.6, 6.0, _scaled("viscous")),
+    "coulomb_friction": RoughFault(
+        30.0, 60.0, 300.0, _shifted("coulomb", "coulomb", "static_friction")
     ),
-    "valve_bias": RoughFault(
-        size=Size(visible=0.006, low=0.012, high=0.05, signed=True),
-        change=_shifted(("null_bias",), "null_bias"),
-    ),
-    "valve_gain": RoughFault(
-        size=Size(visible=0.06, low=0.12, high=0.4, signed=True),
-        change=_scaled("rated_flow", "rated_flow", by_sign=True),
-    ),
-    "valve_gain_asymmetry": RoughFault(
-        size=Size(visible=0.03, low=0.06, high=0.25, signed=True), change=_gains
-    ),
-    "valve_hysteresis": RoughFault(
-        size=Size(visible=0.004, low=0.01, high=0.06),
-        change=_shifted(("hysteresis",), "hysteresis"),
-    ),
-    "valve_null_leakage": RoughFault(size=Size(visible=1.5, low=2.5, high=6.0), change=_rounded),
-    "valve_bandwidth": RoughFault(
-        size=Size(visible=0.5, low=0.3, high=0.05), change=_scaled("bandwidth_hz", "bandwidth_hz")
-    ),
-    "command_delay": RoughFault(
-        size=Size(visible=1.5e-3, low=3e-3, high=2e-2), change=_shifted(("command_delay",), "delay")
-    ),
-    "viscous_friction": RoughFault(
-        size=Size(visible=1.3, low=1.6, high=6.0), change=_scaled("viscous", "viscous")
-    ),
-    "coulomb_friction": RoughFault(size=Size(visible=30.0, low=60.0, high=300.0), change=_coulomb),
-    "stiction": RoughFault(
-        size=Size(visible=45.0, low=90.0, high=450.0),
-        change=_shifted(("static_friction",), "static"),
-    ),
-    "asymmetric_friction": RoughFault(
-        size=Size(visible=1.2, low=3.0, high=12.0, signed=True), change=_asymmetric
-    ),
-    "pressure_dependent_friction": RoughFault(
-        size=Size(visible=1.5e-6, low=3e-6, high=3e-5),
-        change=_shifted(("pressure_coefficient",), "pressure_coefficient"),
-    ),
-    "load_dependent_friction": RoughFault(
-        size=Size(visible=0.03, low=0.06, high=0.3), change=_shifted(("load_friction",), "")
-    ),
-    "spring_stiffness": RoughFault(
-        size=Size(visible=0.13, low=0.3, high=0.75, signed=True),
-        change=_scaled("k1", "k1", by_sign=True),
-    ),
-    "spring_hardening": RoughFault(
-        size=Size(visible=1.8, low=3.0, high=8.0), change=_scaled("k2", "k2")
-    ),
-    "spring_offset": RoughFault(
-        size=Size(visible=0.035, low=0.08, high=0.4, signed=True),
-        change=_shifted(("rest_position",), "rest_position"),
-    ),
-    "quadratic_damping": RoughFault(
-        size=Size(visible=0.35, low=0.8, high=6.0),
-        change=_shifted(("quadratic_damping",), "quadratic_damping"),
-    ),
-    "payload": RoughFault(size=Size(visible=0.2, low=0.5, high=3.0), change=_payload),
-    "armature": RoughFault(
-        size=Size(visible=0.03, low=0.08, high=0.4), change=_shifted(("inertia",), "")
-    ),
-    "base_tilt": RoughFault(
-        size=Size(visible=0.025, low=0.06, high=0.3, signed=True), change=_shifted(("tilt",), "")
-    ),
+    "stiction": RoughFault(45.0, 90.0, 450.0, _shifted("static", "static_friction")),
+    "asymmetric_friction": RoughFault(1.2, 3.0, 12.0, _asymmetric, signed=True),
+    "pressure_dependent_friction": RoughFault(1.5e-6, 3e-6, 3e-5, _shifted("pressure_coefficient")),
+    "load_dependent_friction": RoughFault(0.03, 0.06, 0.3, _shifted("", "load_friction")),
+    "spring_stiffness": RoughFault(0.13, 0.3, 0.75, _scaled("k1", by_sign=True), signed=True),
+    "spring_hardening": RoughFault(1.8, 3.0, 8.0, _scaled("k2")),
+    "spring_offset": RoughFault(0.035, 0.08, 0.4, _shifted("rest_position"), signed=True),
+    "quadratic_damping": RoughFault(0.35, 0.8, 6.0, _shifted("quadratic_damping")),
+    "payload": RoughFault(0.2, 0.5, 3.0, _payload),
+    "armature": RoughFault(0.03, 0.08, 0.4, _shifted("", "inertia")),
+    "base_tilt": RoughFault(0.025, 0.06, 0.3, _shifted("", "tilt"), signed=True),
     "encoder_offset": RoughFault(
-        size=Size(visible=0.007, low=0.015, high=0.1, signed=True),
-        change=_shifted(("encoder_offset",), "offset"),
+        0.007, 0.015, 0.1, _shifted("offset", "encoder_offset"), signed=True
     ),
-    "encoder_scale": RoughFault(
-        size=Size(visible=0.01, low=0.02, high=0.12, signed=True), change=_sensor_scale
-    ),
-    "sensor_delay": RoughFault(
-        size=Size(visible=1.5e-3, low=3e-3, high=2e-2), change=_shifted(("encoder_delay",), "delay")
-    ),
-    "force_offset": RoughFault(
-        size=Size(visible=0.9, low=2.0, high=15.0, signed=True),
-        change=_shifted(("force_offset",), ""),
-    ),
+    "encoder_scale": RoughFault(0.01, 0.02, 0.12, _shifted("scale", "encoder_scale"), signed=True),
+    "sensor_delay": RoughFault(1.5e-3, 3e-3, 2e-2, _shifted("delay", "encoder_delay")),
+    "force_offset": RoughFault(0.9, 2.0, 15.0, _shifted("", "force_offset"), signed=True),
     "asymmetric_seal_friction": RoughFault(
-        size=Size(visible=30.0, low=60.0, high=300.0, signed=True),
-        change=_asymmetric_seal,
-        effect="asymmetric_friction",
+        30.0, 60.0, 300.0, _asymmetric_seal, signed=True, effect="asymmetric_friction"
     ),
     "one_sided_valve_gain": RoughFault(
-        size=Size(visible=0.06, low=0.12, high=0.4, signed=True),
-        change=_one_gain,
-        effect="valve_gain_asymmetry",
+        0.06, 0.12, 0.4, _one_gain, signed=True, effect="valve_gain_asymmetry"
     ),
     "pressure_sensor_offset": RoughFault(
-        size=Size(visible=1e5, low=2e5, high=1e6, signed=True),
-        change=_sensor_of_a_chamber("offset", 0.0),
+        1e5, 2e5, 1e6, _sensor_of_a_chamber("offset", 0.0), signed=True
     ),
     "pressure_sensor_scale": RoughFault(
-        size=Size(visible=0.012, low=0.03, high=0.15, signed=True),
-        change=_sensor_of_a_chamber("scale", 1.0),
+        0.012, 0.03, 0.15, _sensor_of_a_chamber("scale", 1.0), signed=True
     ),
     # Load-dependent friction whose share differs where the load drives and where it brakes.
-    "torque_loss": RoughFault(
-        size=Size(visible=0.03, low=0.06, high=0.3),
-        change=_loss,
-        effect="load_dependent_friction",
-    ),
-    "cylinder_play": RoughFault(
-        size=Size(visible=5e-5, low=1.5e-4, high=1e-3),
-        change=_shifted(("play",), ""),
-        effect="backlash",
-    ),
+    "torque_loss": RoughFault(0.03, 0.06, 0.3, _loss, effect="load_dependent_friction"),
+    "cylinder_play": RoughFault(5e-5, 1.5e-4, 1e-3, _shifted("", "play"), effect="backlash"),
     # A torque that repeats with the position, of a drawn period.
-    "position_torque": RoughFault(
-        size=Size(visible=0.8, low=2.0, high=8.0), change=_ripple, effect="cogging"
-    ),
+    "position_torque": RoughFault(0.8, 2.0, 8.0, _ripple, effect="cogging"),
 }
 
 
@@ -551,7 +427,7 @@ def with_fault(
     if sizes not in SIZES:
         raise SettingsError.unknown("range of sizes", sizes, SIZES)
     fault = FAULTS[name]
-    return fault.change(bench, fault.size.draw(rng, sizes), rng)
+    return fault.change(bench, fault.draw(rng, sizes), rng)
 
 
 def record(

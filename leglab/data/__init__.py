@@ -10,6 +10,7 @@ from leglab.base.recording import Recording
 from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
 from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
 from leglab.data.column_map import ColumnMap, read_column_map
+from leglab.data.files import LeftOut
 from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.scene import Scene
 from leglab.data.summary import Summary, summarise
@@ -36,6 +37,8 @@ __all__ = [
     "write_atomically",
 ]
 
+# A format has `read_table(path, left_out)`, which returns arrays of shape (n,) by column name and
+# the metadata, and `write(recording, path)`; `losses(recording)` where more than metadata is lost.
 _MODULES = {
     "parquet": parquet,
     "csv": csv,
@@ -116,10 +119,10 @@ def read_table(
     if not is_bag and not path.is_file():
         raise FileError(f"{path}: {no_file(path)}", given=path)
     form = mcap if is_bag else _MODULES[format_of(path)]
+    left_out = LeftOut(partial)
     # Only topics have clocks of their own, and how they are brought onto one depends on the names.
-    left_out: dict[str, str] | None = {} if partial else None
     if form is mcap:
-        table, metadata = mcap.read_table(path, columns, left_out)
+        table, metadata = mcap.read_table(path, left_out, columns)
     else:
         table, metadata = form.read_table(path, left_out)
     if columns is not None:
@@ -127,9 +130,9 @@ def read_table(
     if left_out:
         reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}
-    if timed and "time" not in table and left_out and "time" in left_out:
-        raise RecordingError(f"{path}: {metadata['unreadable']['time']}", given="time")
-    if "time" not in table and timed:
+    if timed and "time" not in table:
+        if "time" in left_out:
+            raise RecordingError(f"{path}: {metadata['unreadable']['time']}", given="time")
         found = ", ".join(map(repr, table)) or "no column"
         raise RecordingError(
             f"{path}: no column 'time', found {found}; {MAP_HINT}", given=tuple(table)
@@ -186,8 +189,8 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
     module = _module(Path(path), form)
     if hasattr(module, "losses"):
         return module.losses(recording)
-    # Of the others these two hold nothing but numbers.
-    return ("metadata",) if recording.metadata and module in (csv, sysid) else ()
+    # Of the others these hold nothing but numbers.
+    return ("metadata",) if recording.metadata and module in (csv, sysid, rerun) else ()
 
 
 def format_of(path: str | Path) -> str:

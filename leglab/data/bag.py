@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
-from leglab.data.files import first_line, refuse
+from leglab.data.files import LeftOut, first_line
 from leglab.data.metadata import check_notes
 from leglab.data.ros_messages import header_stamp, numbers, supported
 
@@ -88,11 +88,7 @@ def scan(path: Path) -> Bag:
 
 
 def decode(
-    bag: Bag,
-    clock_topic: str,
-    wanted_stamps: str,
-    path: Path,
-    left_out: dict[str, str] | None = None,
+    bag: Bag, clock_topic: str, wanted_stamps: str, path: Path, left_out: LeftOut
 ) -> dict[str, TopicSeries]:
     """Decodes all messages; those of a topic in the order of their log times.
 
@@ -101,8 +97,7 @@ def decode(
         clock_topic: The JointState topic that gives the time axis; it may have no message.
         wanted_stamps: "header", where there are any, or "log".
         path: Of the file, for messages.
-        left_out: Gets topics other than the clock's that cannot be decoded, with the reason; None:
-            they are refused.
+        left_out: Gets topics other than the clock's that cannot be decoded.
 
     Returns:
         Numbers by topic.
@@ -115,7 +110,7 @@ def decode(
     for message in sorted(bag.messages, key=lambda m: m.log_time):
         channel = bag.channels[message.channel_id]
         owner = channel.topic.removeprefix("/")
-        if left_out and owner in left_out:
+        if owner in left_out:
             continue
         of_topic = rows.setdefault(channel.topic, [])
         where = f"{path}: topic {channel.topic!r}, message {len(of_topic)}"
@@ -134,9 +129,9 @@ def decode(
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
             told = RecordingError(f"{where}: {first_line(error)}", given=channel.topic)
-            if left_out is None or channel.topic == clock_topic:
+            if channel.topic == clock_topic or not left_out.partial:
                 raise told from error
-            refuse(owner, told, left_out)
+            left_out.add(owner, told)
             del rows[channel.topic]
             continue
         of_topic.append((message.log_time, stamp, found))

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from leglab.base.errors import LeglabError, RecordingError, SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import Configuration, validate_configuration
-from leglab.data.files import refuse
+from leglab.data.files import LeftOut
 
 
 class ColumnRule(Configuration):
@@ -70,18 +70,15 @@ class ColumnMap:
         return self.rules[theirs].name if theirs in self.rules else theirs
 
     def apply(
-        self,
-        table: Mapping[str, np.ndarray],
-        source: str,
-        left_out: dict[str, str] | None = None,
+        self, table: Mapping[str, np.ndarray], source: str, left_out: LeftOut
     ) -> dict[str, np.ndarray]:
         """Renames and converts.
 
         Args:
             table: Arrays of shape (n,) by column name, as measured.
             source: Where the table came from, for messages.
-            left_out: Reasons by columns that could not be read; gets our names, and columns of the
-                map that are not there. None: those are refused.
+            left_out: Columns that could not be read; gets those by our names, and columns of the
+                map that are not there.
 
         Returns:
             Arrays of shape (n,) by our names; columns without a rule are as they were.
@@ -90,7 +87,7 @@ class ColumnMap:
             LeglabError: A column of the map is not in the table, or two columns get one name.
         """
         missing = [theirs for theirs in self.rules if theirs not in table]
-        if left_out is not None:
+        if left_out.partial:
             for theirs in missing:
                 reasons = [why for name, why in left_out.items() if _owns(name, theirs)]
                 absent = f"no column {theirs!r}, which {self.source} names"
@@ -111,13 +108,13 @@ class ColumnMap:
                     f"{source}: after {self.source} two columns are called {name!r}, one of them "
                     f"{theirs!r}; allowed: give the other one a rule with another name"
                 )
-                refuse(name, RecordingError(why, given=theirs), left_out)
+                left_out.add(name, RecordingError(why, given=theirs))
             rule = self.rules.get(theirs)
             if rule and (rule.factor, rule.offset) != (1.0, 0.0):
                 with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
                     samples = rule.factor * samples + rule.offset
             mapped[name] = samples
-        return {name: samples for name, samples in mapped.items() if name not in (left_out or {})}
+        return {name: samples for name, samples in mapped.items() if name not in left_out}
 
 
 def read_column_map(path: str | Path) -> ColumnMap:

@@ -6,18 +6,16 @@ import numpy as np
 import pyarrow as pa
 
 from leglab.base.errors import LeglabError, RecordingError
-from leglab.data.files import refuse
+from leglab.data.files import LeftOut
 
 
-def to_arrays(
-    table: pa.Table, path: Path, left_out: dict[str, str] | None = None
-) -> dict[str, np.ndarray]:
+def to_arrays(table: pa.Table, path: Path, left_out: LeftOut) -> dict[str, np.ndarray]:
     """Turns an Arrow table into float64 arrays; empty cells become NaN.
 
     Args:
         table: The table.
         path: Where it came from, for messages.
-        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
+        left_out: Gets columns that cannot be read.
 
     Returns:
         Arrays of shape (n,) by column name.
@@ -34,7 +32,7 @@ def to_arrays(
                 raise RecordingError(told, given=name)
             found[name] = _to_array(table.column(name), name, path)
         except LeglabError as error:
-            refuse(name, error, left_out)
+            left_out.add(name, error)
     return found
 
 

@@ -11,22 +11,14 @@ from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
+from leglab.data.files import LeftOut
 
 # Cells that stand for a missing sample; all other text is refused.
 _MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
 
 
-def read_table(
-    path: Path, left_out: dict[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all columns of a CSV file. Row 0 is the first line after the names.
-
-    Args:
-        path: The file.
-        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
-
-    Returns:
-        Arrays of shape (n,) by column name, and the metadata, which CSV cannot hold: empty.
 
     Raises:
         LeglabError: The text is not UTF-8, a line has too few or too many cells (as the last one

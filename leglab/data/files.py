@@ -1,22 +1,28 @@
-"""Errors of files that cannot be read."""
+"""What can go wrong as a file is read."""
 
 from leglab.base.errors import LeglabError
 
 
-def refuse(column: str, error: LeglabError, left_out: dict[str, str] | None) -> None:
-    """Refuses a file for one of its columns, or leaves the column out.
+class LeftOut(dict[str, str]):
+    """Why columns of a file cannot be read: reasons by column, or by topic where nobody knows them.
 
     Args:
-        column: The column, or the topic whose columns nobody knows.
-        error: Why it cannot be read.
-        left_out: Gets the reason by column; None: the file is refused.
-
-    Raises:
-        LeglabError: The error, where nothing may be left out.
+        partial: Whether such columns are left out; else the file is refused for the first one.
     """
-    if left_out is None:
-        raise error
-    left_out[column] = str(error)
+
+    def __init__(self, partial: bool) -> None:
+        super().__init__()
+        self.partial = partial
+
+    def add(self, column: str, error: LeglabError) -> None:
+        """Leaves a column out.
+
+        Raises:
+            LeglabError: The error, where nothing may be left out.
+        """
+        if not self.partial:
+            raise error
+        self[column] = str(error)
 
 
 def first_line(error: Exception) -> str:

@@ -21,7 +21,7 @@ from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
-from leglab.data.files import first_line, refuse
+from leglab.data.files import LeftOut, first_line
 from leglab.data.matlab_check import checked
 from leglab.data.metadata import check_notes, to_json
 
@@ -37,18 +37,11 @@ _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_table(
-    path: Path, left_out: dict[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     """Reads a file of ours, or vectors of one length from another.
 
-    Args:
-        path: The file.
-        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
-
-    Returns:
-        Arrays of shape (n,) by column name, and the metadata. Units other than the usual ones
-        stand under "units", variables that are no samples under "left_out".
+    Units other than the usual ones stand in the metadata under "units", variables that are no
+    samples under "left_out".
 
     Raises:
         LeglabError: The file is of version 7.3, truncated or broken, or lengths differ.
@@ -135,9 +128,7 @@ def _load(path: Path) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _own_table(
-    content: Mapping[str, Any], left_out: dict[str, str] | None
-) -> tuple[dict[str, np.ndarray], dict]:
+def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
     if not all(isinstance(name, str) for name in names.values()):
@@ -171,7 +162,7 @@ def _own_table(
 
 
 def _foreign_table(
-    variables: Mapping[str, Any], left_out: dict[str, str] | None
+    variables: Mapping[str, Any], left_out: LeftOut
 ) -> tuple[dict[str, np.ndarray], dict]:
     structs = [value for value in variables.values() if isinstance(value, dict)]
     if len(variables) == len(structs) == 1:
@@ -188,9 +179,9 @@ def _foreign_table(
         for key, column in columns.items():
             if key in table:
                 told = f"two variables give column {key!r}"
-                refuse(key, RecordingError(told, given=key), left_out)
+                left_out.add(key, RecordingError(told, given=key))
             table[key] = column.astype(np.float64)
-    for key in left_out or {}:
+    for key in left_out:
         table.pop(key, None)
     _check_lengths(table, left_out)
     others = sorted(variables.keys() - samples.keys())
@@ -203,13 +194,11 @@ def _is_samples(value: Any) -> bool:
     return real and value.ndim in (1, 2) and value.size > 1
 
 
-def _add(
-    table: dict[str, np.ndarray], name: str, value: Any, left_out: dict[str, str] | None
-) -> None:
+def _add(table: dict[str, np.ndarray], name: str, value: Any, left_out: LeftOut) -> None:
     try:
         table[name] = _vector(value, name)
     except LeglabError as error:
-        refuse(name, error, left_out)
+        left_out.add(name, error)
 
 
 def _vector(value: Any, name: str) -> np.ndarray:
@@ -236,12 +225,12 @@ def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     return found
 
 
-def _check_lengths(table: dict[str, np.ndarray], left_out: dict[str, str] | None) -> None:
-    for name in list(table) if left_out is not None and "time" in table else ():
+def _check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
+    for name in list(table) if left_out.partial and "time" in table else ():
         rows, wanted = len(table[name]), len(table["time"])
         if rows != wanted:
             why = f"column {name!r} has {rows} samples, 'time' has {wanted}"
-            refuse(name, RecordingError(why, given=name), left_out)
+            left_out.add(name, RecordingError(why, given=name))
             del table[name]
     lengths = {name: len(column) for name, column in table.items()}
     if len(set(lengths.values())) > 1:

@@ -27,7 +27,7 @@ from leglab.base.units import unit_of
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import refuse
+from leglab.data.files import LeftOut
 from leglab.data.metadata import to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,
@@ -65,7 +65,7 @@ _END_OF_ROS_TIME = 2**31
 
 
 def read_table(
-    path: Path, columns: ColumnMap | None = None, left_out: dict[str, str] | None = None
+    path: Path, left_out: LeftOut, columns: ColumnMap | None
 ) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all topics of supported types, on the clock of the joint states.
 
@@ -75,9 +75,8 @@ def read_table(
 
     Args:
         path: The file, or the folder of a ROS 2 bag with one such file.
+        left_out: Gets columns and topics that cannot be read.
         columns: Names; the clock, and which stamps count. Values are not converted here.
-        left_out: Gets columns and topics that cannot be read, with the reason; None: the file is
-            refused for them.
 
     Returns:
         Arrays of shape (n,) by column name, and the metadata.
@@ -104,9 +103,9 @@ def read_table(
         for name, samples in found.items():
             if name in table:
                 both = f"{path}: topic {other.topic!r} and another topic both give column {name!r}"
-                refuse(name, RecordingError(both, given=name), left_out)
+                left_out.add(name, RecordingError(both, given=name))
             table[name] = samples
-    for name in left_out or {}:
+    for name in left_out:
         table.pop(name, None)
     if "time" in table:
         told = f"{path}: a topic is called 'time', which is the time axis"
@@ -305,7 +304,7 @@ def _aligned_columns(
     clock: TopicSeries,
     columns: ColumnMap,
     notes: list[str],
-    left_out: dict[str, str] | None,
+    left_out: LeftOut,
 ) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for name in series.columns:
@@ -314,13 +313,13 @@ def _aligned_columns(
             apart = f"{name!r} covers {series.span}, {clock.topic!r} covers {clock.span}"
             if name in columns.rules:
                 why = f'column {apart}; try stamps = "log" in {columns.source}'
-                refuse(name, RecordingError(why, given=name), left_out)
+                left_out.add(name, RecordingError(why, given=name))
             notes.append(f"left out, no time in common: {apart}")
             continue
         try:
             found[name] = aligned(series, name, clock.stamps, hold=hold)
         except LeglabError as error:
-            refuse(name, error, left_out)
+            left_out.add(name, error)
             continue
         if not np.array_equal(series.stamps, clock.stamps):
             missing = int(np.isnan(found[name]).sum())

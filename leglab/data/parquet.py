@@ -17,7 +17,7 @@ from leglab.base.input import parse_json
 from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
-from leglab.data.files import first_line
+from leglab.data.files import LeftOut, first_line
 from leglab.data.metadata import check_notes, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
@@ -33,17 +33,8 @@ _OPTIONS: dict[str, Any] = {
 _GROUP = 65536
 
 
-def read_table(
-    path: Path, left_out: dict[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all columns of a Parquet file.
-
-    Args:
-        path: The file.
-        left_out: Gets columns that cannot be read, with the reason; None: they are refused.
-
-    Returns:
-        Arrays of shape (n,) by column name, and the metadata (empty in a file of others).
 
     Raises:
         LeglabError: The file is truncated, damaged or not Parquet, its metadata is not JSON, or a

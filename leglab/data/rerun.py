@@ -5,7 +5,7 @@ The files are for looking at and cannot be read back. Writing needs the package 
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -13,18 +13,18 @@ from leglab.base.errors import FileError, LeglabError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
+from leglab.data.files import LeftOut
 from leglab.data.scene import Scene
 
 _TIMELINE = "time"
 
 
-def read_table(path: Path, left_out: dict[str, str] | None = None) -> tuple[dict, dict]:
+def read_table(path: Path, left_out: LeftOut) -> NoReturn:
     """Refuses the file.
 
     Raises:
         LeglabError: Always.
     """
-    del left_out
     told = f"{path}: files for rerun cannot be read back; keep the recording itself"
     raise FileError(told, given=path)
 
@@ -54,11 +54,6 @@ def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
         stream.disconnect()
         content = file.read_bytes()
     write_atomically(path, lambda out: out.write(content))
-
-
-def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold."""
-    return ("metadata",) if recording.metadata else ()
 
 
 def _plots(rr: Any, stream: Any, recording: Recording) -> None:

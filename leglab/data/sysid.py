@@ -16,7 +16,7 @@ import numpy as np
 from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data.files import first_line
+from leglab.data.files import LeftOut, first_line
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
@@ -73,17 +73,8 @@ def from_time_series(series: "TimeSeries") -> Recording:
     return Recording(time=table.pop("time"), columns=table)
 
 
-def read_table(
-    path: Path, left_out: dict[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], dict]:
+def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     """Reads a file of `TimeSeries.save_to_disk`.
-
-    Args:
-        path: The file.
-        left_out: Stays as it is: a matrix of numbers can be read as a whole or not at all.
-
-    Returns:
-        Arrays of shape (n,) by column name, and the metadata, which the format cannot hold: empty.
 
     Raises:
         LeglabError: The file is truncated or holds something else.
@@ -93,8 +84,7 @@ def read_table(
         found = series.load_from_disk(path)
     # A foreign archive can fail anywhere in the loader; the cause is the file.
     except Exception as error:
-        reason = first_line(error)
-        told = f"{path}: not a time series of mujoco.sysid: {reason}"
+        told = f"{path}: not a time series of mujoco.sysid: {first_line(error)}"
         raise FileError(told, given=path) from error
     try:
         return _table_of(found), {}

@@ -7,7 +7,7 @@ specimen and noise, and has the bits of the same episode alone; only its steps a
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from leglab._native.batch import Batch as Core
-from leglab.base.errors import ModelError, SettingsError, SimulationError
+from leglab.base.errors import ModelError, SettingsError
 from leglab.control import (
     Controller,
     ControllerSetup,
@@ -185,12 +185,6 @@ class Batch:
         assert loop is not None
         return loop
 
-    def episode(self, machine: int) -> Episode:
-        """The present episode of a machine."""
-        episode = self._machines[machine].episode
-        assert episode is not None
-        return episode
-
     def reseed(self, machine: int, seed: int) -> None:
         """Starts a machine's sequence of episodes of another seed with its next episode."""
         self._machines[machine].episodes.reseed(seed)
@@ -213,18 +207,17 @@ class Batch:
         self._complete()
         self.error = self.true_position - self.reference.position
 
-    def step(self, action: np.ndarray, rests: np.ndarray | None = None) -> np.ndarray:
-        """Runs one control period of machines whose episode is not over.
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Runs one control period; machines whose episode was over begin the next one instead.
 
         Args:
             action: In [-1, 1], clipped otherwise, (machines, joints).
-            rests: Machines that are left alone, (machines,) of bool; None for none.
 
         Returns:
-            Rewards, (machines,); 0 of those that rest.
+            Rewards, (machines,), 0 of those that begin; and which do, (machines,) of bool.
 
         Raises:
-            LeglabError: The action has another shape, is not finite, or an episode is over.
+            LeglabError: The action has another shape, or is not finite.
         """
         values = np.asarray(action, dtype=float)
         if values.shape != self.command.shape:
@@ -235,25 +228,20 @@ class Batch:
             machine = int(np.argmin(np.isfinite(values).all(axis=1)))
             told = f"action of machine {machine} is not finite; allowed: "
             raise SettingsError(told, given=values[machine], allowed="numbers in [-1, 1]")
-        moves = np.ones(self.count, dtype=bool) if rests is None else ~rests
-        over = moves & (self.terminated | self.truncated)
-        if over.any():
-            machine = int(np.argmax(over))
-            told = f"the episode of machine {machine} is over: reset it"
-            raise SimulationError(told, given=machine)
-        if rests is not None:
-            values = np.where(moves[:, None], values, self.action)
-        self.action = values.clip(-1.0, 1.0)
+        rests = self.terminated | self.truncated
+        moves = ~rests
+        if rests.any():
+            self.reset(rests)
+        self.action = np.where(moves[:, None], values, self.action).clip(-1.0, 1.0)
         wish = self.action if self._scale is None else self._wish + self._scale * self.action
         if self.torque_limit is not None:
-            wish = self._command_of_torques(self.action * self.torque_limit, ~moves)
+            wish = self._command_of_torques(self.action * self.torque_limit, rests)
         self.previous, self.command = self.command, wish.clip(-1.0, 1.0)
-        if rests is not None:
-            self.command[rests] = self.previous[rests]
+        self.command[rests] = self.previous[rests]
         self.steps[moves] += 1
         # The time of a period as the loop reckons it.
         late = self._due <= self.steps * self.period
-        self._core.step(commands=self.command, late=late, rests=~moves)
+        self._core.step(commands=self.command, late=late, rests=rests)
         for i in np.flatnonzero(late & moves & ~self.diverged).tolist():
             self._change(i)
             self._core.measure(i)
@@ -270,7 +258,7 @@ class Batch:
         if reward.shape != (self.count,):
             told = f"the reward of a batch has shape {reward.shape}, allowed is "
             raise SettingsError(told, given=reward.shape, allowed=f"({self.count},)")
-        return np.where(moves & ~self.diverged, reward, 0.0)
+        return np.where(moves & ~self.diverged, reward, 0.0), rests
 
     def transition(self) -> Transition:
         """Transition of the last step; arrays have a row a machine."""
@@ -488,6 +476,11 @@ class Batch:
         return wish.reshape(torque.shape)
 
 
+def _of_all(name: str, repeat: Callable[[Any, int], Any]) -> Any:
+    """A property of one machine, for the joints of all; found when it is asked for."""
+    return cached_property(lambda many: repeat(getattr(many._one, name), many._count))
+
+
 class ManyMachines(NominalMachine):
     """The same nominal machine many times, for a controller that commands joint by joint.
 
@@ -496,35 +489,17 @@ class ManyMachines(NominalMachine):
         count: How many there are.
     """
 
+    direction = _of_all("direction", np.tile)
+    position_gain = _of_all("position_gain", lambda gains, count: list(gains) * count)
+    velocity_gain = _of_all("velocity_gain", lambda gains, count: list(gains) * count)
+    setpoint = _of_all(
+        "setpoint", lambda rows, count: None if rows is None else np.tile(rows, (1, count))
+    )
+    valve_maps = _of_all("valve_maps", lambda maps, count: tuple(maps) * count)
+
     def __init__(self, one: NominalMachine, count: int) -> None:
         super().__init__()
         self._one, self._count = one, count
-
-    @cached_property
-    def direction(self) -> np.ndarray:
-        """As of one machine, for the joints of all."""
-        return np.tile(self._one.direction, self._count)
-
-    @cached_property
-    def position_gain(self) -> Sequence[float]:
-        """As of one machine, for the joints of all."""
-        return list(self._one.position_gain) * self._count
-
-    @cached_property
-    def velocity_gain(self) -> Sequence[float]:
-        """As of one machine, for the joints of all."""
-        return list(self._one.velocity_gain) * self._count
-
-    @cached_property
-    def setpoint(self) -> np.ndarray | None:
-        """As of one machine, for the joints of all."""
-        one = self._one.setpoint
-        return None if one is None else np.tile(one, (1, self._count))
-
-    @cached_property
-    def valve_maps(self) -> Sequence[Any]:
-        """As of one machine, for the joints of all."""
-        return tuple(self._one.valve_maps) * self._count
 
 
 def episodes_of(base: Episode, randomize: Any, count: int) -> list[Episodes]:

@@ -10,6 +10,7 @@ from dm_env import TimeStep, specs
 from gymnasium import spaces
 
 from leglab.base.errors import SettingsError
+from leglab.environment.task import ends
 from leglab.machine.display import LiveWindow, check_display, has_display
 
 if TYPE_CHECKING:
@@ -43,6 +44,11 @@ class LegEnv(gymnasium.Env):
         width: Of the pictures [px].
         height: Of the pictures [px].
 
+    Attributes:
+        dm_env: The environment of dm_control.
+        task: Its `leglab.environment.task.TrackingTask`.
+        physics: Its `leglab.environment.physics.LegPhysics`.
+
     Raises:
         LeglabError: There is no such render mode or camera, or no display for a window.
     """
@@ -65,8 +71,8 @@ class LegEnv(gymnasium.Env):
         shown = [mode for mode in RENDER_MODES if mode != "human" or has_display()]
         self.metadata = {"render_modes": shown, "render_fps": FRAME_RATE}
         self.render_mode = render_mode
-        self._env = env
-        cameras = [env.physics.model.ptr.camera(i).name for i in range(env.physics.model.ncam)]
+        self.dm_env, self.task, self.physics = env, env.task, env.physics
+        cameras = [self.physics.model.ptr.camera(i).name for i in range(self.physics.model.ncam)]
         if camera not in (*cameras, USUAL_CAMERA):
             raise SettingsError.unknown("camera", camera, [*cameras, USUAL_CAMERA])
         self._camera: str | int = camera if camera in cameras else FREE_CAMERA
@@ -82,21 +88,6 @@ class LegEnv(gymnasium.Env):
         )
         self.action_space = _box(env.action_spec())
 
-    @property
-    def dm_env(self) -> "control.Environment":
-        """The environment of dm_control."""
-        return self._env
-
-    @property
-    def task(self) -> Any:
-        """Its task, a `leglab.environment.task.TrackingTask`."""
-        return self._env.task
-
-    @property
-    def physics(self) -> Any:
-        """Its physics, a `leglab.environment.physics.LegPhysics`."""
-        return self._env.physics
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -104,7 +95,7 @@ class LegEnv(gymnasium.Env):
         super().reset(seed=seed)
         if seed is not None:
             self.task.reseed(seed)
-        step = self._env.reset()
+        step = self.dm_env.reset()
         if self.render_mode == "human":
             self._show()
         settings, scenario = self.task.episode.settings, self.task.scenario
@@ -123,7 +114,7 @@ class LegEnv(gymnasium.Env):
         Raises:
             LeglabError: The action has another shape, or is not finite.
         """
-        step = self._env.step(action)
+        step = self.dm_env.step(action)
         if self.render_mode == "human" and self.task.time - self._shown >= 1.0 / FRAME_RATE:
             self._show()
         terminated = step.last() and step.discount == 0.0
@@ -149,7 +140,7 @@ class LegEnv(gymnasium.Env):
         if self._window is not None:
             self._window.close()
             self._window = None
-        self._env.close()
+        self.dm_env.close()
 
     def _show(self) -> None:
         """Shows the machine in MuJoCo's window, not faster than real time."""
@@ -185,8 +176,5 @@ class LegEnv(gymnasium.Env):
 
 def _box(spec: specs.Array) -> spaces.Box:
     """The float32 space of a specification."""
-    low, high = (
-        np.broadcast_to(getattr(spec, end, default), spec.shape).astype(np.float32)
-        for end, default in (("minimum", -np.inf), ("maximum", np.inf))
-    )
+    low, high = (end.astype(np.float32) for end in ends(spec))
     return spaces.Box(low=low, high=high, dtype=np.float32)

@@ -120,14 +120,7 @@ def load(
 
 
 class _Plan(NamedTuple):
-    """Checked settings of an environment.
-
-    Attributes:
-        preparation: Of the runs.
-        base: The episode to vary.
-        length: Of an episode [s].
-        task: Settings of a task or a batch.
-    """
+    """Checked settings of an environment: the episode to vary, its length [s], and the task's."""
 
     preparation: Preparation
     base: Episode
@@ -245,8 +238,7 @@ def make_batch(
     if threads is not None and threads < 1:
         told = f"threads {threads} is not allowed, must be "
         raise SettingsError(told, given=threads, allowed="1 or more")
-    _require("dm_control.mujoco")
-    _require("gymnasium")
+    _require("dm_control.mujoco", "gymnasium")
     from leglab.environment.batch import Batch, episodes_of
     from leglab.environment.vector_env import LegVectorEnv
 
@@ -281,8 +273,7 @@ def load_gymnasium(
     Raises:
         LeglabError: If a name or a setting does not fit, or a package is missing.
     """
-    _require("dm_control.mujoco")
-    _require("gymnasium")
+    _require("dm_control.mujoco", "gymnasium")
     from leglab.environment.gymnasium_env import LegEnv
 
     return LegEnv(
@@ -313,16 +304,16 @@ def _choose_renderer() -> None:
         return
 
 
-def _require(module: str) -> None:
-    try:
-        with warnings.catch_warnings():
-            # Without a display dm_control tries GLFW, which complains.
-            warnings.filterwarnings("ignore", message=".*DISPLAY environment variable")
-            if module.startswith("dm_control"):
-                _choose_renderer()
-            importlib.import_module(module)
-    except ImportError as error:
-        raise LeglabError(
-            f'the environment needs {module.partition(".")[0]} ({error}): pip install ".[rl]" '
-            "in a clone of leglab"
-        ) from error
+def _require(*modules: str) -> None:
+    with warnings.catch_warnings():
+        # Without a display dm_control tries GLFW, which complains.
+        warnings.filterwarnings("ignore", message=".*DISPLAY environment variable")
+        _choose_renderer()
+        for module in modules:
+            try:
+                importlib.import_module(module)
+            except ImportError as error:
+                raise LeglabError(
+                    f"the environment needs {module.partition('.')[0]} ({error}): "
+                    'pip install ".[rl]" in a clone of leglab'
+                ) from error

@@ -231,15 +231,17 @@ def _spec(name: str, value: np.ndarray, bounds: _Bounds | None) -> specs.Array:
     return specs.BoundedArray(value.shape, value.dtype, low, high, name=name)
 
 
+def ends(spec: specs.Array) -> list[np.ndarray]:
+    """Lower and upper bounds of a specification, infinite where it has none."""
+    found = getattr(spec, "minimum", -np.inf), getattr(spec, "maximum", np.inf)
+    return [np.broadcast_to(end, spec.shape) for end in found]
+
+
 def _flat_spec(named: Mapping[str, specs.Array]) -> Mapping[str, specs.Array]:
-    ends = [
-        np.concatenate(
-            [np.ravel(np.broadcast_to(getattr(s, end, default), s.shape)) for s in named.values()]
-        )
-        for end, default in (("minimum", -np.inf), ("maximum", np.inf))
-    ]
+    parts = zip(*map(ends, named.values()), strict=True)
+    low, high = (np.concatenate([np.ravel(end) for end in part]) for part in parts)
     kind = next(iter(named.values())).dtype
-    spec = specs.BoundedArray(ends[0].shape, kind, *ends, name=FLAT_OBSERVATION_KEY)
+    spec = specs.BoundedArray(low.shape, kind, low, high, name=FLAT_OBSERVATION_KEY)
     return collections.OrderedDict({FLAT_OBSERVATION_KEY: spec})
 
 

@@ -102,15 +102,11 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         if not self._begun:
             raise SimulationError("step before reset")
         batch = self.batch
-        over = batch.terminated | batch.truncated
-        again = bool(over.any())
-        if again:  # only with autoreset in the next step
-            batch.reset(over)
-        reward = batch.step(actions, over if again else None)
+        reward, begun = batch.step(actions)  # with autoreset in the same step none begins
         terminated, truncated = batch.terminated.copy(), batch.truncated.copy()
         info = self._info()
-        if again:
-            info |= self._told(over)
+        if begun.any():
+            info |= self._told(begun)
         ended = terminated | truncated
         if ended.any():
             info |= self._ends(ended)
@@ -203,13 +199,7 @@ class BatchEnvironment:
         """
         if not self._begun:
             return self.reset()
-        batch = self.batch
-        over = batch.terminated | batch.truncated
-        again = bool(over.any())
-        if again:
-            batch.reset(over)
-        reward = batch.step(action, over if again else None)
-        return self._time_step(reward, over)
+        return self._time_step(*self.batch.step(action))
 
     def observation_spec(self) -> specs.BoundedArray:
         """Of one machine."""

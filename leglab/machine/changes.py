@@ -89,19 +89,15 @@ class Schedule:
     def _begin(self, scenario: Scenario) -> None:
         self._scenario = scenario
         for change in scenario.changes:
-            matched = [
+            having = [
                 (element, target)
                 for target in self._targets
                 for element in target.elements
-                if change.applies_to(element) and target.has(element, change.parameter)
+                if target.has(element, change.parameter)
             ]
+            matched = [pair for pair in having if change.applies_to(pair[0])]
             if not matched:
-                able = [
-                    element
-                    for target in self._targets
-                    for element in target.elements
-                    if target.has(element, change.parameter)
-                ]
+                able = [element for element, _ in having]
                 raise SettingsError(
                     f"scenario {scenario.name!r} changes {change.parameter!r} of "
                     f"{change.element!r}, which no element of the model has"

@@ -160,11 +160,8 @@ def plugin_tables() -> Mapping[str, PluginTable]:
 
 def table_at_slide(table: PluginTable) -> PluginTable:
     """Table of an instance that acts on a slide joint: N where a hinge has N m, m for rad."""
-    return PluginTable(
-        plugin=table.plugin,
-        parameters=_at_slide(table.parameters),
-        states=_at_slide(table.states),
-    )
+    parameters, states = _at_slide(table.parameters), _at_slide(table.states)
+    return replace(table, parameters=parameters, states=states)
 
 
 def _at_slide(rows: Mapping[str, Row]) -> Mapping[str, Row]:
@@ -184,18 +181,13 @@ def residual_table(table: PluginTable, counts: Mapping[str, int], unit: str) -> 
     rows = dict(table.parameters)
     for variable in RESIDUAL_VARIABLES:
         for number in range(counts.get(variable, 0)):
-            rows[f"{variable}_{number}"] = Parameter(
-                name=f"{variable}_{number}",
-                unit=unit,
-                nominal=0.0,
-                minimum=-1e9,
-                maximum=1e9,
-                minimum_allowed=True,
-                description=f"coefficient of the cubic B-spline of {variable}",
-                offset=place,
+            name, meaning = (
+                f"{variable}_{number}",
+                f"coefficient of the cubic B-spline of {variable}",
             )
+            rows[name] = Parameter(name, unit, 0.0, -1e9, 1e9, True, meaning, offset=place)
             place += 1
-    return PluginTable(plugin=table.plugin, parameters=MappingProxyType(rows), states=table.states)
+    return replace(table, parameters=MappingProxyType(rows))
 
 
 def _finite(value: float) -> float | None:

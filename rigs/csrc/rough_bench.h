@@ -363,52 +363,32 @@ class RoughPlant {
   std::vector<double> angles_, commands_;  // at every step
 };
 
-// Follows a reference (or plays a command) from rest, and records. Noise: one value a sample.
-class RoughRun {
- public:
-  RoughRun(const RoughParameters& p, double period, int steps)
-      : plant_(p, period / steps), period_(period), steps_(steps) {}
-
-  RoughTrace follow(const double* reference, const double* position_noise, const double* noise_a,
-                    const double* noise_b, std::size_t count) {
-    return run(reference, nullptr, position_noise, noise_a, noise_b, count);
+// Follows a reference, or plays a command where there is one, from rest at the first reference, and
+// records. Noise: one value a sample.
+inline RoughTrace run(const RoughParameters& p, double period, int steps, const double* reference,
+                      const double* played, const double* position_noise, const double* noise_a,
+                      const double* noise_b, std::size_t count) {
+  RoughPlant plant(p, period / steps);
+  plant.start(reference[0]);
+  const int settling = static_cast<int>(std::lround(1.0 / period));
+  for (int k = 0; k < settling; ++k) {
+    plant.advance(-p.loop_gain * (reference[0] - plant.seen(0.0)), steps);
   }
-
-  // Starts at rest at an angle.
-  RoughTrace play(double angle, const double* command, std::size_t count) {
-    const std::vector<double> zero(count, 0.0), start(count, angle);
-    return run(start.data(), command, zero.data(), zero.data(), zero.data(), count);
+  RoughTrace trace;
+  for (std::size_t k = 0; k < count; ++k) {
+    const double measured = plant.seen(position_noise[k]);
+    const std::size_t after = std::min(k + 1, count - 1), before = k > 0 ? k - 1 : 0;
+    const double rate = (reference[after] - reference[before]) / (double(after - before) * period);
+    const double wanted = -p.loop_gain * (reference[k] - measured) - p.feedforward * rate;
+    const double command = played ? played[k] : std::clamp(wanted, -1.0, 1.0);
+    const RoughVector& y = plant.state();
+    trace.position.push_back(measured);
+    trace.command.push_back(command);
+    trace.pressure_a.push_back(p.pressure_scale_a * y[kA] + p.pressure_offset_a + noise_a[k]);
+    trace.pressure_b.push_back(p.pressure_scale_b * y[kB] + p.pressure_offset_b + noise_b[k]);
+    plant.advance(command, steps);
   }
-
- private:
-  RoughTrace run(const double* reference, const double* played, const double* position_noise,
-                 const double* noise_a, const double* noise_b, std::size_t count) {
-    const RoughParameters& p = plant_.parameters();
-    plant_.start(reference[0]);
-    const int settling = static_cast<int>(std::lround(1.0 / period_));
-    for (int k = 0; k < settling; ++k) {
-      plant_.advance(-p.loop_gain * (reference[0] - plant_.seen(0.0)), steps_);
-    }
-    RoughTrace trace;
-    for (std::size_t k = 0; k < count; ++k) {
-      const double measured = plant_.seen(position_noise[k]);
-      const std::size_t after = std::min(k + 1, count - 1), before = k > 0 ? k - 1 : 0;
-      const double rate = (reference[after] - reference[before]) / (double(after - before) * period_);
-      const double wanted = -p.loop_gain * (reference[k] - measured) - p.feedforward * rate;
-      const double command = played ? played[k] : std::clamp(wanted, -1.0, 1.0);
-      const RoughVector& y = plant_.state();
-      trace.position.push_back(measured);
-      trace.command.push_back(command);
-      trace.pressure_a.push_back(p.pressure_scale_a * y[kA] + p.pressure_offset_a + noise_a[k]);
-      trace.pressure_b.push_back(p.pressure_scale_b * y[kB] + p.pressure_offset_b + noise_b[k]);
-      plant_.advance(command, steps_);
-    }
-    return trace;
-  }
-
-  RoughPlant plant_;
-  double period_;
-  int steps_;
-};
+  return trace;
+}
 
 }  // namespace leglab::studies

@@ -64,12 +64,12 @@ nb::tuple follow(const nb::dict& values, Values reference, Values position_noise
       noise_b.size() != count) {
     throw nb::value_error("arrays of different shapes");
   }
-  studies::RoughRun run(parameters(values), period, steps);
+  const RoughParameters p = parameters(values);
   studies::RoughTrace trace;
   {
     nb::gil_scoped_release release;
-    trace = run.follow(reference.data(), position_noise.data(), noise_a.data(), noise_b.data(),
-                       count);
+    trace = studies::run(p, period, steps, reference.data(), nullptr, position_noise.data(),
+                         noise_a.data(), noise_b.data(), count);
   }
   return tuple(trace);
 }
@@ -77,8 +77,10 @@ nb::tuple follow(const nb::dict& values, Values reference, Values position_noise
 nb::tuple play(const nb::dict& values, double angle, Values command, double period, int steps) {
   check_steps(period, steps);
   if (command.size() < 2) throw nb::value_error("a command needs two samples or more");
-  studies::RoughRun run(parameters(values), period, steps);
-  return tuple(run.play(angle, command.data(), command.size()));
+  const std::size_t count = command.size();
+  const std::vector<double> zero(count, 0.0), start(count, angle);
+  return tuple(studies::run(parameters(values), period, steps, start.data(), command.data(),
+                            zero.data(), zero.data(), zero.data(), count));
 }
 
 nb::object derivative(const nb::dict& values, double t, Values state, double command) {

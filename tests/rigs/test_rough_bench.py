@@ -145,10 +145,10 @@ def test_a_fault_leaves_the_specimen_alone():
 def test_gross_sizes_lie_above_just_visible_ones():
     for name, fault in FAULTS.items():
         draws = {
-            sizes: [abs(fault.size.draw(np.random.default_rng(i), sizes)) for i in range(40)]
+            sizes: [abs(fault.draw(np.random.default_rng(i), sizes)) for i in range(40)]
             for sizes in ("gross", "visible")
         }
-        ends = sorted((fault.size.low, fault.size.high))
+        ends = sorted((fault.low, fault.high))
         assert ends[0] <= min(draws["gross"]) <= max(draws["gross"]) <= ends[1], name
         outside = [x for x in draws["visible"] if not ends[0] <= x <= ends[1]]
         assert outside, name
