@@ -129,14 +129,9 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
     def _info(self) -> dict[str, Any]:
         batch, every = self.batch, np.ones(self.num_envs, dtype=bool)
-        return {
-            "time": batch.time,
-            "_time": every,
-            "tracking_error": batch.error.copy(),
-            "_tracking_error": every,
-            "command": batch.command.copy(),
-            "_command": every,
-        }
+        error, command = batch.error.copy(), batch.command.copy()
+        found = {"time": batch.time, "tracking_error": error, "command": command}
+        return found | {f"_{name}": every for name in found}
 
     def _told(self, chosen: np.ndarray) -> dict[str, Any]:
         """Entries of `info` for the episodes that begin."""

@@ -181,10 +181,8 @@ def residual_table(table: PluginTable, counts: Mapping[str, int], unit: str) -> 
     rows = dict(table.parameters)
     for variable in RESIDUAL_VARIABLES:
         for number in range(counts.get(variable, 0)):
-            name, meaning = (
-                f"{variable}_{number}",
-                f"coefficient of the cubic B-spline of {variable}",
-            )
+            name = f"{variable}_{number}"
+            meaning = f"coefficient of the cubic B-spline of {variable}"
             rows[name] = Parameter(name, unit, 0.0, -1e9, 1e9, True, meaning, offset=place)
             place += 1
     return replace(table, parameters=MappingProxyType(rows))

@@ -81,11 +81,6 @@ class LoopTiming(NamedTuple):
     to_sample: int
     to_command: int
 
-    @property
-    def steps(self) -> int:
-        """Time steps in a control period."""
-        return self.to_sample + self.to_command
-
 
 def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
     """Splits a control period into whole time steps.

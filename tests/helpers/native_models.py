@@ -1,8 +1,11 @@
 """Small MJCF models without hydraulics: native actuators, and leglab's plugins beside them."""
 
+import mujoco
+import numpy as np
+
 from leglab.machine import plugin
 from leglab.machine.parameters import plugin_tables
-from tests.helpers.plugin_models import instance
+from tests.helpers.plugin_models import compiled, instance
 
 plugin.load_plugin()
 
@@ -53,6 +56,19 @@ def slide(*instances, actuator='<motor name="drive" joint="axis"/>', mass=2.0, j
           <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/>
         </body>"""
     return machine(body, actuator, instances, **options)
+
+
+def driven(xml, seconds, command, start=0.0, speed=0.0):
+    """Time, position, velocity and passive resistance after each step, (4, steps)."""
+    model, data = compiled(xml)
+    data.qpos[0], data.qvel[0] = start, speed
+    h = model.opt.timestep
+    rows = []
+    for k in range(round(seconds / h)):
+        data.ctrl[0] = command(k * h)
+        mujoco.mj_step(model, data)
+        rows.append([data.time, data.qpos[0], data.qvel[0], -data.qfrc_passive[0]])
+    return np.array(rows).T
 
 
 def friction(joint="axis", **attributes):

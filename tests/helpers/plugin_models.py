@@ -1,6 +1,7 @@
 """Small MJCF models with leglab's plugins."""
 
 import mujoco
+import mujoco.rollout
 import numpy as np
 
 from leglab.machine import plugin
@@ -42,7 +43,6 @@ def slides(
     extension="",
     sensor="",
     extra="",
-    option="",
 ):
     """Masses on slide joints, by default one; qpos is the piston position, 0.04 m at first."""
     bodies = "".join(
@@ -85,11 +85,36 @@ class Slots:
         self.data.plugin_state[self.address(name)] = value
 
 
+FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
 def full_physics(model, data):
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
+    state = np.empty(mujoco.mj_stateSize(model, FULL))
+    mujoco.mj_getState(model, data, state, FULL)
     return state
+
+
+def check_copies_go_on_exactly(model, data, drive):
+    """Asserts that a copy, and data set to a snapshot, go on as the data; `drive` moves one."""
+    snapshot = full_physics(model, data)
+    copy, restored = mujoco.MjData(model), mujoco.MjData(model)
+    mujoco.mj_copyData(copy, model, data)
+    mujoco.mj_setState(model, restored, snapshot, FULL)
+    drive(data)
+    end, sensors = full_physics(model, data), data.sensordata.copy()
+    mujoco.mj_setState(model, data, snapshot, FULL)
+    for d in (copy, restored, data):
+        drive(d)
+        np.testing.assert_array_equal(full_physics(model, d), end)
+        np.testing.assert_array_equal(d.sensordata, sensors)
+
+
+def rolled_out(model, starts, controls, threads):
+    """Full-physics states at the ends of rollouts, (runs, size)."""
+    data = [mujoco.MjData(model) for _ in range(threads)]
+    with mujoco.rollout.Rollout(nthread=0 if threads == 1 else threads) as pool:
+        states, _ = pool.rollout(model, data, np.array(starts), np.array(controls))
+    return states[:, -1]
 
 
 def check_copy_between_stages(model, data):

@@ -119,123 +119,103 @@ def of_rig(rig: Rig, truth: Truth, kinds=KINDS, stamps=(None,) * 4) -> dict[str,
     }
 
 
+def axis(kinds=KINDS, stamps=(None,) * 4) -> dict[str, Recording]:
+    """Recordings of the slide with friction of two sides."""
+    return of_rig(SLIDE_AXIS, FRICTION, kinds, stamps)
+
+
+def wheel(stamps=(None,) * 4) -> dict[str, Recording]:
+    """The pendulum going round and round, with a worn gear."""
+    return of_rig(PENDULUM, GEAR, ("turns", "back", "multisine", "fast"), stamps)
+
+
+def wrapped_wheel_of(turn: float) -> dict[str, Recording]:
+    """The same by an encoder that begins anew."""
+    return {n: wrapped(r, "hinge_position", turn) for n, r in wheel().items()}
+
+
 def of_bench() -> dict[str, Recording]:
     """Recordings of the hydraulic bench with a hidden deadband."""
     return {n: data.read(BENCH / f"d2_{n}.parquet") for n in ("multisine", "slow", "walk")}
 
 
-def wheel(turn: float = 2.0 * np.pi) -> dict[str, Recording]:
-    """The pendulum going round and round."""
-    found = of_rig(PENDULUM, GEAR, ("turns", "back", "multisine", "fast"))
-    return {n: wrapped(r, "hinge_position", turn) for n, r in found.items()}
-
-
-def clean_axis() -> Spoiled:
+def on_axis(what: str, recordings: Mapping[str, Recording], held_out="multisine") -> Spoiled:
     return Spoiled(
-        what="nothing: for comparison",
+        what=what,
         model=SLIDE_AXIS.model,
-        recordings=of_rig(SLIDE_AXIS, FRICTION),
-        held_out="multisine",
+        recordings=recordings,
+        held_out=held_out,
         hidden=SIDES,
     )
 
 
-def clean_wheel() -> Spoiled:
+def on_wheel(what: str, recordings: Mapping[str, Recording]) -> Spoiled:
     return Spoiled(
-        what="nothing: a wheel that turns by up to 50 rad, not wrapped",
+        what=what,
         model=PENDULUM.model,
-        recordings=of_rig(PENDULUM, GEAR, ("turns", "back", "multisine", "fast")),
+        recordings=recordings,
         held_out="multisine",
         hidden=LOAD,
     )
+
+
+def clean_axis() -> Spoiled:
+    return on_axis("nothing: for comparison", axis())
+
+
+def clean_wheel() -> Spoiled:
+    return on_wheel("nothing: a wheel that turns by up to 50 rad, not wrapped", wheel())
 
 
 def wrapped_wheel() -> Spoiled:
-    return Spoiled(
-        what="a wheel turns by up to 50 rad, its encoder begins anew after 2 pi",
-        model=PENDULUM.model,
-        recordings=wheel(),
-        held_out="multisine",
-        hidden=LOAD,
-    )
+    what = "a wheel turns by up to 50 rad, its encoder begins anew after 2 pi"
+    return on_wheel(what, wrapped_wheel_of(2.0 * np.pi))
 
 
 def geared_encoder() -> Spoiled:
     rng = np.random.default_rng(1)
-    found = wheel(2.0 * np.pi / 5.0)
-    return Spoiled(
-        what="encoder before a gear of 5 (begins anew after 1.257 rad), 30 % of the rows lost",
-        model=PENDULUM.model,
-        recordings={n: dropped(r, 0.3, rng) for n, r in found.items()},
-        held_out="multisine",
-        hidden=LOAD,
-    )
+    found = wrapped_wheel_of(2.0 * np.pi / 5.0)
+    what = "encoder before a gear of 5 (begins anew after 1.257 rad), 30 % of the rows lost"
+    return on_wheel(what, {n: dropped(r, 0.3, rng) for n, r in found.items()})
 
 
 def mixed_rates() -> Spoiled:
-    return Spoiled(
-        what="loops at 1000, 500, 400 and 1000 Hz",
-        model=SLIDE_AXIS.model,
-        recordings=of_rig(
-            SLIDE_AXIS, FRICTION, stamps=(even(1000), even(500), even(400), even(1000))
-        ),
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    clocks = (even(1000), even(500), even(400), even(1000))
+    return on_axis("loops at 1000, 500, 400 and 1000 Hz", axis(stamps=clocks))
 
 
 def uneven() -> Spoiled:
     rng = np.random.default_rng(2)
     clocks = tuple(jittered(1000, share, rng) for share in (0.4, 0.3, 0.5, 0.4))
-    return Spoiled(
-        what="every stamp early or late by up to 30 to 50 % of a period",
-        model=SLIDE_AXIS.model,
-        recordings=of_rig(SLIDE_AXIS, FRICTION, stamps=clocks),
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    what = "every stamp early or late by up to 30 to 50 % of a period"
+    return on_axis(what, axis(stamps=clocks))
 
 
 def lossy() -> Spoiled:
     rng = np.random.default_rng(3)
-    found = of_rig(SLIDE_AXIS, FRICTION)
-    return Spoiled(
-        what="30 % of all rows lost at random",
-        model=SLIDE_AXIS.model,
-        recordings={n: dropped(r, 0.3, rng) for n, r in found.items()},
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    found = {n: dropped(r, 0.3, rng) for n, r in axis().items()}
+    return on_axis("30 % of all rows lost at random", found)
 
 
 def own_clocks() -> Spoiled:
     clocks = (even(1000), even(1000.4), even(999.0), drifting(1000, 4e-3))
-    return Spoiled(
-        what="clocks of 1000, 1000.4 and 999 Hz, one that slows down by 0.4 %; stamps since 1970",
-        model=SLIDE_AXIS.model,
-        recordings={
-            n: Recording(time=r.time + 1.75e9, columns=r.columns)
-            for n, r in of_rig(SLIDE_AXIS, FRICTION, stamps=clocks).items()
-        },
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    found = {
+        n: Recording(time=r.time + 1.75e9, columns=r.columns)
+        for n, r in axis(stamps=clocks).items()
+    }
+    what = "clocks of 1000, 1000.4 and 999 Hz, one that slows down by 0.4 %; stamps since 1970"
+    return on_axis(what, found)
 
 
 def resting() -> Spoiled:
-    found = of_rig(SLIDE_AXIS, FRICTION, ("multisine", "rests", "slow", "rests"), (None,) * 4)
+    found = axis(("multisine", "rests", "slow", "rests"))
     still = next(iter(found.values()))
     columns = {n: np.full(3000, s[0]) for n, s in still.columns.items()}
     found["idle"] = Recording(
         time=still.time[:3000], columns=columns | {"drive_command": 0.0 * columns["drive_command"]}
     )
-    return Spoiled(
-        what="counts of 0.02 mm; two recordings rest half of the time, a third never moves",
-        model=SLIDE_AXIS.model,
-        recordings={n: counted(r, "axis") for n, r in found.items()},
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    what = "counts of 0.02 mm; two recordings rest half of the time, a third never moves"
+    return on_axis(what, {n: counted(r, "axis") for n, r in found.items()})
 
 
 def junk() -> Spoiled:
@@ -243,7 +223,7 @@ def junk() -> Spoiled:
     rng = np.random.default_rng(5)
     with tempfile.TemporaryDirectory() as folder:
         paths = []
-        for name, r in of_rig(SLIDE_AXIS, FRICTION).items():
+        for name, r in axis().items():
             junk_columns = {
                 "comment": lambda i: "ok" if i % 7 else "limit",
                 "motor_temperature": lambda i: "",
@@ -262,25 +242,14 @@ def junk() -> Spoiled:
             path.write_text("\n".join([",".join(header), *lines]) + "\n")
             paths.append(path)
         recordings = read_recordings(paths)
-    return Spoiled(
-        what="columns nobody needs: text, empty, constant, infinite, bar for Pa, one name twice",
-        model=SLIDE_AXIS.model,
-        recordings=recordings,
-        held_out="multisine.csv",
-        hidden=SIDES,
-    )
+    what = "columns nobody needs: text, empty, constant, infinite, bar for Pa, one name twice"
+    return on_axis(what, recordings, "multisine.csv")
 
 
 def holes() -> Spoiled:
     rng = np.random.default_rng(6)
-    found = {n: holed(r, 6, 30, rng) for n, r in of_rig(SLIDE_AXIS, FRICTION).items()}
-    return Spoiled(
-        what="six runs of 30 ms without numbers in each column",
-        model=SLIDE_AXIS.model,
-        recordings=found,
-        held_out="multisine",
-        hidden=SIDES,
-    )
+    found = {n: holed(r, 6, 30, rng) for n, r in axis().items()}
+    return on_axis("six runs of 30 ms without numbers in each column", found)
 
 
 def lost_pressures() -> Spoiled:
@@ -299,32 +268,20 @@ def lost_pressures() -> Spoiled:
 
 
 def degrees() -> Spoiled:
-    found = of_rig(PENDULUM, GEAR, ("turns", "back", "multisine", "fast"))
+    found = wheel()
     found["back"] = changed(found["back"], "hinge_position", np.rad2deg)
-    return Spoiled(
-        what="one of four files is in degrees by mistake, on a wheel",
-        model=PENDULUM.model,
-        recordings=found,
-        held_out="multisine",
-        hidden=LOAD,
-    )
+    return on_wheel("one of four files is in degrees by mistake, on a wheel", found)
 
 
 def everything() -> Spoiled:
     rng = np.random.default_rng(8)
-    kinds = ("turns", "back", "multisine", "fast")
     clocks = (jittered(1000, 0.4, rng), even(1000.4), even(500), drifting(1000, 2e-3))
-    found = of_rig(PENDULUM, GEAR, kinds, clocks)
+    found = wheel(clocks)
     found = {n: wrapped(counted(r, "hinge"), "hinge_position", 2 * np.pi) for n, r in found.items()}
     found["turns"] = dropped(found["turns"], 0.3, rng)
     found["fast"] = holed(found["fast"], 4, 30, rng)
-    return Spoiled(
-        what="jitter, lost rows, 500 Hz, drift, counts, runs without numbers, wrapped: all at once",
-        model=PENDULUM.model,
-        recordings=found,
-        held_out="multisine",
-        hidden=LOAD,
-    )
+    what = "jitter, lost rows, 500 Hz, drift, counts, runs without numbers, wrapped: all at once"
+    return on_wheel(what, found)
 
 
 CASES: dict[str, Callable[[], Spoiled]] = {

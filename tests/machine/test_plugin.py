@@ -2,18 +2,20 @@
 
 import mujoco
 import mujoco.batch
-import mujoco.rollout
 import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.machine import plugin
 from tests.helpers.plugin_models import (
+    FULL,
     Slots,
+    check_copies_go_on_exactly,
     check_copy_between_stages,
     compiled,
     full_physics,
     instance,
+    rolled_out,
     slides,
     valve,
 )
@@ -99,35 +101,16 @@ def test_a_parameter_set_in_the_state_equals_one_in_the_model():
     np.testing.assert_array_equal(full_physics(model, data), full_physics(worn_model, worn))
 
 
-def test_copy_goes_on_exactly(rig):
+def test_copies_and_snapshots_go_on_exactly(rig):
     model, data = rig
     drive(model, data, 123)
-    copy = mujoco.MjData(model)
-    mujoco.mj_copyData(copy, model, data)
-    for d in (data, copy):
-        drive(model, d, 200, phase=1.0)
-    np.testing.assert_array_equal(full_physics(model, data), full_physics(model, copy))
-    np.testing.assert_array_equal(data.sensordata, copy.sensordata)
+    check_copies_go_on_exactly(model, data, lambda d: drive(model, d, 200, phase=1.0))
 
 
 def test_copy_between_the_stages_of_a_step_goes_on_exactly(rig):
     model, data = rig
     drive(model, data, 50)
     check_copy_between_stages(model, data)
-
-
-def test_snapshot_of_the_full_physics_goes_on_exactly(rig):
-    model, data = rig
-    drive(model, data, 123)
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    snapshot = full_physics(model, data)
-    drive(model, data, 200, phase=1.0)
-    ends = []
-    for d in (data, mujoco.MjData(model)):
-        mujoco.mj_setState(model, d, snapshot, kind)
-        drive(model, d, 200, phase=1.0)
-        ends.append(full_physics(model, d))
-    np.testing.assert_array_equal(ends[0], ends[1])
 
 
 def test_reset_and_keyframe_restore_the_configured_parameters(rig):
@@ -175,11 +158,10 @@ def starts(model, count):
 
 
 def stepped(model, initial, controls):
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     ends = []
     for state, run in zip(initial, controls, strict=True):
         data = mujoco.MjData(model)
-        mujoco.mj_setState(model, data, state, kind)
+        mujoco.mj_setState(model, data, state, FULL)
         for control in run:
             data.ctrl[:] = control
             mujoco.mj_step(model, data)
@@ -200,11 +182,8 @@ def controls():
 def test_rollout_on_threads_equals_single_steps(rig, threads):
     model, _ = rig
     initial = starts(model, RUNS)
-    data = [mujoco.MjData(model) for _ in range(threads)]
-    with mujoco.rollout.Rollout(nthread=0 if threads == 1 else threads) as pool:
-        states, _ = pool.rollout(model, data, initial, controls())
-    wanted = stepped(model, initial, controls())
-    np.testing.assert_array_equal(states[:, -1], wanted)
+    found = rolled_out(model, initial, controls(), threads)
+    np.testing.assert_array_equal(found, stepped(model, initial, controls()))
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -216,15 +195,14 @@ def test_batch_on_threads_equals_single_steps(rig, threads):
     ctrl = batch.bind("ctrl")
     data = mujoco.MjData(model)
     for i in range(RUNS):
-        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        mujoco.mj_setState(model, data, initial[i], kind)
+        mujoco.mj_setState(model, data, initial[i], FULL)
         parameters[i], qpos[i] = data.plugin_state, data.qpos
     for step in controls().transpose(1, 0, 2):
         ctrl[:] = step
         batch.step()
     wanted = stepped(model, initial, controls())
     for i in range(RUNS):
-        mujoco.mj_setState(model, data, wanted[i], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_setState(model, data, wanted[i], FULL)
         np.testing.assert_array_equal(parameters[i], data.plugin_state)
         np.testing.assert_array_equal(qpos[i], data.qpos)
 
@@ -232,7 +210,6 @@ def test_batch_on_threads_equals_single_steps(rig, threads):
 def test_sensors_show_the_states(rig):
     model, data = rig
     drive(model, data, 100)
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     mujoco.mj_forward(model, data)
     for name, joint in (("first", 0), ("second", 1)):
         slots = Slots(model, data, name)
@@ -243,7 +220,6 @@ def test_sensors_show_the_states(rig):
         # The state holds the pressures at the end of the step, to the accuracy within a step.
         for quantity in ("pressure_a", "pressure_b"):
             assert shown[quantity] == pytest.approx(slots[quantity], rel=1e-5)
-    assert mujoco.mj_stateSize(model, kind) > model.npluginstate
 
 
 def test_many_instances_are_independent():

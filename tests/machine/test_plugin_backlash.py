@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.helpers.native_models import GRAVITY, INERTIA, MASS, REACH, backlash, pendulum
+from tests.helpers.native_models import GRAVITY, INERTIA, MASS, REACH, backlash, driven, pendulum
 from tests.helpers.plugin_models import Slots, compiled
 
 JOINT = INERTIA + MASS * REACH**2  # kg m^2
@@ -19,16 +19,8 @@ def torque(t):
     return 2.0 * math.sin(2 * math.pi * 0.7 * t)
 
 
-def run(xml, seconds, command=torque, start=0.3):
-    model, data = compiled(xml)
-    data.qpos[0] = start
-    h = model.opt.timestep
-    rows = []
-    for k in range(round(seconds / h)):
-        data.ctrl[0] = command(k * h)
-        mujoco.mj_step(model, data)
-        rows.append([data.time, data.qpos[0], data.qvel[0]])
-    return np.array(rows).T
+def run(xml, seconds, command=torque):
+    return driven(xml, seconds, command, start=0.3)[:3]
 
 
 def two_masses(width, stiffness, ratio, seconds, start=0.3, motor=MOTOR):

@@ -36,26 +36,6 @@ def through(sequence, actuator=MOTOR, integrator="Euler", **attributes):
     return forces(*compiled(xml), sequence)
 
 
-def test_gain_and_bias():
-    u = commands()
-    np.testing.assert_allclose(through(u, gain=0.8, bias=0.1), 0.8 * u + 0.1, rtol=1e-12)
-
-
-def test_dead_band():
-    u = commands()
-    wanted = np.sign(u) * np.maximum(np.abs(u) - 0.15, 0.0)
-    np.testing.assert_allclose(through(u, dead_band=0.15), wanted, atol=1e-12)
-
-
-def test_hysteresis_is_a_play():
-    u, half = commands(), 0.1
-    wanted, y = [], u[0]
-    for x in u:
-        y = min(max(y, x - half), x + half)
-        wanted.append(y)
-    np.testing.assert_allclose(through(u, hysteresis=0.2), wanted, atol=1e-12)
-
-
 @pytest.mark.parametrize("delay", [0.004, 0.0123, 0.05])
 def test_delay_is_the_mean_of_the_held_command_that_arrives(delay):
     u = commands()

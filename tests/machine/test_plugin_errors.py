@@ -7,6 +7,7 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.machine.plugin import elements, load_error
+from tests.helpers.native_models import backlash, command_path, pendulum
 from tests.helpers.plugin_models import compiled, instance, slides, valve
 
 
@@ -100,6 +101,35 @@ def sensor(actuator, quantity):
             ["'v'", "0.002 s", "allowed 1", "use at most 0.00155 s"],
         ),
         (slides(valve("v"), mass=2.0, timestep=5e-4), ["'v'", "w_h h = 1.02", "allowed 1"]),
+        (pendulum(backlash(width=-1)), ["'play'", "'width' = -1", "[0, 10] rad"]),
+        (pendulum(backlash(joint="hing")), ["'joint' = 'hing'", "allowed: hinge"]),
+        (pendulum(backlash(), actuator=""), ["'hinge' has no native actuator", "motor"]),
+        (pendulum(backlash(), joint=""), ["'motor_inertia' = 0", "'hinge' has no armature"]),
+        (
+            pendulum(backlash(), actuator='<damper name="drive" joint="hinge" ctrlrange="0 1"/>'),
+            ["'hinge' has a gain that is not fixed"],
+        ),
+        (
+            pendulum(instance("leglab.command_path", "path", actuator="drvie")),
+            ["'actuator' = 'drvie' names no actuator", "allowed: drive"],
+        ),
+        (pendulum(command_path(gain=1e3)), ["'gain' = 1000", "[-100, 100]"]),
+        (pendulum(command_path(max_delay=-1)), ["'max_delay' = -1", "[0, 1] s"]),
+        (
+            pendulum(
+                command_path(), actuator='<muscle name="drive" joint="hinge" lengthrange="-1 1"/>'
+            ),
+            ["actuator 'drive' has", "fixed nor affine", "allowed: motor"],
+        ),
+        (
+            pendulum(
+                command_path(),
+                actuator='<motor name="drive" joint="hinge" delay="0.002" nsample="4"/>',
+            ),
+            ["actuator 'drive' has a delay of its own"],
+        ),
+        (pendulum(backlash(), integrator="RK4"), ["'RK4'", "Euler, implicit, implicitfast"]),
+        (pendulum(command_path(), integrator="RK4"), ["'RK4'"]),
     ],
 )
 def test_wrong_model(xml, words):

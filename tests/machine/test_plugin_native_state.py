@@ -1,20 +1,20 @@
 """The elements beside native actuators are state and nothing but state."""
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 import pytest
 
 from tests.helpers.native_models import backlash, command_path, friction, pendulum
 from tests.helpers.plugin_models import (
     Slots,
+    check_copies_go_on_exactly,
     check_copy_between_stages,
     compiled,
     full_physics,
     instance,
+    rolled_out,
 )
 
-FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 ACTUATORS = [
     '<motor name="drive" joint="hinge" forcerange="-4 4"/>',
     '<position name="drive" joint="hinge" kp="60" kv="2"/>',
@@ -59,16 +59,10 @@ def rig(request):
     return compiled(rich(request.param))
 
 
-def test_copy_and_snapshot_go_on_exactly(rig):
+def test_copies_and_snapshots_go_on_exactly(rig):
     model, data = rig
     drive(model, data, controls(321))
-    copy, restored = mujoco.MjData(model), mujoco.MjData(model)
-    mujoco.mj_copyData(copy, model, data)
-    mujoco.mj_setState(model, restored, full_physics(model, data), FULL)
-    for d in (data, copy, restored):
-        drive(model, d, controls(300, 1.0))
-    np.testing.assert_array_equal(full_physics(model, data), full_physics(model, copy))
-    np.testing.assert_array_equal(full_physics(model, data), full_physics(model, restored))
+    check_copies_go_on_exactly(model, data, lambda d: drive(model, d, controls(300, 1.0)))
 
 
 def test_copy_between_the_stages_of_a_step_goes_on_exactly(rig):
@@ -119,52 +113,4 @@ def test_rollout_on_threads_equals_single_steps(rig, threads):
         sequences.append(controls(200, i))
         drive(model, data, sequences[-1])
         ends.append(full_physics(model, data))
-    datas = [mujoco.MjData(model) for _ in range(threads)]
-    with mujoco.rollout.Rollout(nthread=0 if threads == 1 else threads) as pool:
-        states, _ = pool.rollout(model, datas, np.array(starts), np.array(sequences))
-    np.testing.assert_array_equal(states[:, -1], ends)
-
-
-def refusal(xml):
-    with pytest.raises((ValueError, mujoco.FatalError)) as caught:
-        compiled(xml)
-    return str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("xml", "words"),
-    [
-        (pendulum(backlash(width=-1)), ["'play'", "'width' = -1", "[0, 10] rad"]),
-        (pendulum(backlash(joint="hing")), ["'joint' = 'hing'", "allowed: hinge"]),
-        (pendulum(backlash(), actuator=""), ["'hinge' has no native actuator", "motor"]),
-        (pendulum(backlash(), joint=""), ["'motor_inertia' = 0", "'hinge' has no armature"]),
-        (
-            pendulum(backlash(), actuator='<damper name="drive" joint="hinge" ctrlrange="0 1"/>'),
-            ["'hinge' has a gain that is not fixed"],
-        ),
-        (
-            pendulum(instance("leglab.command_path", "path", actuator="drvie")),
-            ["'actuator' = 'drvie' names no actuator", "allowed: drive"],
-        ),
-        (pendulum(command_path(gain=1e3)), ["'gain' = 1000", "[-100, 100]"]),
-        (pendulum(command_path(max_delay=-1)), ["'max_delay' = -1", "[0, 1] s"]),
-        (
-            pendulum(
-                command_path(), actuator='<muscle name="drive" joint="hinge" lengthrange="-1 1"/>'
-            ),
-            ["actuator 'drive' has", "fixed nor affine", "allowed: motor"],
-        ),
-        (
-            pendulum(
-                command_path(),
-                actuator='<motor name="drive" joint="hinge" delay="0.002" nsample="4"/>',
-            ),
-            ["actuator 'drive' has a delay of its own"],
-        ),
-        (pendulum(backlash(), integrator="RK4"), ["'RK4'", "Euler, implicit, implicitfast"]),
-        (pendulum(command_path(), integrator="RK4"), ["'RK4'"]),
-    ],
-)
-def test_wrong_model(xml, words):
-    message = refusal(xml)
-    assert all(word in message for word in words), message
+    np.testing.assert_array_equal(rolled_out(model, starts, sequences, threads), ends)

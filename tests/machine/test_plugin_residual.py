@@ -3,13 +3,20 @@
 import mujoco
 import numpy as np
 import pytest
-from mujoco import rollout
 from scipy.interpolate import BSpline
 
 from leglab.base.errors import LeglabError
 from leglab.machine import plugin
 from leglab.machine.cylinder import Cylinder
-from tests.helpers.plugin_models import CYLINDER, compiled, instance, slides, valve
+from tests.helpers.plugin_models import (
+    CYLINDER,
+    compiled,
+    full_physics,
+    instance,
+    rolled_out,
+    slides,
+    valve,
+)
 
 H = 5e-4
 KNOTS = {
@@ -107,21 +114,12 @@ def test_coefficients_are_state_and_have_names():
 
 def test_a_rollout_gives_the_bits_of_single_steps():
     model, data = compiled(mass("position", "velocity", "load", "command"))
-    controls = np.sin(np.arange(200.0))[None, :, None]
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    start = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, start, kind)
-    copies = [mujoco.MjData(model) for _ in range(2)]
-    states, _ = rollout.rollout(
-        model, copies, np.tile(start, (4, 1)), np.repeat(controls, 4, axis=0)
-    )
-    for u in controls[0, :, 0]:
-        data.ctrl[0] = u
+    controls = np.sin(np.arange(200.0))[:, None]
+    ends = rolled_out(model, [full_physics(model, data)] * 4, [controls] * 4, 2)
+    for u in controls:
+        data.ctrl[:] = u
         mujoco.mj_step(model, data)
-    end = np.empty_like(start)
-    mujoco.mj_getState(model, data, end, kind)
-    assert np.ptp(states, axis=0).max() == 0.0
-    np.testing.assert_array_equal(states[0, -1], end)
+    np.testing.assert_array_equal(ends, [full_physics(model, data)] * 4)
 
 
 def test_a_cylinder_sees_its_command_with_the_offset():
