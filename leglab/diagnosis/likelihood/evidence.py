@@ -266,10 +266,7 @@ class Evidence:
         return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))
 
     def score(
-        self,
-        members: Sequence[Member],
-        reduced: _Reduced | None = None,
-        spread: int | None = None,
+        self, members: Sequence[Member], reduced: _Reduced | None = None, spread: int | None = None
     ) -> Score:
         """Evidence of a set, by `reduced` products, else those of all parts.
 
@@ -431,11 +428,7 @@ class Evidence:
         return np.asarray(np.linalg.inv(self.kappa * gram + precision))
 
     def step(
-        self,
-        score: Score,
-        values: np.ndarray,
-        damping: float,
-        beyond: np.ndarray | None = None,
+        self, score: Score, values: np.ndarray, damping: float, beyond: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Most probable values of members and spikes within their bounds.
 

@@ -174,10 +174,7 @@ def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
 
 
 def refine(
-    problem: Problem,
-    hypothesis: Hypothesis,
-    forms: Sequence[Form],
-    fixed: frozenset[Key],
+    problem: Problem, hypothesis: Hypothesis, forms: Sequence[Form], fixed: frozenset[Key]
 ) -> tuple[tuple[Part, ...], Hypothesis]:
     """Fits principal directions of the forms, and nuisances from a hypothesis on, to replays.
 

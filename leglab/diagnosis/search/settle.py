@@ -460,11 +460,7 @@ def _beyond(columns: Columns, point: Point) -> np.ndarray:
 
 
 def _broyden(
-    tangents: np.ndarray,
-    change: np.ndarray,
-    moved: np.ndarray,
-    members: Sequence[int],
-    single: int,
+    tangents: np.ndarray, change: np.ndarray, moved: np.ndarray, members: Sequence[int], single: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tangents corrected by what a step showed, along the members if they moved.
 
