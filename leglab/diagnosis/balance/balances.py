@@ -14,8 +14,8 @@ import numpy as np
 from leglab.base.scale import rms
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import CHAMBERS, Change, ForceLeft, Measured
-from leglab.diagnosis.plant.moments import plugin_offset
-from leglab.diagnosis.replay.lacking import accelerations, lacking_forces
+from leglab.diagnosis.plant.moments import accelerations, dofs, plugin_offset
+from leglab.diagnosis.replay.lacking import lacking_forces
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.starts import measure, start_states
 from leglab.diagnosis.replay.windows import Cut
@@ -185,12 +185,13 @@ def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft
     if not joints:
         return {}
     change = problem.library.change(hypothesis, replay.machine)
-    dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in joints]
+    model = change.variant.model
+    own = dofs(model, joints)
     tables = []
     for _, at, states in replay.along(change, problem.fitted):
         q = np.stack([at.position[joint][at.samples] for joint in joints], axis=1)
         v = np.stack([at.velocity[joint][at.samples] for joint in joints], axis=1)
-        found = lacking_forces(change, at, states, replay.half).lacking[:, dofs]
-        tables.append((q, v, accelerations(change, at, replay.half)[:, dofs], found))
+        found = lacking_forces(change, at, states, replay.half).lacking[:, own]
+        tables.append((q, v, accelerations(replay.machine, model, at, replay.half)[:, own], found))
     joined = [np.concatenate(parts) for parts in zip(*tables, strict=True)]
     return {joint: ForceLeft(*(x[:, i] for x in joined)) for i, joint in enumerate(joints)}

@@ -136,12 +136,9 @@ class Errors:
         Forces left over along a measured motion count in units of the drive: they say what drive
         the motion takes. A gain of 0, or a friction that eats the drive's force, leaves none over.
         """
-        influence, own = _size(pushed), self._own[1]
-        return np.where(
-            own > 0.0,
-            np.maximum(influence, DEFAULT.negligible * own) / np.where(own > 0, own, 1),
-            1.0,
-        )
+        own = self._own[1]
+        influence = np.maximum(_size(pushed), DEFAULT.negligible * own)
+        return np.divide(influence, own, out=np.ones_like(own), where=own > 0.0)
 
     @cached_property
     def twins(self) -> frozenset[frozenset[Key]]:

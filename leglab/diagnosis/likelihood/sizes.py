@@ -16,8 +16,7 @@ from leglab.diagnosis.effects.command import position_servos
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.effects.spring import rest_position
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.plant.moments import commands_at, forces_at
-from leglab.diagnosis.replay.lacking import accelerations
+from leglab.diagnosis.plant.moments import accelerations, commands_at, dofs, forces_at
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import KINDS_OF_FORCE, LONGEST_DELAY, TOP_QUANTILE, TRIALS
 
@@ -80,17 +79,16 @@ def shown(problem: Problem) -> Shown:
     replay, machine = problem.replay, problem.machine
     change = problem.library.change(Hypothesis(), replay.machine)
     model = change.variant.model
-    dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
     errors: dict[str, list[np.ndarray]] = {a: [] for a in position_servos(machine)}
     longest = 0.0
     for _, measured, states in replay.along(change, problem.fitted):
         samples = measured.samples
-        slope = accelerations(change, measured, replay.half)
+        slope = accelerations(machine, model, measured, replay.half)
         found = forces_at(model, states, commands_at(machine, measured, samples))
         inertia = np.abs(np.einsum("nij,nj->ni", found.inertia, slope))
-        for j, d in zip(machine.joints, dofs, strict=True):
+        for j, d in zip(machine.joints, dofs(model, machine.joints), strict=True):
             q, v = measured.position[j][samples], measured.velocity[j][samples]
             force = np.maximum(np.abs(found.load[:, d]), np.abs(found.bias[:, d]))
             force = np.maximum(force, inertia[:, d])

@@ -84,22 +84,18 @@ class Spread:
         for direction, pattern, own in zip(directions, shape, variance.T, strict=True):
             across = np.outer(direction, direction)[:, None, :, None] * pattern[None, :, None, :]
             replays += own[:, None, None, None, None] * across
-        left = errors[:, at.size :]
-        joints = left.shape[1] // DEFAULT.force_blocks
-        forces = np.zeros((count, joints, DEFAULT.force_blocks, joints, DEFAULT.force_blocks))
+        left, blocks = errors[:, at.size :], DEFAULT.force_blocks
+        joints = left.shape[1] // blocks
+        forces = np.zeros((count, joints, blocks, joints, blocks))
         if joints:
-            shape, variance = _pattern(
-                left.reshape(-1, joints, DEFAULT.force_blocks), at.recording, count
-            )
+            shape, variance = _pattern(left.reshape(-1, joints, blocks), at.recording, count)
             # At rest a joint leaves nothing over, but no force is known that well.
             least = DEFAULT.smaller_share**2 * variance.max(axis=0)
             variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
                 forces[:, j, :, j, :] = variance[:, j, None, None] * shape[j]
-        return cls(
-            replays.reshape(count, channels * bins, channels * bins),
-            forces.reshape(count, joints * DEFAULT.force_blocks, joints * DEFAULT.force_blocks),
-        )
+        sizes = channels * bins, joints * blocks
+        return cls(*(x.reshape(count, n, n) for x, n in zip((replays, forces), sizes, strict=True)))
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
         """That of other recordings, each with what one of these has."""

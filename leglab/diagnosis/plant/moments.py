@@ -1,6 +1,6 @@
 """Forces of a compiled model at moments of a motion: what inverse dynamics ask of MuJoCo."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -81,6 +81,25 @@ def commands_at(machine: Machine, measured: Measured, samples: np.ndarray) -> np
     """Measured commands, (samples, actuators)."""
     columns = [measured.command[name][samples] for name in machine.actuators]
     return np.stack(columns, axis=1) if columns else np.zeros((samples.size, 0))
+
+
+def accelerations(
+    machine: Machine, model: mujoco.MjModel, measured: Measured, half: int
+) -> np.ndarray:
+    """Measured accelerations at the samples, (samples, nv), over so many samples to both sides.
+
+    NaN of a joint that a hypothesis adds.
+    """
+    k, out = measured.samples, np.full((measured.samples.size, model.nv), np.nan)
+    for dof, joint in zip(dofs(model, machine.joints), machine.joints, strict=True):
+        v = measured.velocity[joint]
+        out[:, dof] = (v[k + half] - v[k - half]) / (2 * half * measured.period)
+    return out
+
+
+def dofs(model: mujoco.MjModel, joints: Iterable[str]) -> list[int]:
+    """Degrees of freedom of joints, one of each."""
+    return [int(model.joint(joint).dofadr[0]) for joint in joints]
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:

@@ -12,7 +12,9 @@ import numpy as np
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine, Measured
 from leglab.diagnosis.plant.moments import (
     MomentForces,
+    accelerations,
     commands_at,
+    dofs,
     forces_at,
     plugin_offset,
     states_at,
@@ -51,18 +53,7 @@ def lacking_forces(
     now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
     native = np.isin(machine.actuators, machine.native_actuators())
     command = np.where(native, 0.5 * (now + before), now)
-    return forces_at(model, moments, command, accelerations(change, measured, half))
-
-
-def accelerations(change: Change, measured: Measured, half: int) -> np.ndarray:
-    """Measured accelerations at the samples, (samples, nv), over so many samples to both sides."""
-    k, model = measured.samples, change.variant.model
-    out = np.zeros((k.size, model.nv))
-    for joint in change.machine.joints:
-        v = measured.velocity[joint]
-        slope = (v[k + half] - v[k - half]) / (2 * half * measured.period)
-        out[:, int(model.joint(joint).dofadr[0])] = slope
-    return out
+    return forces_at(model, moments, command, accelerations(machine, model, measured, half))
 
 
 def comparable_forces(
@@ -84,12 +75,12 @@ def comparable_forces(
         return forces_at(base.model, states, commands_at(machine, measured, k)).inertia
 
     def block(inertia: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
-        dofs = [int(model.joint(joint).dofadr[0]) for joint in joints]
-        return inertia[:, dofs][:, :, dofs]
+        own = dofs(model, joints)
+        return inertia[:, own][:, :, own]
 
     model, given = change.variant.model, (k, *measured.position.values())
     unmodified = block(measured.hidden_states.get("inertia", given, nominal, by=base), base.model)
-    left = found.lacking[:, [int(model.joint(joint).dofadr[0]) for joint in joints]]
+    left = found.lacking[:, dofs(model, joints)]
     gained = np.linalg.solve(block(found.inertia, model), left[:, :, None])
     undone = (change.corrections.get(f"{joint}_position", ()) for joint in joints)
     gains = np.array([np.prod([gain for _, gain in one]) for one in undone])

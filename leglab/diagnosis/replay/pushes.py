@@ -69,13 +69,15 @@ class Pushes:
         return cumulative_trapezoid(velocity, dx=period, initial=0.0), velocity
 
 
-def poses(machine: Machine, series: UniformSeries, stride: int = 1) -> Iterator[mujoco.MjData]:
-    """The machine at measured positions, one sample in a stride after the other."""
+def poses(
+    machine: Machine, series: UniformSeries, samples: slice | np.ndarray = slice(None)
+) -> Iterator[mujoco.MjData]:
+    """The machine at measured positions, one sample after the other."""
     model = machine.base.model
     data = mujoco.MjData(model)
     places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
     positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], axis=1)
-    for row in positions[::stride]:
+    for row in positions[samples]:
         data.qpos[places] = row
         mujoco.mj_fwdPosition(model, data)
         yield data

@@ -6,7 +6,7 @@ what dry friction carries; where several bristles rest on one joint (a cylinder'
 they share it by their limits. What touches something keeps the deflection of its last slide.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,7 +22,14 @@ from leglab.diagnosis.plant.model import (
     Measured,
     Variant,
 )
-from leglab.diagnosis.plant.moments import commands_at, forces_at, plugin_offset, states_at
+from leglab.diagnosis.plant.moments import (
+    accelerations,
+    commands_at,
+    dofs,
+    forces_at,
+    plugin_offset,
+    states_at,
+)
 from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
@@ -310,15 +317,12 @@ class Instances:
     def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
         """Force on joints that the measured motion leaves over at some windows, (rows, joints)."""
         machine, model, measured = self.machine, self.variant.model, self.measured
-        k, closed = measured.samples[rows], plays(self.machine, self.variant)
-        slope = np.full((rows.size, model.nv), np.nan)
-        for name in machine.joints:
-            v = measured.velocity[name]
-            dof = int(model.joint(name).dofadr[0])
-            slope[:, dof] = (v[k + 1] - v[k - 1]) / (2.0 * measured.period)
+        measured = replace(measured, samples=measured.samples[rows])
+        k, closed = measured.samples, plays(machine, self.variant)
         states = states_at(machine, model, measured, k, self.state[rows], without=closed)
+        slope = accelerations(machine, model, measured, 1)
         found = forces_at(model, states, commands_at(machine, measured, k), slope)
-        return -found.lacking[:, [int(model.joint(name).dofadr[0]) for name in joints]]
+        return -found.lacking[:, dofs(model, joints)]
 
 
 class _Bristle(NamedTuple):

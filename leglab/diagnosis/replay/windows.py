@@ -285,7 +285,7 @@ def _along(
         moves[body] = moves[model.body_parentid[body]]
         moves[body, first : first + int(model.body_dofnum[body])] = True
     moments, touched = [], []
-    for data in poses(machine, series, stride):
+    for data in poses(machine, series, slice(None, None, stride)):
         moments.append(actuator_moments(model, data))
         pairs = data.contact.geom[data.contact.efc_address >= 0]
         touched.append(moves[model.geom_bodyid[pairs]].any(axis=(0, 1)))

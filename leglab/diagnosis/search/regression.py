@@ -13,6 +13,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import Errors, Jump
+from leglab.diagnosis.plant.moments import dofs
 from leglab.diagnosis.replay.lacking import lacking_forces
 from leglab.diagnosis.thresholds import COARSE, DEFAULT, EACH_WAY, JOINT_EFFECTS, SCORED
 
@@ -82,12 +83,12 @@ def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]
     """
     problem, replay = at.problem, at.problem.replay
     change = problem.library.change(hypothesis, replay.machine)
-    dofs = [int(change.variant.model.joint(joint).dofadr[0]) for joint in problem.balanced]
+    own = dofs(change.variant.model, problem.balanced)
     parts = []
     for cut, moments, states in replay.along(change, at.chosen):
         found = lacking_forces(change, moments, states, replay.half)
-        both = np.stack([found.lacking, found.load])[:, :, dofs]
-        parts.append(both.reshape(2, cut.firsts.size, -1, len(dofs)).swapaxes(2, 3))
+        both = np.stack([found.lacking, found.load])[:, :, own]
+        parts.append(both.reshape(2, cut.firsts.size, -1, len(own)).swapaxes(2, 3))
     left, drive = np.concatenate(parts, axis=1)
     return np.nan_to_num(left, nan=1e12, posinf=1e12, neginf=-1e12), drive
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import DEFAULT
 
@@ -56,15 +56,8 @@ def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, 
 
 def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
     """Share of the measured poses in which bodies of the model touch."""
-    model = machine.base.model
-    data = mujoco.MjData(model)
-    places = [int(model.joint(joint).qposadr[0]) for joint in machine.joints]
     touched = []
     for one in series:
-        poses = np.stack([one.columns[f"{joint}_position"] for joint in machine.joints], axis=1)
         some = np.linspace(0, one.time.size - 1, 50).astype(int)  # enough for a share
-        for pose in poses[some]:
-            data.qpos[places] = pose
-            mujoco.mj_fwdPosition(model, data)
-            touched.append(data.ncon > 0)
+        touched += [data.ncon > 0 for data in poses(machine, one, some)]
     return float(np.mean(touched))
