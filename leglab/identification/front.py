@@ -183,8 +183,7 @@ class Identifier:
     @property
     def parameters(self) -> Array:
         """All parameters as one vector, (P,) or (J, P); assign to set them."""
-        out = np.empty((self.joints, self._bank.parameter_count))
-        self._bank.parameters(out)
+        out: Array = self._bank.parameters()
         return out if self.joints > 1 else out[0]
 
     @parameters.setter
@@ -197,10 +196,7 @@ class Identifier:
 
     def gain(self, joint: int = 0) -> Array:
         """Gain matrix F of one joint, (n, n)."""
-        n = len(self._bank.gain_diagonal(joint))
-        out = np.empty((n, n))
-        self._bank.gain(joint, out)
-        return out
+        return self._bank.gain(joint)
 
     def set_gain(self, value: ArrayLike, joint: int = 0) -> None:
         """Sets the gain matrix F of one joint.
@@ -212,8 +208,7 @@ class Identifier:
         Raises:
             LeglabError: The shape is wrong or a value is not finite.
         """
-        n = len(self._bank.gain_diagonal(joint))
-        array = _array("gain", value, (n, n))
+        array = _array("gain", value, self.gain(joint).shape)
         _require_finite("gain", array)
         self._bank.set_gain(joint, array)
 

@@ -6,30 +6,20 @@
 // machines fits the caches, their whole data does not, and bare steps then take twice the time. What
 // follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
 #include <mujoco/mujoco.h>
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <memory>
 #include <new>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/quiet.h"
 #include "loop/sensing.h"
 #include "loop/threads.h"
 
-namespace nb = nanobind;
-
 namespace leglab::bindings {
 namespace {
-
-template <class T>
-using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-using Values = Array<double>;
-using Constants = Array<const double>;
-using Index = Array<const std::int64_t>;
 
 struct Shape {
   int to_sample, to_command;  // time steps from command to sample, and from sample to command
@@ -40,9 +30,9 @@ struct Shape {
 
 // What one episode of one machine reads; rows are control periods.
 struct Series {
-  Constants noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
+  Input noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
-  Constants position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
+  Input position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
 };
 
 struct Machine {
@@ -56,8 +46,8 @@ struct Machine {
 
 class Batch {
  public:
-  Batch(std::size_t machines, int threads, nb::dict timing, Index qpos, Index dof, Constants centre,
-        Constants half, Index pressures, std::int64_t supply, Index preview, nb::dict out)
+  Batch(std::size_t machines, int threads, nb::dict timing, Index qpos, Index dof, Input centre,
+        Input half, Index pressures, std::int64_t supply, Index preview, nb::dict out)
       : shape_{nb::cast<int>(timing["to_sample"]), nb::cast<int>(timing["to_command"]),
                nb::cast<double>(timing["speed_limit"]), nb::cast<int>(timing["counts"]),
                nb::cast<double>(timing["gain"]), nb::cast<double>(timing["keep"])},
@@ -66,8 +56,8 @@ class Batch {
         preview_(std::move(preview)), joints_(qpos_.size()), machines_(machines),
         threads_(std::max(threads, 1)) {
     const auto rows = [&](const char* name, std::size_t width) {
-      auto array = nb::cast<Values>(out[name]);
-      if (array.size() != machines * width) throw nb::value_error("array of another size");
+      auto array = nb::cast<Output>(out[name]);
+      require_size(machines * width, array);
       return array;
     };
     measured_ = rows("position", joints_);
@@ -80,34 +70,33 @@ class Batch {
     wanted_acceleration_ = rows("reference_acceleration", joints_);
     observation_ = nb::cast<Array<float>>(out["observation"]);
     diverged_ = nb::cast<Array<bool>>(out["diverged"]);
-    if (dof_.size() != joints_ || centre_.size() != joints_ || half_.size() != joints_ ||
-        diverged_.size() != machines || observation_.ndim() != 2 ||
-        observation_.shape(0) != machines || observation_.shape(1) < written()) {
-      throw nb::value_error("arrays of different shapes");
+    require_size(joints_, dof_, centre_, half_);
+    require_size(machines, diverged_);
+    if (observation_.ndim() != 2 || observation_.shape(0) != machines ||
+        observation_.shape(1) < written()) {
+      throw nb::value_error("observations of another shape");
     }
   }
 
   // Begins an episode of a machine, whose model and data stand where a run starts.
-  void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Constants noise,
-             Constants shift, Array<const bool> lost, Constants pressure_noise, Constants position,
-             Constants velocity, Constants acceleration) {
+  void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Input noise,
+             Input shift, Array<const bool> lost, Input pressure_noise, Input position,
+             Input velocity, Input acceleration) {
     Machine& m = machines_.at(i);
     m.model = reinterpret_cast<const mjModel*>(model);
     m.data = reinterpret_cast<mjData*>(data);
     m.series = {noise, shift, pressure_noise, lost, position, velocity, acceleration};
-    if (noise.size() % joints_ || shift.size() != noise.size() || lost.size() != noise.size() ||
-        position.size() % joints_ || velocity.size() != position.size() ||
-        acceleration.size() != position.size() ||
-        pressure_noise.size() * joints_ != noise.size() * pressures_.size()) {
-      throw nb::value_error("arrays of different shapes");
-    }
+    const std::size_t periods = noise.size() / joints_;
+    require_size(periods * joints_, noise, shift, lost);
+    require_size(periods * pressures_.size(), pressure_noise);
+    require_size(position.size() / joints_ * joints_, position, velocity, acceleration);
     while (scratch_.size() < threads_.size()) {
       scratch_.emplace_back(mj_makeData(m.model), mj_deleteData);
       if (!scratch_.back()) throw std::bad_alloc();
     }
-    check(qpos_, std::size_t(m.model->nq));
-    check(dof_, std::size_t(m.model->nv));
-    check(pressures_, std::size_t(m.model->npluginstate));
+    require_inside(qpos_, std::size_t(m.model->nq));
+    require_inside(dof_, std::size_t(m.model->nv));
+    require_inside(pressures_, std::size_t(m.model->npluginstate));
     if (std::size_t(m.model->nu) != joints_) throw nb::value_error("another number of controls");
     const std::size_t at = i * joints_;
     m.sensing = std::make_unique<loop::Sensing>(
@@ -124,11 +113,10 @@ class Batch {
 
   // Steps machines with commands (machines, joints) and begins their next period: `late` machines
   // are not measured yet, since something changes in them before; `rests` are left alone.
-  void step(Constants commands, Array<const bool> late, Array<const bool> rests) {
+  void step(Input commands, Array<const bool> late, Array<const bool> rests) {
     const std::size_t n = machines_.size();
-    if (commands.size() != n * joints_ || late.size() != n || rests.size() != n) {
-      throw nb::value_error("wrong number of values");
-    }
+    require_size(n * joints_, commands);
+    require_size(n, late, rests);
     for (std::size_t i = 0; i < n; ++i) {
       if (!rests.data()[i] && (!machines_[i].sensing || !left(machines_[i]))) {
         throw nb::index_error("an episode that is over, or was not begun");
@@ -179,22 +167,14 @@ class Batch {
     return joints_ * (5 + preview_.size()) + pressures;
   }
 
-  static void check(const Index& index, std::size_t size) {
-    for (std::size_t i = 0; i < index.size(); ++i) {
-      if (index.data()[i] < 0 || std::size_t(index.data()[i]) >= size) {
-        throw nb::index_error("index outside the array");
-      }
-    }
-  }
-
   bool left(const Machine& m) const { return (m.row + 1) * joints_ < m.series.noise.size(); }
 
-  const double* row(const Constants& from, std::size_t number) const {
+  const double* row(const Input& from, std::size_t number) const {
     const std::size_t last = from.size() / joints_ - 1;
     return from.data() + std::min(number, last) * joints_;
   }
 
-  void wanted(const Constants& from, std::size_t number, Values& to, std::size_t at) const {
+  void wanted(const Input& from, std::size_t number, Output& to, std::size_t at) const {
     std::copy_n(row(from, number), joints_, to.data() + at);
   }
 
@@ -242,13 +222,13 @@ class Batch {
 
   Shape shape_;
   Index qpos_, dof_;
-  Constants centre_, half_;
+  Input centre_, half_;
   Index pressures_;
   std::int64_t supply_;
   Index preview_;
   std::size_t joints_;
-  Values measured_, speed_, measured_pressure_, true_position_, true_velocity_;
-  Values wanted_position_, wanted_velocity_, wanted_acceleration_;
+  Output measured_, speed_, measured_pressure_, true_position_, true_velocity_;
+  Output wanted_position_, wanted_velocity_, wanted_acceleration_;
   Array<float> observation_;
   Array<bool> diverged_;
   std::vector<Machine> machines_;
@@ -260,7 +240,7 @@ class Batch {
 
 NB_MODULE(batch, module) {
   nb::class_<Batch>(module, "Batch")
-      .def(nb::init<std::size_t, int, nb::dict, Index, Index, Constants, Constants, Index,
+      .def(nb::init<std::size_t, int, nb::dict, Index, Index, Input, Input, Index,
                     std::int64_t, Index, nb::dict>(),
            nb::arg("machines"), nb::arg("threads"), nb::arg("timing"), nb::arg("qpos"),
            nb::arg("dof"), nb::arg("centre"), nb::arg("half"), nb::arg("pressures"),

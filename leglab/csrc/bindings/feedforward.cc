@@ -35,7 +35,7 @@ class ValveTables {
   ValveTables& operator=(const ValveTables&) = delete;
 
   const std::vector<ff::ValveTable>& tables() const { return tables_; }
-  int joints() const { return int(tables_.size()); }
+  std::size_t joints() const { return tables_.size(); }
 
  private:
   Numbers commands_, shares_;
@@ -49,9 +49,7 @@ class ValveMaps {
 
   void command(Input position, Input velocity, Output out) const {
     const auto& tables = tables_.tables();
-    for (const std::size_t size : {position.size(), velocity.size(), out.size()}) {
-      if (size != tables.size()) throw nb::value_error("wrong number of values");
-    }
+    require_size(tables.size(), position, velocity, out);
     for (std::size_t j = 0; j < tables.size(); ++j) {
       const double share = std::clamp(velocity.data()[j] / full_speed_[j], -1.0, 1.0);
       out.data()[j] = tables[j].command(position.data()[j], share);
@@ -116,25 +114,27 @@ ff::MotionScale read_motion_scale(const nb::dict& settings) {
 
 // `parts` are the settings of leglab.control.feedforward.adaptive's `AdaptiveFeedforward`, its valve
 // tables and what follows from both, as arrays and numbers by name; the front-end has checked them.
-class Feedforward {
+class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
  public:
   explicit Feedforward(const nb::dict& parts)
-      : tables_(parts),
-        core_(read_adaptive(parts), {read_motion_scale(parts), get<bool>(parts, "products")},
-              {tables_.joints(), get<Numbers>(parts, "kernel")},
-              {tables_.joints(), get<double>(parts, "control_period"), get<double>(parts, "lead"),
-               get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
-              tables_.tables(), read_valves(parts)),
+      : ValveTables(parts),
+        AdaptiveFeedforward(
+            read_adaptive(parts), {read_motion_scale(parts), get<bool>(parts, "products")},
+            {int(joints()), get<Numbers>(parts, "kernel")},
+            {int(joints()), get<double>(parts, "control_period"), get<double>(parts, "lead"),
+             get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
+            tables(), read_valves(parts)),
         pressures_(parts.contains("lever")) {}
 
-  Feedforward(const Feedforward&) = delete;
-  Feedforward& operator=(const Feedforward&) = delete;
+  using ValveTables::joints;
 
   // The banks must outlive this object: Python keeps them. The second one is that of the loads.
   void reset(SplineNarxBank64& bank, SplineNarxBank64* loads, SplineNarxBank64* slopes) {
     if (pressures_ != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
-    core_.reset(learners(bank), loads ? learners(*loads) : Learners{},
-                slopes ? learners(*slopes) : Learners{});
+    const auto learners = [](SplineNarxBank64* some) {
+      return some ? some->models() : std::vector<Learner*>{};
+    };
+    AdaptiveFeedforward::reset(bank.models(), learners(loads), learners(slopes));
   }
 
   // Rows of `out`: command, feed-forward, feedback, error of the model, whether the calibration
@@ -143,16 +143,14 @@ class Feedforward {
             Input acceleration, Output out, nb::object pressure_a, nb::object pressure_b,
             double supply_pressure) {
     const std::size_t n = joints();
-    for (const Input* array : {&measured, &measured_velocity, &position, &velocity, &acceleration}) {
-      if (array->size() != n) throw nb::value_error("wrong number of values");
-    }
-    if (out.size() != reported * n) throw nb::value_error("wrong number of values");
+    require_size(n, measured, measured_velocity, position, velocity, acceleration);
+    require_size(reported * n, out);
     ff::Pressures pressures;
     Input a, b;
     if (pressures_) {
       a = nb::cast<Input>(pressure_a);
       b = nb::cast<Input>(pressure_b);
-      if (a.size() != n || b.size() != n) throw nb::value_error("wrong number of pressures");
+      require_size(n, a, b);
       pressures = {a.data(), b.data(), supply_pressure};
     }
     step(time, measured.data(), measured_velocity.data(),
@@ -163,35 +161,27 @@ class Feedforward {
   void step(double time, const double* measured, const double* measured_velocity,
             const ff::Reference& reference, double* out, const ff::Pressures& pressures) {
     const std::size_t n = joints();
-    core_.step(time, measured, measured_velocity, reference,
-               {out, out + n, out + 2 * n, out + 3 * n, out + 4 * n}, pressures);
+    AdaptiveFeedforward::step(time, measured, measured_velocity, reference,
+                              {out, out + n, out + 2 * n, out + 3 * n, out + 4 * n}, pressures);
   }
 
   static constexpr std::size_t reported = 5;
-  std::size_t joints() const { return tables_.tables().size(); }
   bool with_pressures() const { return pressures_; }
 
-  void freeze() { core_.freeze(); }
   void propose(SplineNarxBank64& bank, double odds, double error, int play) {
-    core_.propose(learners(bank), odds, error, play);
+    AdaptiveFeedforward::propose(bank.models(), odds, error, play);
   }
-  std::vector<double> play() const {
+  std::vector<double> widths() const {
     std::vector<double> out;
-    for (std::size_t j = 0; j < tables_.tables().size(); ++j) out.push_back(core_.play(j));
+    for (std::size_t j = 0; j < joints(); ++j) out.push_back(play(j));
     return out;
   }
-  void revise(int contender, double error) { core_.revise(contender, error); }
-  void only(int contender) { core_.only(contender); }
-  void settle(int winner) { core_.settle(winner); }
-  std::vector<double> shares() const { return core_.shares(); }
-
-  void keep(int samples) { core_.keep(samples); }
-  int kept() const { return core_.kept().count(); }
+  int kept_count() const { return kept().count(); }
 
   // Moves the kept samples to the first rows of `out`, (capacity, joints, parameters + 3); returns
   // how many they are.
   int take_kept(Output out) {
-    ff::KeptSamples& kept = core_.kept();
+    ff::KeptSamples& kept = this->kept();
     const std::size_t count = std::size_t(kept.count()) * joints() * std::size_t(kept.width());
     if (out.size() < count) throw nb::value_error("too few rows for the kept samples");
     std::copy_n(kept.rows(), count, out.data());
@@ -200,23 +190,12 @@ class Feedforward {
     return number;
   }
 
-  void sent(Input command) {
-    if (command.size() != joints()) throw nb::value_error("wrong number of values");
+  void take_sent(Input command) {
+    require_size(joints(), command);
     sent(command.data());
   }
-  void sent(const double* command) { core_.sent(command); }
 
  private:
-  using Learners = std::vector<id::SplineNarx<double>*>;
-
-  static Learners learners(SplineNarxBank64& bank) {
-    Learners out;
-    for (int j = 0; j < bank.joints(); ++j) out.push_back(&bank.model(j));
-    return out;
-  }
-
-  ValveTables tables_;  // the core's point into them
-  ff::AdaptiveFeedforward core_;
   bool pressures_;
 };
 
@@ -229,26 +208,20 @@ class Team {
   // pressures (machines, 2 joints + 1) or empty, the others (machines, joints). `sent` are the last
   // commands. Writes what `Feedforward::step` does to each of `outs`, and of that command and
   // feed-forward to the arrays.
-  void step(const std::vector<Feedforward*>& cores, const std::vector<Output>& outs,
-            nb::ndarray<const std::int64_t, nb::c_contig, nb::device::cpu> rows, Input time,
-            Input sent, Input measured, Input measured_velocity, Input position, Input velocity,
-            Input acceleration, Input pressures, Output command, Output feedforward) {
+  void step(const std::vector<Feedforward*>& cores, const std::vector<Output>& outs, Index rows,
+            Input time, Input sent, Input measured, Input measured_velocity, Input position,
+            Input velocity, Input acceleration, Input pressures, Output command,
+            Output feedforward) {
     const std::size_t machines = time.size(), n = machines ? measured.size() / machines : 0;
-    for (const Input* array : {&sent, &measured, &measured_velocity, &position, &velocity,
-                               &acceleration}) {
-      if (array->size() != machines * n) throw nb::value_error("arrays of different shapes");
-    }
-    if (command.size() != machines * n || feedforward.size() != machines * n ||
-        outs.size() != cores.size() || rows.size() != cores.size()) {
-      throw nb::value_error("arrays of different shapes");
-    }
+    require_size(machines * n, sent, measured, measured_velocity, position, velocity, acceleration,
+                 command, feedforward);
+    require_size(cores.size(), outs, rows);
+    require_inside(rows, machines);
     const std::size_t width = pressures.size() ? 2 * n + 1 : 0;
     for (std::size_t k = 0; k < cores.size(); ++k) {
-      const bool fits = cores[k]->joints() == n && outs[k].size() == Feedforward::reported * n &&
-                        rows.data()[k] >= 0 && std::size_t(rows.data()[k]) < machines;
-      if (!fits || (cores[k]->with_pressures() && pressures.size() != machines * width)) {
-        throw nb::value_error("arrays of different shapes");
-      }
+      if (cores[k]->joints() != n) throw nb::value_error("machines of different joints");
+      require_size(Feedforward::reported * n, outs[k]);
+      if (cores[k]->with_pressures()) require_size(machines * (2 * n + 1), pressures);
     }
     const nb::gil_scoped_release release;
     threads_.each(cores.size(), [&](std::size_t k, std::size_t) {
@@ -284,14 +257,14 @@ void bind_feedforward(nb::module_& module) {
            nb::arg("measured_velocity"), nb::arg("position"), nb::arg("velocity"),
            nb::arg("acceleration"), nb::arg("out"), nb::arg("pressure_a").none() = nb::none(),
            nb::arg("pressure_b").none() = nb::none(), nb::arg("supply_pressure") = 0.0)
-      .def("sent", nb::overload_cast<Input>(&Feedforward::sent))
+      .def("sent", &Feedforward::take_sent)
       .def("keep", &Feedforward::keep)
-      .def("kept", &Feedforward::kept)
+      .def("kept", &Feedforward::kept_count)
       .def("take_kept", &Feedforward::take_kept)
       .def("freeze", &Feedforward::freeze)
       .def("propose", &Feedforward::propose, nb::arg("bank"), nb::arg("odds"), nb::arg("error"),
            nb::arg("play"), nb::keep_alive<1, 2>())
-      .def("play", &Feedforward::play)
+      .def("play", &Feedforward::widths)
       .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"))
       .def("only", &Feedforward::only, nb::arg("contender"))
       .def("settle", &Feedforward::settle, nb::arg("winner"))

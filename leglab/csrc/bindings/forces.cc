@@ -2,24 +2,17 @@
 // Python made and keeps. A diagnosis asks for some million moments: a loop in Python takes four
 // times as long as MuJoCo itself.
 #include <mujoco/mujoco.h>
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <memory>
 #include <new>
 
+#include "bindings/arrays.h"
 #include "bindings/quiet.h"
-
-namespace nb = nanobind;
 
 namespace leglab::bindings {
 namespace {
-
-using Values = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Constants = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
 // Rows of the results, one a moment; those of a width that does not fit are refused.
 struct Rows {
@@ -28,8 +21,8 @@ struct Rows {
 
   Rows(nb::dict out, const char* name, std::size_t moments, int size) : width(std::size_t(size)) {
     if (!out.contains(name)) return;
-    auto array = nb::cast<Values>(out[name]);
-    if (array.size() != moments * width) throw nb::value_error("array of another size");
+    auto array = nb::cast<Output>(out[name]);
+    require_size(moments * width, array);
     first = array.data();
   }
 
@@ -38,16 +31,15 @@ struct Rows {
   }
 };
 
-void at_moments(std::uintptr_t address, Constants states, Constants commands,
-                Constants accelerations, nb::dict out) {
+void at_moments(std::uintptr_t address, Input states, Input commands, Input accelerations,
+                nb::dict out) {
   const mjModel* model = reinterpret_cast<const mjModel*>(address);
   const std::size_t moments = states.ndim() == 2 ? states.shape(0) : 0;
   const std::size_t nv = std::size_t(model->nv), nu = std::size_t(model->nu);
   const std::size_t size = std::size_t(mj_stateSize(model, mjSTATE_FULLPHYSICS));
-  if (states.size() != moments * size || commands.size() != moments * nu ||
-      accelerations.size() != moments * nv) {
-    throw nb::value_error("arrays of different shapes");
-  }
+  require_size(moments * size, states);
+  require_size(moments * nu, commands);
+  require_size(moments * nv, accelerations);
   const Rows lacking(out, "lacking", moments, model->nv), load(out, "load", moments, model->nv);
   const Rows bias(out, "bias", moments, model->nv), length(out, "length", moments, model->nu);
   const Rows speed(out, "speed", moments, model->nu), pull(out, "pull", moments, model->nu);

@@ -27,12 +27,10 @@ void bind_bank(nb::module_& module, const char* name) {
       .def("parameters", &B::parameters)
       .def("set_parameters", &B::set_parameters)
       .def("gain", &B::gain)
-      .def("gain_diagonal", &B::gain_diagonal)
       .def("hold_alarm", &B::hold_alarm)
       .def("set_gain", &B::set_gain)
       .def("project_poles", &B::project_poles)
       .def("diagnostics", &B::diagnostics)
-      .def_prop_ro("joints", &B::joints)
       .def_prop_ro("inputs", &B::inputs);
 }
 

@@ -13,7 +13,7 @@ namespace leglab::bindings {
 template <class Model, class Settings, class T>
 class Bank {
  public:
-  Bank(nb::object settings, int joints) : joints_(joints) {
+  Bank(nb::object settings, int joints) {
     settings_ = read_settings(settings, store_, static_cast<const Model*>(nullptr));
     id::Workspace measure;
     Model().layout(measure, settings_);
@@ -60,21 +60,17 @@ class Bank {
 
   // u: (samples, joints, inputs), y and prediction: (samples, joints).
   void run(Input u, Input y, Output prediction) {
-    const int samples = int(y.shape(0));
     nb::gil_scoped_release release;
-    sweep(u.data(), y.data(), prediction.data(), samples);
+    sweep(u.data(), y.data(), prediction.data(), int(y.shape(0)));
   }
 
   // As run; also writes every joint's parameters after each sample: (samples, joints, count).
   void run_recorded(Input u, Input y, Output prediction, Output trajectory) {
-    const int samples = int(y.shape(0));
-    const std::size_t count = std::size_t(parameter_count());
-    for (int t = 0; t < samples; ++t) {
-      const std::size_t at = std::size_t(t) * models_.size();
+    double* to = trajectory.data();
+    for (std::size_t t = 0; t < y.shape(0); ++t) {
+      const std::size_t at = t * models_.size();
       sweep(u.data() + at * inputs(), y.data() + at, prediction.data() + at, 1);
-      for (std::size_t j = 0; j < models_.size(); ++j) {
-        copy_parameters(models_[j], trajectory.data() + (at + j) * count);
-      }
+      for (Model& model : models_) to = copy_parameters(model, to);
     }
   }
 
@@ -82,7 +78,7 @@ class Bank {
   // The first `given` outputs are taken as they are; then measured outputs (one step ahead) or
   // the model's own (free run) enter the history.
   void simulate(Input u, Input y, Output prediction, int given, bool free_run) {
-    const std::vector<Line> saved(block_.get(), block_.get() + stride_ * models_.size());
+    const nb::bytes before = state();
     const int samples = int(prediction.shape(0));
     const std::size_t joints = models_.size(), width = inputs();
     T input[id::GuardSettings<T>::max_inputs];
@@ -96,7 +92,7 @@ class Bank {
         models_[j].remember(free_run || t < given ? predicted : T(y.data()[at]));
       }
     }
-    std::memcpy(block_.get(), saved.data(), saved.size() * sizeof(Line));
+    set_state(before);
   }
 
   void freeze(bool frozen) {
@@ -114,33 +110,39 @@ class Bank {
   }
   // As set_state for a state from outside: one that cannot be is refused, and nothing is changed.
   void load_state(nb::bytes state) {
-    const std::vector<Line> before(block_.get(), block_.get() + stride_ * models_.size());
+    const nb::bytes before = this->state();
     set_state(state);
     for (std::size_t j = 0; j < models_.size(); ++j) {
       if (const char* fault = models_[j].fault()) {
-        std::memcpy(block_.get(), before.data(), before.size() * sizeof(Line));
+        set_state(before);
         throw std::invalid_argument(std::string(fault) + " of joint " + std::to_string(j));
       }
     }
   }
 
-  int parameter_count() { return count_parameters(models_[0]); }
-  void parameters(Output out) {
-    for (std::size_t j = 0; j < models_.size(); ++j) {
-      copy_parameters(models_[j], out.data() + j * std::size_t(parameter_count()));
-    }
+  int parameter_count() {
+    int count = 0;
+    visit_parameters(models_[0], [&](T&) { ++count; });
+    return count;
+  }
+  // (joints, parameters)
+  Made parameters() {
+    const std::size_t count = std::size_t(parameter_count());
+    std::vector<double> out(models_.size() * count);
+    double* to = out.data();
+    for (Model& model : models_) to = copy_parameters(model, to);
+    return array_of(std::move(out), {models_.size(), count});
   }
   void set_parameters(Input in) {
-    for (std::size_t j = 0; j < models_.size(); ++j) {
-      const double* from = in.data() + j * std::size_t(parameter_count());
-      visit_parameters(models_[j], [&](T& value) { value = T(*from++); });
-    }
+    const double* from = in.data();
+    for (Model& model : models_) visit_parameters(model, [&](T& value) { value = T(*from++); });
   }
 
   // Full gain matrix of one joint, (n, n).
-  void gain(int joint, Output out) {
+  Made gain(int joint) {
     const auto& factor = models_[std::size_t(joint)].rls().gain();
     const int n = factor.size();
+    std::vector<double> out;
     const auto u = [&](int i, int j) {
       return i == j ? 1.0 : i > j ? 0.0 : double(factor.upper()[j * (j - 1) / 2 + i]);
     };
@@ -148,9 +150,10 @@ class Bank {
       for (int j = 0; j < n; ++j) {
         double sum = 0;
         for (int k = std::max(i, j); k < n; ++k) sum += u(i, k) * double(factor.diagonal()[k]) * u(j, k);
-        out.data()[i * n + j] = sum;
+        out.push_back(sum);
       }
     }
+    return array_of(std::move(out), {std::size_t(n), std::size_t(n)});
   }
   void hold_alarm(int joint) { models_[std::size_t(joint)].rls().hold_alarm(); }
   void set_gain(int joint, Input in) {
@@ -159,10 +162,6 @@ class Bank {
     if (in.size() != n * n) throw nb::value_error("wrong number of values");
     const std::vector<T> full(in.data(), in.data() + n * n);
     factor.assign(full.data());
-  }
-  std::vector<double> gain_diagonal(int joint) {
-    const auto& factor = models_[std::size_t(joint)].rls().gain();
-    return {factor.diagonal(), factor.diagonal() + factor.size()};
   }
 
   bool project_poles(double radius) {
@@ -173,8 +172,11 @@ class Bank {
 
   nb::dict diagnostics(int joint) { return describe(models_[std::size_t(joint)]); }
 
-  int joints() const { return joints_; }
-  Model& model(int joint) { return models_[std::size_t(joint)]; }
+  std::vector<Model*> models() {
+    std::vector<Model*> out;
+    for (Model& model : models_) out.push_back(&model);
+    return out;
+  }
   std::size_t inputs() const { return std::size_t(models_[0].inputs()); }
 
  private:
@@ -199,16 +201,11 @@ class Bank {
     }
   }
 
-  static int count_parameters(Model& model) {
-    int count = 0;
-    visit_parameters(model, [&](T&) { ++count; });
-    return count;
-  }
-  static void copy_parameters(Model& model, double* out) {
+  static double* copy_parameters(Model& model, double* out) {
     visit_parameters(model, [&](T& value) { *out++ = double(value); });
+    return out;
   }
 
-  int joints_;
   Settings settings_;
   Store<T> store_;
   std::size_t stride_ = 0;

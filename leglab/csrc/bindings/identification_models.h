@@ -36,7 +36,7 @@ nb::dict describe_learning(Model& model) {
   static_assert(std::size(names) == std::size_t(id::Sample::count));
   nb::dict out;
   for (std::size_t i = 0; i < std::size(names); ++i) out[names[i]] = model.guard().state().tally[i];
-  const auto& rls = model.rls();
+  auto& rls = model.rls();
   out["changes"] = rls.change().changes;
   out["rejected"] = rls.tally().rejected;
   out["restarts"] = rls.tally().restarts;

@@ -1,8 +1,6 @@
 // Reads the front-end's settings (frozen dataclasses, already validated) into the core's.
 #pragma once
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -12,17 +10,13 @@
 #include <string>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "identification/bsnn_arx.h"
 #include "identification/spline_narx.h"
 
 namespace leglab::bindings {
 
-namespace nb = nanobind;
 namespace id = leglab::identification;
-
-// Row-major arrays in double; the front-end has checked their shapes.
-using Input = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
 inline nb::object look_up(nb::handle settings, const char* name) { return settings.attr(name); }
 inline nb::object look_up(const nb::dict& settings, const char* name) { return settings[name]; }

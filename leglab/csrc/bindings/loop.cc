@@ -1,63 +1,41 @@
 // Python module leglab._native.loop: work of a closed loop on arrays in every control period. Its
 // objects keep the arrays that they are made with and read or write them in place.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <stdexcept>
-#include <vector>
 
+#include "bindings/arrays.h"
 #include "loop/sensing.h"
-
-namespace nb = nanobind;
 
 namespace leglab::bindings {
 namespace {
 
-template <class T>
-using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-using Values = Array<double>;
-using Index = Array<const std::int64_t>;
-
-void gather(const Values& from, const Index& index, double* to) {
+void gather(const Output& from, const Index& index, double* to) {
   for (std::size_t i = 0; i < index.size(); ++i) to[i] = from.data()[index.data()[i]];
-}
-
-void check_index(const Values& from, const Index& index) {
-  for (std::size_t i = 0; i < index.size(); ++i) {
-    if (index.data()[i] < 0 || std::size_t(index.data()[i]) >= from.size()) {
-      throw nb::index_error("index outside the array");
-    }
-  }
 }
 
 // Encoders that sample at one instant and are read later, at the start of the next period.
 class Readings {
  public:
   // noise, shift, lost: (periods, joints); position, velocity: (joints,), written by `read`.
-  Readings(Values positions, Index joints, Values noise, Values shift, Array<bool> lost, int counts,
-           double gain, double keep, Values position, Values velocity)
+  Readings(Output positions, Index joints, Output noise, Output shift, Array<bool> lost, int counts,
+           double gain, double keep, Output position, Output velocity)
       : positions_(std::move(positions)), joints_(std::move(joints)), noise_(std::move(noise)),
         shift_(std::move(shift)), lost_(std::move(lost)), position_(std::move(position)),
         velocity_(std::move(velocity)), sample_(joints_.size()),
         sensing_({joints_.size(), counts, gain, keep}, position_.data(), velocity_.data()) {
-    check_index(positions_, joints_);
-    const std::size_t n = joints_.size();
-    if (noise_.size() % n || shift_.size() != noise_.size() || lost_.size() != noise_.size() ||
-        position_.size() != n || velocity_.size() != n) {
-      throw nb::value_error("arrays of different shapes");
-    }
+    require_inside(joints_, positions_.size());
+    require_size(noise_.size() / joints_.size() * joints_.size(), noise_, shift_, lost_);
+    require_size(joints_.size(), position_, velocity_);
   }
 
   void sample() { gather(positions_, joints_, sample_.data()); }
 
   // True positions of the last sample and their noise in a period. (joints,)
-  void noisy(std::size_t period, Values out) const {
+  void noisy(std::size_t period, Output out) const {
     const double* noise = noise_.data() + at(period);
-    if (out.size() != sample_.size()) throw nb::value_error("wrong number of values");
+    require_size(sample_.size(), out);
     for (std::size_t j = 0; j < sample_.size(); ++j) out.data()[j] = sample_[j] + noise[j];
   }
 
@@ -76,11 +54,11 @@ class Readings {
     return {noise_.data() + first, shift_.data() + first, lost_.data() + first};
   }
 
-  Values positions_;
+  Output positions_;
   Index joints_;
-  Values noise_, shift_;
+  Output noise_, shift_;
   Array<bool> lost_;
-  Values position_, velocity_;
+  Output position_, velocity_;
   std::vector<double> sample_;
   loop::Sensing sensing_;
 };
@@ -88,9 +66,9 @@ class Readings {
 // Copies values out of one array into the rows of another.
 class Rows {
  public:
-  Rows(Values from, Index index, Values rows)
+  Rows(Output from, Index index, Output rows)
       : from_(std::move(from)), index_(std::move(index)), rows_(std::move(rows)) {
-    check_index(from_, index_);
+    require_inside(index_, from_.size());
     if (rows_.ndim() != 2 || rows_.shape(1) != index_.size()) {
       throw nb::value_error("rows of another length");
     }
@@ -102,20 +80,20 @@ class Rows {
   }
 
  private:
-  Values from_;
+  Output from_;
   Index index_;
-  Values rows_;
+  Output rows_;
 };
 
 // Copies arrays that a dictionary holds into rows, as long as it holds the same ones.
 class Reports {
  public:
   // rows: of each array of the dictionary, in its order, (most, size).
-  Reports(nb::dict reports, std::vector<Values> rows) {
+  Reports(nb::dict reports, std::vector<Output> rows) {
     if (rows.size() != reports.size()) throw nb::value_error("as many rows as reports are needed");
     std::size_t i = 0;
     for (auto [key, value] : reports) {
-      Array<const double> from;
+      Input from;
       if (!nb::try_cast(value, from, false) || from.ndim() != 1 || rows[i].ndim() != 2 ||
           rows[i].shape(1) != from.size()) {
         throw nb::value_error("a report is no row of numbers");
@@ -146,8 +124,8 @@ class Reports {
  private:
   struct Entry {
     nb::object key, value;
-    Array<const double> from;
-    Values rows;
+    Input from;
+    Output rows;
   };
   std::vector<Entry> entries_;
 };
@@ -156,15 +134,13 @@ class Reports {
 // written, for anything but an array of as many finite numbers.
 class Drives {
  public:
-  Drives(Values to, Array<const double> centre, Array<const double> half)
+  Drives(Output to, Input centre, Input half)
       : to_(std::move(to)), centre_(std::move(centre)), half_(std::move(half)) {
-    if (centre_.size() != to_.size() || half_.size() != to_.size()) {
-      throw nb::value_error("arrays of different shapes");
-    }
+    require_size(to_.size(), centre_, half_);
   }
 
   bool send(nb::object command) {
-    Array<const double> values;
+    Input values;
     if (!nb::try_cast(command, values) || values.ndim() != 1 || values.size() != to_.size()) {
       return false;
     }
@@ -179,16 +155,16 @@ class Drives {
   }
 
  private:
-  Values to_;
-  Array<const double> centre_, half_;
+  Output to_;
+  Input centre_, half_;
 };
 
 }  // namespace
 
 NB_MODULE(loop, module) {
   nb::class_<Readings>(module, "Readings")
-      .def(nb::init<Values, Index, Values, Values, Array<bool>, int, double, double, Values,
-                    Values>(),
+      .def(nb::init<Output, Index, Output, Output, Array<bool>, int, double, double, Output,
+                    Output>(),
            nb::arg("positions"), nb::arg("joints"), nb::arg("noise"), nb::arg("shift"),
            nb::arg("lost"), nb::arg("counts"), nb::arg("gain"), nb::arg("keep"),
            nb::arg("position"), nb::arg("velocity"))
@@ -197,13 +173,13 @@ NB_MODULE(loop, module) {
       .def("start", &Readings::start)
       .def("read", &Readings::read);
   nb::class_<Rows>(module, "Rows")
-      .def(nb::init<Values, Index, Values>(), nb::arg("source"), nb::arg("index"), nb::arg("rows"))
+      .def(nb::init<Output, Index, Output>(), nb::arg("source"), nb::arg("index"), nb::arg("rows"))
       .def("take", &Rows::take);
   nb::class_<Reports>(module, "Reports")
-      .def(nb::init<nb::dict, std::vector<Values>>())
+      .def(nb::init<nb::dict, std::vector<Output>>())
       .def("take", &Reports::take);
   nb::class_<Drives>(module, "Drives")
-      .def(nb::init<Values, Array<const double>, Array<const double>>(), nb::arg("target"),
+      .def(nb::init<Output, Input, Input>(), nb::arg("target"),
            nb::arg("centre"), nb::arg("half"))
       .def("send", &Drives::send, nb::arg("command").none());
 }

@@ -15,8 +15,6 @@ namespace {
 
 namespace mon = monitor;
 
-using Array = nb::ndarray<nb::numpy, double>;
-
 // "(3, n)" of a shape; -1 is any length.
 template <class Lengths>
 std::string told(const Lengths& lengths) {
@@ -38,14 +36,8 @@ void require(const char* what, const A& array, std::initializer_list<long> shape
       (std::string(what) + " have shape " + told(had) + ", allowed is " + told(shape)).c_str());
 }
 
-Array array_of(std::vector<double> values, std::initializer_list<std::size_t> shape) {
-  auto* kept = new std::vector<double>(std::move(values));
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
-  return Array(kept->data(), shape, owner);
-}
-
 template <class Value>
-Array by_joint(const mon::Moments& sums, Value value) {
+Made by_joint(const mon::Moments& sums, Value value) {
   std::vector<double> out;
   for (int joint = 0; joint < sums.joints(); ++joint) out.push_back(value(joint));
   const std::size_t joints = out.size();
@@ -109,7 +101,7 @@ void bind_moments(nb::module_& module) {
 }
 
 // Probability of every key, by the cost of each curve and its key.
-Array chances(Input cost, std::vector<int> keys, double correlation, double independent,
+Made chances(Input cost, std::vector<int> keys, double correlation, double independent,
               double noise) {
   require("costs", cost, {long(keys.size())});
   if (keys.empty() || *std::min_element(keys.begin(), keys.end()) < 0) {
@@ -207,8 +199,8 @@ class FaultMonitor {
 
   bool sum(int samples) { return core_.sum(samples); }
 
-  Array base() const { return map(core_.base()); }
-  Array normal() const {
+  Made base() const { return map(core_.base()); }
+  Made normal() const {
     return array_of({core_.normal(), core_.normal() + joints_}, {std::size_t(joints_)});
   }
   mon::Moments look() {
@@ -217,7 +209,7 @@ class FaultMonitor {
   }
 
   // Regressors of the blocks before the case's onset, (n, joints, parameters).
-  Array regressors_before() const {
+  Made regressors_before() const {
     std::vector<double> out;
     if (!core_.open()) throw nb::value_error("no case is open");
     const auto& recent = core_.recent();
@@ -234,7 +226,7 @@ class FaultMonitor {
   }
 
  private:
-  Array map(const double* from) const {
+  Made map(const double* from) const {
     const std::size_t joints = std::size_t(joints_), parameters = std::size_t(parameters_);
     return array_of({from, from + joints * parameters}, {joints, parameters});
   }

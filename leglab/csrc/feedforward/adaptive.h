@@ -18,7 +18,7 @@
 
 namespace leglab::feedforward {
 
-struct AdaptiveSettings {
+struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, PlaySettings {
   double control_period = 0.0;  // [s]
   int interval = 1;             // periods from one learned sample to the next
   double stop_time = 0.0;       // adaptation stops then [s]
@@ -29,25 +29,10 @@ struct AdaptiveSettings {
   double greatest_acceleration = 0.0;  // that a joint can have [rad/s^2]
   bool forward = false;         // learns the speed that a flow gives, and solves for the flow
   bool supervised = true;
-  double trust_time = 0.0;      // time constant of the errors that are compared [s]
-  double margin = 1.0;          // learned over calibrated RMS at which the calibration takes over
-  double noise = 0.0;           // tracking errors below this are no reason to distrust [rad]
-  double settle_time = 0.0;     // of the slow map [s]; 0: what was learned is used at once
-  double proof_time = 0.0;      // time constant of what is held against it [s]
-  double proof_horizon = 0.0;   // from one snapshot of what was learned to the next [s]
-  double proof_doubt = 0.0;     // see ProofSettings
-  double proof_noise = 0.0;     // predictions that differ by less need no proof [share of full speed]
-  double contest_time = 0.0;    // time constant of the errors of maps beside each other [s]
-  double contest_gather = 0.0;  // and of the logarithms of their ratios [s]
-  double contest_errors = 0.0;  // see ContenderSettings
-  double contest_window = 0.0;  // see ContenderSettings
-  double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
-  std::vector<double> plays;    // see PlaySettings
-  double turn = 0.0, play_step = 0.0, play_noise = 0.0;
-  double play_time = 0.0;       // time constant of a width in use [s]
   std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
-  std::vector<double> bandwidth;                 // crossover of the feedback loops [rad/s]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
+
+  double sample() const { return interval * control_period; }  // from one to the next [s]
 };
 
 struct Reference {
@@ -76,9 +61,9 @@ class AdaptiveFeedforward {
                       std::vector<PressureValve> valves = {})
       : settings_(std::move(settings)), map_(std::move(map)), window_(std::move(window)),
         reference_(std::move(reference)), tables_(std::move(tables)), cascade_(std::move(valves)),
-        supervisor_(supervision()),
-        contenders_(contest()),
-        plays_(plays(), window_, tables_.size()) {
+        supervisor_(settings_, settings_.control_period, map_.speed()),
+        contenders_(settings_, settings_.sample(), tables_.size()),
+        plays_(settings_, settings_.control_period, settings_.sample(), window_, tables_.size()) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = last_ = before_last_ = std::vector<double>(n);
@@ -97,8 +82,7 @@ class AdaptiveFeedforward {
       std::fill(values->begin(), values->end(), 0.0);
     }
     supervisor_.clear();
-    proofs_.clear();
-    for (const Learner* learner : learners_) proofs_.emplace_back(proof(), learner->parameters());
+    proofs_ = proofs(learners_);
     contenders_.clear();
     plays_.reset();
     play_ = 0;
@@ -110,7 +94,7 @@ class AdaptiveFeedforward {
   // learns and is used by how well it predicts, until `reset` or `settle`. `play` is the place of the
   // width that it takes the valves to have; the one in use where it is -1.
   void propose(std::vector<Learner*> learners, double odds, double error, int play = -1) {
-    contenders_.add(std::move(learners), proof(), odds, error, play < 0 ? play_ : play);
+    contenders_.add(learners, proofs(learners), odds, error, play < 0 ? play_ : play);
   }
 
   // Width of hysteresis that the map in use takes a valve to have [valve command].
@@ -227,36 +211,12 @@ class AdaptiveFeedforward {
     return sum;
   }
 
-  PlaySettings plays() const {
-    const double sample = settings_.interval * settings_.control_period;
-    const double settle = std::min(1.0, sample / settings_.play_time);
-    const double leak = 0.1 * settings_.control_period / settings_.play_time;
-    return {settings_.plays, settings_.turn, settings_.play_step, settle, settings_.play_noise, leak};
-  }
-
-  SupervisorSettings supervision() const {
-    return {settings_.control_period, settings_.trust_time, settings_.margin,
-            settings_.noise, settings_.bandwidth, map_.speed()};
-  }
-
-  ContenderSettings contest() const {
-    const double sample = settings_.interval * settings_.control_period;
-    return {std::min(1.0, sample / settings_.contest_time),
-            std::min(1.0, sample / settings_.contest_gather), settings_.contest_errors,
-            settings_.contest_floor * double(tables_.size()), settings_.contest_window};
-  }
-
-  ProofSettings proof() const {
-    const double sample = settings_.interval * settings_.control_period;
-    const auto share = [&](double time) { return std::min(1.0, sample / time); };
-    ProofSettings out;
-    out.settle = settings_.settle_time > 0.0 ? share(settings_.settle_time) : 0.0;
-    out.forget = share(settings_.proof_time);
-    out.horizon = std::max(1, int(std::lround(settings_.proof_horizon / sample)));
-    out.doubt = settings_.proof_doubt;
-    out.noise = settings_.proof_noise;
-    // The motion asked in one period is measured in the next, and sampled in the window's middle.
-    out.delay = window_.half() + 1;
+  // The motion asked in one period is measured in the next, and sampled in the window's middle.
+  std::vector<Proof> proofs(const std::vector<Learner*>& learners) const {
+    std::vector<Proof> out;
+    for (const Learner* learner : learners) {
+      out.emplace_back(settings_, settings_.sample(), window_.half() + 1, learner->parameters());
+    }
     return out;
   }
 

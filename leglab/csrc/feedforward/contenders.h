@@ -10,11 +10,11 @@
 namespace leglab::feedforward {
 
 struct ContenderSettings {
-  double forget = 1.0;   // share by which mean squared errors move at a sample
-  double gather = 1.0;   // the same of the logarithms of their ratios
-  double errors = 0.0;   // independent errors that each of both has
-  double floor = 0.0;    // mean squared error that is noise
-  double window = 0.0;   // mean squared error, over that of the map without any, at which one is out
+  double contest_time = 0.0;    // time constant of mean squared errors [s]
+  double contest_gather = 0.0;  // the same of the logarithms of their ratios [s]
+  double contest_errors = 0.0;  // independent errors that each of both has
+  double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
+  double contest_window = 0.0;  // mean squared error, over that of the map without any, at which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
@@ -26,7 +26,11 @@ struct ContenderSettings {
 template <class Learner>
 class Contenders {
  public:
-  explicit Contenders(const ContenderSettings& settings) : settings_(settings) {}
+  // sample: from one learned sample to the next [s].
+  Contenders(const ContenderSettings& settings, double sample, std::size_t joints)
+      : forget_(std::min(1.0, sample / settings.contest_time)),
+        gather_(std::min(1.0, sample / settings.contest_gather)), errors_(settings.contest_errors),
+        floor_(settings.contest_floor * double(joints)), window_(settings.contest_window) {}
 
   // Forgets all but the map that knows nothing.
   void clear() {
@@ -42,11 +46,9 @@ class Contenders {
 
   // With log odds, the mean squared error that it would have made until now over that of the map
   // without it, and the play that it takes the valves to have.
-  void add(std::vector<Learner*> learners, const ProofSettings& proof, double odds, double error,
+  void add(std::vector<Learner*> learners, std::vector<Proof> proofs, double odds, double error,
            int play) {
-    Other other{std::move(learners), {}, odds, play};
-    for (const Learner* learner : other.learners) other.proofs.emplace_back(proof, learner->parameters());
-    others_.push_back(std::move(other));
+    others_.push_back({std::move(learners), std::move(proofs), odds, play});
     error_.push_back(error * error_[0]);
     sum_.push_back(0.0);
     ratio_.push_back(0.0);
@@ -105,11 +107,11 @@ class Contenders {
   // All joints of a sample have been taken.
   void judge() {
     for (std::size_t k = 0; k < sum_.size(); ++k) {
-      error_[k] += settings_.forget * (sum_[k] - error_[k]);
+      error_[k] += forget_ * (sum_[k] - error_[k]);
       sum_[k] = 0.0;
     }
     for (std::size_t k = 1; k < sum_.size(); ++k) {
-      ratio_[k] += settings_.gather * (std::log(ratio(k)) - ratio_[k]);
+      ratio_[k] += gather_ * (std::log(ratio(k)) - ratio_[k]);
     }
     weigh();
   }
@@ -131,15 +133,15 @@ class Contenders {
   }
 
   double ratio(std::size_t k) const {
-    return (error_[k] + settings_.floor) / (error_[0] + settings_.floor);
+    return (error_[k] + floor_) / (error_[0] + floor_);
   }
 
   void weigh() {
     const auto in = [&](std::size_t k) { return k == 0 || !others_[k - 1].out; };
     double most = weight_[0] = 0.0;
     for (std::size_t k = 1; k < weight_.size(); ++k) {
-      others_[k - 1].out |= ratio(k) > settings_.window;
-      weight_[k] = others_[k - 1].odds - 0.5 * settings_.errors * (std::log(ratio(k)) + ratio_[k]);
+      others_[k - 1].out |= ratio(k) > window_;
+      weight_[k] = others_[k - 1].odds - 0.5 * errors_ * (std::log(ratio(k)) + ratio_[k]);
       if (in(k)) most = std::max(most, weight_[k]);
     }
     double sum = 0.0;
@@ -149,7 +151,7 @@ class Contenders {
     for (double& weight : weight_) weight /= sum;
   }
 
-  ContenderSettings settings_;
+  double forget_, gather_, errors_, floor_, window_;
   std::vector<Other> others_;
   std::vector<double> weight_, error_, sum_, ratio_;  // of the map without a contender, and of each
 };

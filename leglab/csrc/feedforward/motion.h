@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <vector>
 
 namespace leglab::feedforward {
@@ -17,7 +18,6 @@ class SmoothingWindow {
   // kernel: 4 times window, oldest sample first; gives value and three derivatives in the middle.
   SmoothingWindow(int joints, std::vector<double> kernel)
       : joints_(joints), window_(int(kernel.size()) / 4), kernel_(std::move(kernel)) {
-    // Every sample is written twice, a window apart, so that the latest are always in order.
     position_.resize(std::size_t(2 * window_ * joints));
     flow_ = command_ = pressure_a_ = pressure_b_ = position_;
   }
@@ -27,49 +27,34 @@ class SmoothingWindow {
   bool full() const { return filled_ >= window_; }
 
   void push(const double* position, const double* flow, const double* command) {
-    for (int copy = 0; copy < 2; ++copy) {
-      const std::size_t at = std::size_t((next_ + copy * window_) * joints_);
-      std::copy_n(position, joints_, position_.data() + at);
-      std::copy_n(flow, joints_, flow_.data() + at);
-      std::copy_n(command, joints_, command_.data() + at);
-    }
+    put(position, position_, next_);
+    put(flow, flow_, next_);
+    put(command, command_, next_);
     next_ = (next_ + 1) % window_;
     if (filled_ < window_) ++filled_;
   }
 
   // Motion (4, joints) and smoothed flow (joints) in the middle.
   void middle(double* motion, double* flow) const {
-    const double* position = position_.data() + next_ * joints_;
-    std::fill_n(motion, 4 * joints_, 0.0);
-    for (int order = 0; order < 4; ++order) {
-      accumulate(position, kernel_.data() + order * window_, motion + order * joints_);
-    }
+    for (int order = 0; order < 4; ++order) smooth(position_, order, motion + order * joints_);
     middle_flow(flow);
   }
 
   // Smoothed flow (joints) in the middle.
-  void middle_flow(double* flow) const {
-    std::fill_n(flow, joints_, 0.0);
-    accumulate(flow_.data() + next_ * joints_, kernel_.data(), flow);
-  }
+  void middle_flow(double* flow) const { smooth(flow_, 0, flow); }
 
   // Pressures of the sample that `push` took last.
   void push_pressures(const double* a, const double* b) {
-    for (int copy = 0; copy < 2; ++copy) {
-      const int row = (next_ + window_ - 1) % window_ + copy * window_;
-      std::copy_n(a, joints_, pressure_a_.data() + std::size_t(row * joints_));
-      std::copy_n(b, joints_, pressure_b_.data() + std::size_t(row * joints_));
-    }
+    const int row = (next_ + window_ - 1) % window_;
+    put(a, pressure_a_, row);
+    put(b, pressure_b_, row);
   }
 
   // Smoothed pressures and command (joints) in the middle.
   void middle_pressures(double* a, double* b, double* command) const {
-    const std::vector<double>* from[] = {&pressure_a_, &pressure_b_, &command_};
-    double* to[] = {a, b, command};
-    for (int k = 0; k < 3; ++k) {
-      std::fill_n(to[k], joints_, 0.0);
-      accumulate(from[k]->data() + next_ * joints_, kernel_.data(), to[k]);
-    }
+    smooth(pressure_a_, 0, a);
+    smooth(pressure_b_, 0, b);
+    smooth(command_, 0, command);
   }
 
   double largest_command(int joint) const {
@@ -81,7 +66,18 @@ class SmoothingWindow {
   }
 
  private:
-  void accumulate(const double* samples, const double* weights, double* sum) const {
+  // Every sample is written twice, a window apart, so that the latest are always in order.
+  void put(const double* sample, std::vector<double>& series, int row) const {
+    for (const int at : {row, row + window_}) {
+      std::copy_n(sample, joints_, series.data() + std::size_t(at * joints_));
+    }
+  }
+
+  // Derivative of a series (joints) in the middle.
+  void smooth(const std::vector<double>& series, int order, double* sum) const {
+    const double* samples = series.data() + next_ * joints_;
+    const double* weights = kernel_.data() + order * window_;
+    std::fill_n(sum, joints_, 0.0);
     for (int k = 0; k < window_; ++k) {
       for (int j = 0; j < joints_; ++j) sum[j] += weights[k] * samples[k * joints_ + j];
     }

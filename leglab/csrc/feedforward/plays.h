@@ -12,12 +12,11 @@
 namespace leglab::feedforward {
 
 struct PlaySettings {
-  std::vector<double> widths;  // that are tried, beside none [valve command]
-  double turn = 0.0;           // change of a command that is a turn [valve command]
-  double step = 0.0;           // of a width, over which it is seen what more of it would do
-  double settle = 1.0;         // share of its error by which a width in use moves at a sample
-  double noise = 0.0;          // flow of that step which is noise [share of full speed]
-  double leak = 0.0;           // share by which the travel of a command is forgotten in a period
+  std::vector<double> plays;  // widths that are tried, beside none [valve command]
+  double turn = 0.0;          // change of a command that is a turn [valve command]
+  double play_step = 0.0;     // of a width, over which it is seen what more of it would do
+  double play_time = 0.0;     // time constant of a width in use; of a command's travel ten of them [s]
+  double play_noise = 0.0;    // flow of that step which is noise [share of full speed]
 };
 
 // Follows where spools are if the valves have a play of a width (Krasnosel'skii and Pokrovskii 1989).
@@ -29,15 +28,18 @@ struct PlaySettings {
 // nothing of what was sent through.
 class Plays {
  public:
-  Plays(PlaySettings settings, const SmoothingWindow& window, std::size_t joints)
-      : settings_(std::move(settings)) {
-    const std::size_t n = settings_.widths.empty() ? 1 : settings_.widths.size() + 3;
+  // control_period, and from one learned sample to the next [s].
+  Plays(const PlaySettings& settings, double control_period, double sample,
+        const SmoothingWindow& window, std::size_t joints)
+      : settings_(settings), settle_(std::min(1.0, sample / settings.play_time)),
+        leak_(0.1 * control_period / settings.play_time) {
+    const std::size_t n = settings_.plays.empty() ? 1 : settings_.plays.size() + 3;
     width_.assign(n, std::vector<double>(joints));
     spool_ = flow_ = width_;
     windows_.assign(n, window);
     last_ = direction_ = power_ = highest_ = lowest_ = width_[0];
-    for (std::size_t k = 0; k < settings_.widths.size(); ++k) {
-      std::fill(width_[k + 1].begin(), width_[k + 1].end(), settings_.widths[k]);
+    for (std::size_t k = 0; k < settings_.plays.size(); ++k) {
+      std::fill(width_[k + 1].begin(), width_[k + 1].end(), settings_.plays[k]);
     }
   }
 
@@ -76,7 +78,7 @@ class Plays {
   template <class Flow>
   void take(const double* position, const double* sent, const Flow& flow) {
     for (std::size_t j = 0; j < last_.size(); ++j) {
-      const double forgotten = settings_.leak * (highest_[j] - lowest_[j]);
+      const double forgotten = leak_ * (highest_[j] - lowest_[j]);
       highest_[j] = std::max(sent[j], highest_[j] - forgotten);
       lowest_[j] = std::min(sent[j], lowest_[j] + forgotten);
     }
@@ -100,16 +102,16 @@ class Plays {
 
   // What a little more of the widths in use would change of the flow, by width.
   double slope(std::size_t j) const {
-    return (flow_.back()[j] - flow_[flow_.size() - 2][j]) / settings_.step;
+    return (flow_.back()[j] - flow_[flow_.size() - 2][j]) / settings_.play_step;
   }
 
   // The width in use of a joint, after an error of its map and the part of `slope` that the map
   // cannot tell: normalised least mean squares. Returns by how much it grew.
   double learn(std::size_t j, double error, double slope) {
     const std::size_t own = std::size_t(used());
-    power_[j] += settings_.settle * (slope * slope - power_[j]);
-    const double least = settings_.noise / settings_.step;
-    const double by = settings_.settle * error * slope / (power_[j] + least * least);
+    power_[j] += settle_ * (slope * slope - power_[j]);
+    const double least = settings_.play_noise / settings_.play_step;
+    const double by = settle_ * error * slope / (power_[j] + least * least);
     const double before = width_[own][j];
     width_[own][j] = std::clamp(before - by, 0.0, widest(j));
     further();
@@ -131,10 +133,12 @@ class Plays {
   // The last place is a little wider than what is in use.
   void further() {
     const auto& own = width_[width_.size() - 2];
-    for (std::size_t j = 0; j < own.size(); ++j) width_.back()[j] = own[j] + settings_.step;
+    for (std::size_t j = 0; j < own.size(); ++j) width_.back()[j] = own[j] + settings_.play_step;
   }
 
   PlaySettings settings_;
+  double settle_;  // share of its error by which a width in use moves at a sample
+  double leak_;    // share by which the travel of a command is forgotten in a period
   std::vector<std::vector<double>> width_, spool_, flow_;  // by place and joint
   std::vector<SmoothingWindow> windows_;
   std::vector<double> last_, direction_, power_;

@@ -2,18 +2,18 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <vector>
 
 namespace leglab::feedforward {
 
 struct ProofSettings {
-  double settle = 0.0;  // share by which the slow map moves at a sample; 0: there is none
-  double forget = 1.0;  // share by which the means below move at a sample
-  int horizon = 1;      // samples from one snapshot of what was learned to the next
-  double doubt = 0.0;   // squared errors that count as evidence for what was learned, of their mean
-  double noise = 0.0;   // predictions that differ by less need no proof
-  int delay = 0;        // periods from a prediction to the sample that is held against it
+  double settle_time = 0.0;    // time constant of the slow map [s]; 0: there is none
+  double proof_time = 0.0;     // time constant of the means below [s]
+  double proof_horizon = 0.0;  // from one snapshot of what was learned to the next [s]
+  double proof_doubt = 0.0;    // squared errors that count as evidence for it, of their mean
+  double proof_noise = 0.0;    // predictions that differ by less need no proof [share of full speed]
 };
 
 // A learner whose gain is open follows its errors within a few samples. Through the machine that is
@@ -24,13 +24,19 @@ struct ProofSettings {
 // slow map, for the reference. A joint that shakes has reversed by then.
 class Proof {
  public:
-  Proof(const ProofSettings& settings, int parameters)
-      : settings_(settings), slow_(std::size_t(parameters)), recent_(slow_), old_(slow_),
-        said_(std::size_t(settings.delay) + 1) {}
+  // sample: from one learned sample to the next [s]; delay: periods from a prediction to the sample
+  // that is held against it.
+  Proof(const ProofSettings& settings, double sample, int delay, int parameters)
+      : settle_(settings.settle_time > 0.0 ? std::min(1.0, sample / settings.settle_time) : 0.0),
+        forget_(std::min(1.0, sample / settings.proof_time)), doubt_(settings.proof_doubt),
+        noise_(settings.proof_noise),
+        horizon_(std::max(1, int(std::lround(settings.proof_horizon / sample)))),
+        slow_(std::size_t(parameters)), recent_(slow_), old_(slow_),
+        said_(std::size_t(delay) + 1) {}
 
   // What is asked of the two maps in this period, by the learner's regressor and its prediction.
   double used(long period, const double* phi, double learned) {
-    if (!(settings_.settle > 0.0)) return learned;
+    if (!(settle_ > 0.0)) return learned;
     Said said{0.0, 0.0};
     for (std::size_t k = 0; k < slow_.size(); ++k) {
       said.slow += slow_[k] * phi[k];
@@ -43,16 +49,16 @@ class Proof {
 
   // Takes the flow found for the motion asked `delay` periods ago, and the parameters after it.
   void take(long period, double found, const double* theta) {
-    if (!(settings_.settle > 0.0)) return;
+    if (!(settle_ > 0.0)) return;
     const Said said = said_[row(period + 1)];
     const double error = found - said.slow;
-    agreed_ += settings_.forget * (error * said.beyond - agreed_);
-    power_ += settings_.forget * (said.beyond * said.beyond - power_);
-    missed_ += settings_.forget * (error * error - missed_);
-    const double prior = settings_.noise * settings_.noise + settings_.doubt * missed_;
+    agreed_ += forget_ * (error * said.beyond - agreed_);
+    power_ += forget_ * (said.beyond * said.beyond - power_);
+    missed_ += forget_ * (error * error - missed_);
+    const double prior = noise_ * noise_ + doubt_ * missed_;
     share_ = std::clamp((agreed_ + prior) / (power_ + prior), 0.0, 1.0);
-    for (std::size_t k = 0; k < slow_.size(); ++k) slow_[k] += settings_.settle * (theta[k] - slow_[k]);
-    if (++since_ < settings_.horizon) return;
+    for (std::size_t k = 0; k < slow_.size(); ++k) slow_[k] += settle_ * (theta[k] - slow_[k]);
+    if (++since_ < horizon_) return;
     since_ = 0;
     old_.swap(recent_);
     for (std::size_t k = 0; k < slow_.size(); ++k) recent_[k] = theta[k] - slow_[k];
@@ -75,7 +81,8 @@ class Proof {
 
   std::size_t row(long period) const { return std::size_t(period) % said_.size(); }
 
-  ProofSettings settings_;
+  double settle_, forget_, doubt_, noise_;
+  int horizon_;
   std::vector<double> slow_, recent_, old_;  // parameters, and snapshots of those beyond the slow
   std::vector<Said> said_;
   double agreed_ = 0.0, power_ = 0.0, missed_ = 0.0, share_ = 1.0;

@@ -8,12 +8,10 @@
 namespace leglab::feedforward {
 
 struct SupervisorSettings {
-  double control_period = 0.0;    // [s]
   double trust_time = 0.0;        // time constant of the errors that are compared [s]
   double margin = 1.0;            // learned over calibrated RMS at which the calibration takes over
   double noise = 0.0;             // tracking errors below this are no reason to distrust [rad]
   std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
-  std::vector<double> speed;      // full speeds [rad/s]
 };
 
 // The feedback loop forgets a flow error as a first order of its crossover frequency. So the excess
@@ -21,14 +19,16 @@ struct SupervisorSettings {
 // learned excess, and what without any, follows from the one that is measured.
 class Supervisor {
  public:
-  explicit Supervisor(const SupervisorSettings& settings)
+  // control_period: [s]; speed: full speeds [rad/s].
+  Supervisor(const SupervisorSettings& settings, double control_period,
+             const std::vector<double>& speed)
       : margin_(settings.margin), noise_(settings.noise * settings.noise),
-        forget_(std::min(1.0, settings.control_period / settings.trust_time)),
+        forget_(std::min(1.0, control_period / settings.trust_time)),
         joints_(settings.bandwidth.size()) {
     for (std::size_t j = 0; j < joints_.size(); ++j) {
       const double bandwidth = settings.bandwidth[j];
-      joints_[j].decay = std::exp(-bandwidth * settings.control_period);
-      joints_[j].gain = (1.0 - joints_[j].decay) / bandwidth * settings.speed[j];
+      joints_[j].decay = std::exp(-bandwidth * control_period);
+      joints_[j].gain = (1.0 - joints_[j].decay) / bandwidth * speed[j];
     }
   }
 

@@ -45,7 +45,6 @@ class BsnnArx {
     *openness_ = T(1);
   }
 
-  const BsnnArxSettings<T>& settings() const { return settings_; }
   Bsnn<T>& network() { return network_; }
   Rls<T>& rls() { return rls_; }
   Guard<T>& guard() { return guard_; }

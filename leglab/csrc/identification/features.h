@@ -46,20 +46,24 @@ struct Structure {
   int block_count = 0;
   int inputs = 1;
 
-  template <class Measure>
-  int sum(Measure measure) const {
-    int total = 0;
-    for (int b = 0; b < block_count; ++b) total += measure(blocks[b]);
-    return total;
-  }
-  int parameters() const { return sum([](const Block<T>& b) { return b.count(); }); }
-  int weights() const { return sum([](const Block<T>& b) { return b.weights(); }); }
-  int locals() const { return sum([](const Block<T>& b) { return b.locals(); }); }
+  const Block<T>* begin() const { return blocks; }
+  const Block<T>* end() const { return blocks + block_count; }
+
+  int parameters() const { return sum(&Block<T>::count); }
+  int weights() const { return sum(&Block<T>::weights); }
+  int locals() const { return sum(&Block<T>::locals); }
   // Samples of history: the largest lag in use.
   int depth() const {
     int most = 1;
-    for (int b = 0; b < block_count; ++b) most = larger(most, blocks[b].deepest());
+    for (const Block<T>& block : *this) most = larger(most, block.deepest());
     return most;
+  }
+
+ private:
+  int sum(int (Block<T>::*measure)() const) const {
+    int total = 0;
+    for (const Block<T>& block : *this) total += (block.*measure)();
+    return total;
   }
 };
 
@@ -97,8 +101,7 @@ class Features {
     LocalBasis<T>* local = local_;
     int at = 0;
     nonzero_ = clipped_ = 0;
-    for (int b = 0; b < structure_.block_count; ++b) {
-      const Block<T>& block = structure_.blocks[b];
+    for (const Block<T>& block : structure_) {
       const QuadraticBasis<T>& basis = block.basis;
       switch (block.feature) {
         case Feature::constant: set(at, T(1)); break;
@@ -133,8 +136,7 @@ class Features {
   // What a state read from outside cannot be; nullptr where it is sound.
   const char* fault() const {
     const LocalBasis<T>* local = local_;
-    for (int b = 0; b < structure_.block_count; ++b) {
-      const Block<T>& block = structure_.blocks[b];
+    for (const Block<T>& block : structure_) {
       for (int k = 0; k < block.locals(); ++k, ++local) {
         if (local->first < 0 || local->first > block.basis.count - 3) return "place of a spline";
       }
@@ -153,8 +155,7 @@ class Features {
   void output_slopes(const T* theta, const History<T>& past, T* slope) const {
     for (int k = 0; k <= past.depth; ++k) slope[k] = T(0);
     const LocalBasis<T>* local = local_;
-    for (int b = 0; b < structure_.block_count; ++b) {
-      const Block<T>& block = structure_.blocks[b];
+    for (const Block<T>& block : structure_) {
       if (block.feature == Feature::lags && block.signal == 0) {
         for (int k = 0; k < block.lags; ++k) slope[block.lag + k] += theta[k];
       } else if (block.feature == Feature::spline) {
@@ -177,8 +178,7 @@ class Features {
   // d (theta^T phi) / d weights of the hammerstein blocks.
   void weight_slopes(const T* theta, T* slope) const {
     const LocalBasis<T>* local = local_;
-    for (int b = 0; b < structure_.block_count; ++b) {
-      const Block<T>& block = structure_.blocks[b];
+    for (const Block<T>& block : structure_) {
       if (block.feature == Feature::hammerstein) {
         for (int i = 0; i < block.basis.count; ++i) slope[i] = T(0);
         for (int k = 0; k < block.lags; ++k) {

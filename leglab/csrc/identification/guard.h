@@ -60,7 +60,6 @@ class Guard {
   }
 
   State& state() { return *state_; }
-  const State& state() const { return *state_; }
 
   // What a state read from outside cannot be; nullptr where it is sound.
   const char* fault() const {

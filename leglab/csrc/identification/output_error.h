@@ -32,7 +32,6 @@ class OutputError {
   }
 
   State& state() { return *state_; }
-  const State& state() const { return *state_; }
 
   // What a state read from outside cannot be; nullptr where it is sound. Its numbers may be
   // anything: a simulation that is lost starts anew.

@@ -64,8 +64,6 @@ class Rls {
 
   int size() const { return factor_.size(); }
   T* theta() { return theta_; }
-  const T* theta() const { return theta_; }
-  const UdFactor<T>& gain() const { return factor_; }
   UdFactor<T>& gain() { return factor_; }
   const Tally& tally() const { return *tally_; }
   void hold_alarm() { detector_.hold(); }

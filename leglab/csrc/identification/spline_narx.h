@@ -82,7 +82,7 @@ class SplineNarx {
   // Of the last sample, or of what was asked for after it.
   const T* regressor() const { return features_.phi(); }
   bool refines() const { return settings_.output_error_after > 0; }
-  const OutputError<T>& simulation() const { return simulation_; }
+  OutputError<T>& simulation() { return simulation_; }
 
   // What a state read from outside cannot be; nullptr where it is sound.
   const char* fault() const {
@@ -192,13 +192,12 @@ class SplineNarx {
   // are about one (the identity), and theta takes up any gain: weights beyond the limit
   // are not needed, and would only let wild data drive the product of both to infinity.
   void move_weights(const T* slope, T error) {
-    const Structure<T>& structure = settings_.structure;
     T* w = weights_;
-    for (int b = 0; b < structure.block_count; ++b) {
-      const int count = structure.blocks[b].weights();
+    for (const Block<T>& block : settings_.structure) {
+      const int count = block.weights();
       T power = T(0.01);
       for (int i = 0; i < count; ++i) power += slope[i] * slope[i];
-      const T step = structure.blocks[b].learning_constant * error / power;
+      const T step = block.learning_constant * error / power;
       for (int i = 0; i < count; ++i) {
         const T moved = w[i] + step * slope[i];
         if (is_finite(moved)) w[i] = smaller(larger(moved, -weight_limit), weight_limit);
@@ -209,11 +208,10 @@ class SplineNarx {
   }
 
   void advance(T own) {
-    OutputError<T>& simulation = simulation_;
-    if (simulation.state().running) {
-      simulation.remember(own);
+    if (simulation_.state().running) {
+      simulation_.remember(own);
     } else if (state_->learned >= settings_.output_error_after) {
-      simulation.synchronise(past_);
+      simulation_.synchronise(past_);
     }
   }
 
@@ -223,21 +221,16 @@ class SplineNarx {
   }
 
   void start_weights() {
-    const Structure<T>& structure = settings_.structure;
     T* w = weights_;
-    for (int b = 0; b < structure.block_count; ++b) {
-      for (int i = 0; i < structure.blocks[b].weights(); ++i) {
-        *w++ = structure.blocks[b].basis.greville(i);
-      }
+    for (const Block<T>& block : settings_.structure) {
+      for (int i = 0; i < block.weights(); ++i) *w++ = block.basis.greville(i);
     }
   }
 
   template <class Visitor>
   void visit_output_lags(Visitor visit) {
-    const Structure<T>& structure = settings_.structure;
     T* theta = rls_.theta();
-    for (int b = 0; b < structure.block_count; ++b) {
-      const Block<T>& block = structure.blocks[b];
+    for (const Block<T>& block : settings_.structure) {
       if (block.feature == Feature::lags && block.signal == 0) {
         for (int k = 0; k < block.lags; ++k) visit(block.lag + k, theta[k]);
       }

@@ -2,10 +2,9 @@
 #pragma once
 
 #include <atomic>
-#include <condition_variable>
+#include <barrier>
 #include <cstddef>
 #include <functional>
-#include <mutex>
 #include <thread>
 #include <vector>
 
@@ -15,18 +14,14 @@ namespace leglab::loop {
 // differs from call to call, so an item must touch nothing of another.
 class Threads {
  public:
-  explicit Threads(int count) {
-    for (int i = 1; i < count; ++i) {
-      others_.emplace_back([this, i] { wait(std::size_t(i)); });
-    }
+  // count: at least 1.
+  explicit Threads(int count) : turn_(count) {
+    for (int i = 1; i < count; ++i) others_.emplace_back([this, i] { serve(std::size_t(i)); });
   }
 
   ~Threads() {
-    {
-      const std::lock_guard lock(mutex_);
-      stop_ = true;
-    }
-    begin_.notify_all();
+    work_ = nullptr;
+    turn_.arrive_and_wait();
     for (std::thread& other : others_) other.join();
   }
 
@@ -39,18 +34,12 @@ class Threads {
 
   // Calls `work` for the items 0 to count - 1, each once, and returns when all are done.
   void each(std::size_t count, const Work& work) {
-    {
-      const std::lock_guard lock(mutex_);
-      work_ = &work;
-      count_ = count;
-      next_ = 0;
-      busy_ = others_.size();
-      ++round_;
-    }
-    begin_.notify_all();
+    work_ = &work;
+    count_ = count;
+    next_ = 0;
+    turn_.arrive_and_wait();
     take(0);
-    std::unique_lock lock(mutex_);
-    end_.wait(lock, [this] { return busy_ == 0; });
+    turn_.arrive_and_wait();
   }
 
  private:
@@ -58,27 +47,19 @@ class Threads {
     for (std::size_t i = next_++; i < count_; i = next_++) (*work_)(i, thread);
   }
 
-  void wait(std::size_t thread) {
-    for (long seen = 0;;) {
-      {
-        std::unique_lock lock(mutex_);
-        begin_.wait(lock, [&] { return stop_ || round_ != seen; });
-        if (stop_) return;
-        seen = round_;
-      }
+  void serve(std::size_t thread) {
+    for (;;) {
+      turn_.arrive_and_wait();
+      if (!work_) return;  // the end
       take(thread);
-      const std::lock_guard lock(mutex_);
-      if (--busy_ == 0) end_.notify_one();
+      turn_.arrive_and_wait();
     }
   }
 
-  std::mutex mutex_;
-  std::condition_variable begin_, end_;
+  std::barrier<> turn_;  // at which all begin, and then end
   const Work* work_ = nullptr;
-  std::size_t count_ = 0, busy_ = 0;
+  std::size_t count_ = 0;
   std::atomic<std::size_t> next_{0};
-  long round_ = 0;
-  bool stop_ = false;
   std::vector<std::thread> others_;
 };
 

@@ -127,12 +127,6 @@ void CommandPath::advance(const mjModel* m, mjData* d) {
   s.started_ = 1.0;
 }
 
-mjPLUGIN_LIB_INIT(leglab_command_path) {
-  register_plugin<CommandPath>(mjPLUGIN_ACTUATOR, [](mjpPlugin& plugin) {
-    plugin.nstate = +[](const mjModel* m, int instance) {
-      return CommandPath::state_count(m, instance);
-    };
-  });
-}
+mjPLUGIN_LIB_INIT(leglab_command_path) { register_plugin<CommandPath>(mjPLUGIN_ACTUATOR); }
 
 }  // namespace leglab::plugin

@@ -81,23 +81,23 @@ void read_parameters(const mjModel* m, int instance, std::span<const ParameterSp
   }
 }
 
-std::string known_names(const mjModel* m, mjtObj kind, int count) {
+int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count) {
+  const std::string text = text_attribute(m, instance, key);
+  const int id = text.empty() ? -1 : mj_name2id(m, kind, text.c_str());
+  if (id >= 0) return id;
   std::string known;
   for (int i = 0; i < count; ++i) {
     const char* name = mj_id2name(m, kind, i);
     if (name && *name) known += (known.empty() ? "" : ", ") + std::string(name);
   }
-  return known;
+  refuse(m, instance, std::string("attribute '") + key + "' = '" + text + "' names no " + key +
+                          "; allowed: " + known);
 }
 
 int joint_attribute(const mjModel* m, int instance) {
   const std::string name = text_attribute(m, instance, "joint");
   if (name.empty()) refuse(m, instance, "attribute 'joint' is missing; allowed: a hinge or slide joint");
-  const int joint = mj_name2id(m, mjOBJ_JOINT, name.c_str());
-  if (joint < 0) {
-    refuse(m, instance, "attribute 'joint' = '" + name + "' names no joint; allowed: " +
-                            known_names(m, mjOBJ_JOINT, m->njnt));
-  }
+  const int joint = element_attribute(m, instance, "joint", mjOBJ_JOINT, m->njnt);
   if (m->jnt_type[joint] != mjJNT_HINGE && m->jnt_type[joint] != mjJNT_SLIDE) {
     refuse(m, instance, "attribute 'joint' = '" + name + "' must be a hinge or slide joint");
   }

@@ -31,8 +31,9 @@ std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Names of all elements of a kind, for messages.
-std::string known_names(const mjModel* m, mjtObj kind, int count);
+// Element of a kind that an attribute names, which is called like the kind; refuses what names none of
+// the first `count`.
+int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count);
 
 // Joint that the attribute `joint` names; hinge or slide.
 int joint_attribute(const mjModel* m, int instance);

@@ -23,6 +23,9 @@ class Instance {
   static constexpr int kParameterCount = Table::parameter_count;
   static constexpr int kStateCount = Table::parameter_count + Table::state_count;
 
+  // Length of the plugin state; a plugin with more behind the named states has its own.
+  static int state_count(const mjModel*, int) { return kStateCount; }
+
   // Writes the parameters of MJCF; states are zero.
   void reset(mjtNum* plugin_state) const {
     std::copy_n(reinterpret_cast<const double*>(&initial_), kParameterCount, plugin_state);
@@ -61,10 +64,10 @@ bool is_instance(const mjModel* m, int instance) {
   return std::strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, T::Table::plugin) == 0;
 }
 
-// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and, where they exist, advance and
-// visualize.
+// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and, where
+// they exist, advance, visualize and, of a sensor, its number of values.
 template <class T>
-void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
+void register_plugin(int capability) {
   static std::vector<const char*> names(T::Table::texts);
   for (const ParameterSpec& spec : T::Table::parameters) names.push_back(spec.name);
   mjpPlugin plugin;
@@ -73,7 +76,7 @@ void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
   plugin.nattribute = static_cast<int>(names.size());
   plugin.attributes = names.data();
   plugin.capabilityflags = capability;
-  plugin.nstate = +[](const mjModel*, int) { return T::kStateCount; };
+  plugin.nstate = T::state_count;
   plugin.init = +[](const mjModel* m, mjData* d, int instance) {
     d->plugin_data[instance] = reinterpret_cast<uintptr_t>(new T(m, instance));
     return 0;
@@ -107,7 +110,11 @@ void register_plugin(int capability, void (*customise)(mjpPlugin&) = nullptr) {
     plugin.visualize = +[](const mjModel* m, mjData* d, const mjvOption*, mjvScene* scene,
                            int instance) { instance_of<T>(d, instance)->visualize(m, d, scene); };
   }
-  if (customise) customise(plugin);
+  if constexpr (requires { &T::value_count; }) {
+    // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
+    plugin.needstage = mjSTAGE_VEL;
+    plugin.nsensordata = T::value_count;
+  }
   mjp_registerPlugin(&plugin);
 }
 

@@ -58,12 +58,7 @@ void require_native(const mjModel* m, int instance, int actuator) {
 }
 
 NativeActuator actuator_attribute(const mjModel* m, int instance) {
-  const std::string name = text_attribute(m, instance, "actuator");
-  const int id = name.empty() ? -1 : mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
-  if (id < 0) {
-    refuse(m, instance, "attribute 'actuator' = '" + name + "' names no actuator; allowed: " +
-                            known_names(m, mjOBJ_ACTUATOR, m->nactuator));
-  }
+  const int id = element_attribute(m, instance, "actuator", mjOBJ_ACTUATOR, m->nactuator);
   require_native(m, instance, id);
   return NativeActuator::at(m, id);
 }

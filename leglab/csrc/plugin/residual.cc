@@ -114,11 +114,7 @@ Residual::Residual(const mjModel* m, int instance) : Instance(m, instance) {
   qpos_ = m->jnt_qposadr[joint];
   dof_ = m->jnt_dofadr[joint];
   if (!actuator.empty()) {
-    actuator_ = mj_name2id(m, mjOBJ_ACTUATOR, actuator.c_str());
-    if (actuator_ < 0) {
-      refuse(m, instance, "attribute 'actuator' = '" + actuator + "' names no actuator; allowed: " +
-                              known_names(m, mjOBJ_ACTUATOR, m->nu));
-    }
+    actuator_ = element_attribute(m, instance, "actuator", mjOBJ_ACTUATOR, m->nu);
   } else if (!splines_[3].knots.empty()) {
     refuse(m, instance, "attribute 'actuator' is missing: whose command is meant by 'command_knots'?");
   }
@@ -162,10 +158,6 @@ void Residual::advance(const mjModel* m, mjData* d) {
   if (dof_ >= 0) slots(m, d).state.load_ = d->qfrc_actuator[dof_];
 }
 
-mjPLUGIN_LIB_INIT(leglab_residual) {
-  register_plugin<Residual>(mjPLUGIN_PASSIVE, [](mjpPlugin& plugin) {
-    plugin.nstate = +[](const mjModel* m, int instance) { return Residual::state_count(m, instance); };
-  });
-}
+mjPLUGIN_LIB_INIT(leglab_residual) { register_plugin<Residual>(mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

@@ -71,6 +71,10 @@ class Sensor : public Instance<SensorTable> {
     }
   }
 
+  static int value_count(const mjModel* m, int instance, int) {
+    return static_cast<int>(listed_quantities(m, instance).size());
+  }
+
   void compute(const mjModel* m, mjData* d) {
     mjtNum* out = d->sensordata + m->sensor_adr[sensor_];
     auto* cylinder = instance_of<Cylinder>(d, cylinder_);
@@ -94,14 +98,6 @@ class Sensor : public Instance<SensorTable> {
 
 }  // namespace
 
-mjPLUGIN_LIB_INIT(leglab_sensor) {
-  register_plugin<Sensor>(mjPLUGIN_SENSOR, [](mjpPlugin& plugin) {
-    // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
-    plugin.needstage = mjSTAGE_VEL;
-    plugin.nsensordata = +[](const mjModel* m, int instance, int) {
-      return static_cast<int>(listed_quantities(m, instance).size());
-    };
-  });
-}
+mjPLUGIN_LIB_INIT(leglab_sensor) { register_plugin<Sensor>(mjPLUGIN_SENSOR); }
 
 }  // namespace leglab::plugin
