@@ -22,13 +22,13 @@ import numpy as np
 import scipy.linalg
 import scipy.signal
 
-from benchmarks import results
+from benchmarks import data_sets, results
+from benchmarks.data_sets import SILVERBOX, Dataset
 from leglab.base.scale import rms
 from leglab.identification import BsnnArx, SplineNarx
-from leglab.studies.replication import deployed, paper, real_data
+from leglab.studies.replication import deployed, paper
 from leglab.studies.replication.online import OnlineSettings
 from leglab.studies.replication.plant import simulate
-from leglab.studies.replication.real_data import SILVERBOX, Dataset
 
 LAGS = 3
 INITIAL_GAIN = 1e4
@@ -238,9 +238,9 @@ def plant_problem() -> tuple[Problem, Callable[[], SplineNarx], Callable[[], Spl
 
 
 def silverbox_problem(samples: int) -> tuple[Problem, Callable, Callable]:
-    data = real_data.silverbox()
-    linear = real_data.spline_narx(data, na=LAGS, nb=LAGS, nk=1)
-    full = real_data.spline_narx(data, **SILVERBOX)
+    data = data_sets.silverbox()
+    linear = data_sets.spline_narx(data, na=LAGS, nb=LAGS, nk=1)
+    full = data_sets.spline_narx(data, **SILVERBOX)
     problem = Problem(data, (0.0, 0.0), samples)
     return problem, lambda: SplineNarx(linear), lambda: SplineNarx(full)
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import results
+from benchmarks import data_sets, results
+from benchmarks.data_sets import ACTUATOR, SILVERBOX, Dataset
 from leglab.base.scale import rms
 from leglab.identification import (
     Basis,
@@ -23,11 +24,9 @@ from leglab.identification import (
     Lags,
     SplineNarx,
 )
-from leglab.studies.replication import real_data
 from leglab.studies.replication.networks import LAGS
 from leglab.studies.replication.networks import train as train_network
 from leglab.studies.replication.online import OnlineSettings
-from leglab.studies.replication.real_data import ACTUATOR, SILVERBOX, Dataset
 
 DIVERGED = 1e3  # in the unit of the table
 
@@ -48,7 +47,7 @@ class Scaled:
 def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, Dataset]]:
     """Identifiers by name with the data they learn from, the deployed one last."""
     linear = {"na": 3, "nb": 3, "nk": 1}
-    base = real_data.spline_narx(data, **linear)
+    base = data_sets.spline_narx(data, **linear)
     spline = Hammerstein(
         signal="u",
         first=1,
@@ -56,7 +55,7 @@ def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, 
         basis=Basis.uniform(-data.ranges[0], data.ranges[0], 8, outside="linear"),
     )
     sensitivity = replace(base, features=(Lags(signal="y", count=3), spline, Constant()))
-    over = real_data.spline_narx(data, **linear, splines=8, input_lags=(1, 2, 3))
+    over = data_sets.spline_narx(data, **linear, splines=8, input_lags=(1, 2, 3))
     models = {}
     for gain in ("5.6", "1e4"):
         scaled = Scaled(data, float(gain))
@@ -65,12 +64,12 @@ def online_models(data: Dataset, deployed: dict) -> dict[str, tuple[Identifier, 
     models["BSNN-ARX, spline through the ARX sensitivity"] = (SplineNarx(sensitivity), data)
     models["Hammerstein, over-parameterised (3, 3)"] = (SplineNarx(over), data)
     same = {**deployed, "output_error_after": 0}
-    without = real_data.spline_narx(data, **{**same, "input_lags": (), "output_lags": ()})
+    without = data_sets.spline_narx(data, **{**same, "input_lags": (), "output_lags": ()})
     models["deployed, without its splines"] = (SplineNarx(without), data)
     if deployed.get("output_error_after"):
-        equation = real_data.spline_narx(data, **same)
+        equation = data_sets.spline_narx(data, **same)
         models["deployed, equation error only"] = (SplineNarx(equation), data)
-    models["deployed"] = (SplineNarx(real_data.spline_narx(data, **deployed)), data)
+    models["deployed"] = (SplineNarx(data_sets.spline_narx(data, **deployed)), data)
     return models
 
 
@@ -78,8 +77,8 @@ def compared(data: Dataset, deployed: dict, *, networks: bool) -> dict[str, Any]
     """Free-run errors of every model, in the order of the tests."""
     rows = []
     for name, (model, its_data) in online_models(data, deployed).items():
-        real_data.train(model, its_data)
-        errors = real_data.free_run_errors(model, its_data)
+        data_sets.train(model, its_data)
+        errors = data_sets.free_run_errors(model, its_data)
         rows.append((name, len(model.parameters), *errors.values()))
     if networks:
         rows += network_rows(data)
@@ -105,7 +104,7 @@ def network_rows(data: Dataset) -> list[tuple]:
 
 def figures(data: Dataset, deployed: dict, folder: Path) -> None:
     """Free run of the deployed identifier on each test: output, and residual below it."""
-    model = real_data.train(SplineNarx(real_data.spline_narx(data, **deployed)), data)
+    model = data_sets.train(SplineNarx(data_sets.spline_narx(data, **deployed)), data)
     unit, factor = data.unit
     for test, part in data.tests.items():
         if "no extrapolation" in test:  # the head of the arrow
@@ -128,11 +127,11 @@ def figures(data: Dataset, deployed: dict, folder: Path) -> None:
 
 
 def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
-    ranked = real_data.select(data, grid, splits)
+    ranked = data_sets.select(data, grid, splits)
     print(f"{data.name}: {len(grid)} candidates, mean error on held-out training data; best ten:")
     for candidate in ranked[:10]:
-        settings = real_data.spline_narx(data, **candidate.structure)
-        errors = real_data.free_run_errors(real_data.train(SplineNarx(settings), data), data)
+        settings = data_sets.spline_narx(data, **candidate.structure)
+        errors = data_sets.free_run_errors(data_sets.train(SplineNarx(settings), data), data)
         shown = ", ".join(f"{value:.3f}" for value in errors.values())
         print(f"  {candidate.error:.3f}  tests, for information: {shown}  {candidate.structure}")
 
@@ -140,8 +139,8 @@ def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any] | None:
     """Tables by data set; None where figures or a selection were wanted."""
     cases = (
-        (real_data.silverbox(), SILVERBOX, real_data.silverbox_grid, real_data.SILVERBOX_SPLITS),
-        (real_data.actuator(), ACTUATOR, real_data.actuator_grid, real_data.ACTUATOR_SPLITS),
+        (data_sets.silverbox(), SILVERBOX, data_sets.silverbox_grid, data_sets.SILVERBOX_SPLITS),
+        (data_sets.actuator(), ACTUATOR, data_sets.actuator_grid, data_sets.ACTUATOR_SPLITS),
     )
     found = {}
     for data, deployed, grid, splits in cases:

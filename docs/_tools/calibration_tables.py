@@ -169,13 +169,11 @@ def measured(name: str) -> set[str]:
 def told_rows() -> list[tuple[str, str, str]]:
     """Name, where it is told, and meaning of everything that a controller can know."""
     rows = []
-    for name, value in vars(NominalMachine).items():
-        if name.startswith("_"):
-            continue
+    for name, text in meanings(NominalMachine):
         if name == "valve_maps":
             rows += [(f"{name}.{part}", "told", text) for part, text in meanings(ValveMap)]
         else:
-            rows.append((name, "told", first(inspect.getdoc(value) or "")))
+            rows.append((name, "told", text))
     setup = dict(meanings(ControllerSetup))
     rows += [(name, "told", setup[name]) for name in ("reference_period", "fault_bank")]
     rows += [(name, "told of the run", text) for name, text in meanings(Foreknowledge)]

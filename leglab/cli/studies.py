@@ -36,24 +36,18 @@ def tune(
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
     load_plugins(load)
-    from leglab.commissioning.pd_gains import (
-        GAINS_FILE,
-        TUNED_MODELS,
-        gains_text,
-        store_gains,
-        tuned_rows,
-    )
+    from leglab.commissioning.pd_gains import PD, TUNED_MODELS, tuned_tables
 
     names = models or list(TUNED_MODELS)
-    make = partial(tuned_rows, names)
+    make = partial(tuned_tables, names)
     tables = make_many("tuning", 0, make, "joints", resumes=False)
     if write:
-        store_gains(tables)
-        (errors if as_json else output).print(f"written to {GAINS_FILE}")
+        PD.store(tables)
+        (errors if as_json else output).print(f"written to {PD.path}")
     if as_json:
         print_json(tables)
     elif not write:
-        typer.echo(gains_text(tables), nl=False)
+        typer.echo(PD.text(tables), nl=False)
 
 
 def replicate(

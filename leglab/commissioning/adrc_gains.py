@@ -5,28 +5,24 @@ Those of the shipped models stand in `adrc_gains.toml`, which
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from leglab.commissioning.calibration import drive_signs, valve_maps
+from leglab.commissioning.gains_file import ControllerGains, Row
 from leglab.commissioning.pd_gains import (
-    CYLINDER_MODELS,
     GAIN_MARGIN_DB,
     PHASE_MARGIN_DEG,
     native_plant,
     sampled_plants,
     stability_margins,
-    stored_rows,
 )
 from leglab.control.extended_state_observer import DisturbanceGains, DisturbanceRejection
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.machine.sensors import SensorConfiguration
-from leglab.machine.simulation import Simulation, load_model
-
-GAINS_FILE = Path(__file__).with_name("adrc_gains.toml")
+from leglab.machine.simulation import Simulation
 
 # Control bandwidth over observer bandwidth. Gao 2003 has 1/5 to 1/3: a law slower than what it
 # stands upon. On a lightly damped oil spring the lag of the observer costs more than its noise.
@@ -38,7 +34,6 @@ _TRIED = np.geomspace(0.3, 600.0, 160)
 FORCE_RATIOS = (0.05, 0.1, 0.2, 0.5)
 _FORCE_TRIED = np.geomspace(3.0, 300.0, 30)
 _FREQUENCIES = 1500
-_NAMES = tuple(field.name for field in fields(DisturbanceGains))
 
 
 def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
@@ -141,53 +136,38 @@ def tuned_gains(
 
 
 def _gains(control: float, observer: float, gain: float, order: int) -> DisturbanceGains:
-    values = zip(_NAMES, (control, observer, gain, order), strict=True)
-    return DisturbanceGains(**{name: np.array([value]) for name, value in values})
+    return DisturbanceGains(
+        control_bandwidth=np.array([control]),
+        observer_bandwidth=np.array([observer]),
+        plant_gain=np.array([gain]),
+        order=np.array([order]),
+    )
 
 
-def _all_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[DisturbanceGains]:
-    gains = []
+def _rows(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[Row]:
+    rows = []
     for joint in range(len(simulation.joints)):
         simulation.reset()
-        gains.append(tuned_gains(simulation, joint, sensors))
-    return gains
+        gains = tuned_gains(simulation, joint, sensors)
+        rows.append({name: values[0] for name, values in asdict(gains).items()})
+    return rows
 
 
-def gains_text(models: Sequence[str]) -> str:
-    """Tunes models for the default sensors and formats the bandwidths as TOML."""
-    sensors = SensorConfiguration()
-    lines = [
-        "# Bandwidths by `python -m leglab.commissioning.adrc_gains`: smallest response to a",
-        f"# disturbance with {GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees at every",
-        "# pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
-    ]
-    for model in models:
-        lines += ["", f"[{model}]"]
-        lines += [f"{name} = {getattr(sensors, name)!r}" for name in ("control_period", "latency")]
-        simulation = Simulation(load_model(model))
-        rows = zip(simulation.joints, _all_gains(simulation, sensors), strict=True)
-        for name, gains in rows:
-            values = [f"{key} = {getattr(gains, key)[0]:.4g}" for key in _NAMES]
-            lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
-    return "\n".join(lines) + "\n"
-
-
-def adrc_gains(
-    model: str, simulation: Simulation, sensors: SensorConfiguration
-) -> DisturbanceGains:
-    """Bandwidths of a shipped model from `GAINS_FILE`; for others, and other timing, tuned now.
-
-    Args:
-        model: Name or path of the model.
-        simulation: The nominal machine in its rest pose; its positions are changed.
-        sensors: Sensors and timing.
-    """
-    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
-    if rows is None:
-        tuned = _all_gains(simulation, sensors)
-        rows = [{key: getattr(gains, key)[0] for key in _NAMES} for gains in tuned]
-    return DisturbanceGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
-
+ADRC = ControllerGains(
+    path=Path(__file__).with_name("adrc_gains.toml"),
+    head=(
+        "Bandwidths by `python -m leglab.commissioning.adrc_gains`: smallest response to a",
+        f"disturbance with {GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees at every "
+        "pose and",
+        "piston speed of the linearised nominal plant. Not to be edited by hand.",
+    ),
+    timing=("control_period", "latency"),
+    formats=dict.fromkeys(
+        ("control_bandwidth", "observer_bandwidth", "plant_gain", "order"), ".4g"
+    ),
+    kind=DisturbanceGains,
+    tune=_rows,
+)
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))
+    ADRC.write()

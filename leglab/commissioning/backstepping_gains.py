@@ -5,29 +5,31 @@ Those of the shipped models stand in `backstepping_gains.toml`, which
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
+from leglab.commissioning.gains_file import ControllerGains, Row
 from leglab.commissioning.nominal import nominal_cylinders
-from leglab.commissioning.pd_gains import CYLINDER_MODELS, SPEEDS, joint_plant, stored_rows
+from leglab.commissioning.pd_gains import (
+    SPEEDS,
+    joint_plant,
+    operating_poses,
+    sampled_plant,
+)
 from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import (
     FORCE_CUTOFF,
     PRESSURE_CUTOFF,
     BacksteppingGains,
-    NominalCylinders,
 )
 from leglab.control.backstepping.feedback import Feedback, no_load_speed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty
-from leglab.machine.simulation import Simulation, load_model
-
-GAINS_FILE = Path(__file__).with_name("backstepping_gains.toml")
+from leglab.machine.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,47 +56,15 @@ class OperatingPoint:
     spool_per_sum: np.ndarray
 
 
-def operating_points(
-    simulation: Simulation, joint: int, data: NominalCylinders, *, period: float, latency: float
-) -> list[OperatingPoint]:
-    """Linearises a joint where the PD gains do, with the other joints free and held.
-
-    Args:
-        simulation: The nominal machine in its rest pose; it is left there.
-        joint: Index of the joint.
-        data: The data of that joint alone.
-        period: Control period [s].
-        latency: Age of a measurement [s].
-    """
-    model, points = CylinderModel(data), []
-    home = simulation.data.qpos.copy()
-    index = simulation.qpos_index[joint]
-    low, high = simulation.joint_range()[joint]
-    for position in (home[index], low + 0.25 * (high - low), low + 0.75 * (high - low)):
-        simulation.data.qpos[:], simulation.data.qvel[:] = home, 0.0
-        simulation.data.qpos[index] = position
-        mujoco.mj_forward(simulation.model, simulation.data)
-        for speed in SPEEDS:
-            for held in (False, True):
-                try:
-                    point = _point(simulation, joint, speed, held, model, period, latency)
-                except LeglabError:
-                    continue  # the cylinder cannot run at this speed under this load
-                points.append(point)
-    simulation.data.qpos[:] = home
-    mujoco.mj_forward(simulation.model, simulation.data)
-    return points
-
-
 def _point(
     simulation: Simulation,
     joint: int,
     speed: float,
     held: bool,
     model: CylinderModel,
-    period: float,
-    latency: float,
+    sensors: SensorConfiguration,
 ) -> OperatingPoint:
+    """The plant in the present pose, at a piston speed, with the other joints held or free."""
     import control  # takes a second
 
     lever = float(simulation.levers()[joint])
@@ -106,10 +76,7 @@ def _point(
     push = np.zeros((6, 1))
     push[0] = -plant.A[0, 1] * model.data.supply_pressure
     plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
-    full = control.c2d(plant, period, "zoh")
-    part = control.c2d(plant, period - latency, "zoh")
-    a = np.block([[full.A, np.zeros((6, 3))], [c @ part.A, np.zeros((3, 3))]])
-    b = np.vstack([full.B, c @ part.B])
+    sampled = sampled_plant(plant, sensors.control_period, sensors.latency)
 
     values = simulation.cylinder_parameters(simulation.actuators[joint])
     values.update(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0)
@@ -141,10 +108,10 @@ def _point(
         pressures = by_sum * total.sum(axis=0)
         per_sum[chamber] = (spool(pressures) - spool(-pressures)) / (2 * scale)
     return OperatingPoint(
-        a=a,
-        b=b[:, :1],
-        disturbance=b[:, 1:],
-        c=np.hstack([np.zeros((3, 6)), np.eye(3)]),
+        a=sampled.A,
+        b=sampled.B[:, :1],
+        disturbance=sampled.B[:, 1:],
+        c=sampled.C,
         spool_per_speed=(spool(0.0, 1e-5) - spool(0.0, -1e-5)) / 2e-5,
         spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
         spool_per_sum=per_sum,
@@ -161,33 +128,12 @@ _STEP = 0.05
 _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearController:
-    """The controller of one joint between measured (x, p_A, p_B) and the spool, linear.
-
-    Attributes:
-        a: State matrix: observer, past speeds, slow force, filtered pressures.
-        b: Of (x, p_A, p_B), three columns.
-        c: One row.
-        d: (1, 3).
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    d: np.ndarray
-
-
-def linear_controller(
+def _linear_controller(
     law: Feedback, area: np.ndarray, point: OperatingPoint, period: float
-) -> LinearController:
-    """Writes `adaptive_backstepping` of one joint as a linear system.
+) -> tuple[np.ndarray, ...]:
+    """`adaptive_backstepping` of one joint between (x, p_A, p_B) and the spool, as (a, b, c, d).
 
-    Args:
-        law: Feedback of that joint alone.
-        area: Piston areas, (2,) [m^2].
-        point: Operating point, for the valve's inverse.
-        period: Control period [s].
+    Its states are the observer, past speeds, the slow force and both filtered pressures.
     """
     smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
     slowly = -math.expm1(-FORCE_CUTOFF * period)
@@ -222,41 +168,51 @@ def linear_controller(
     d = point.spool_per_speed * speed_b + point.spool_per_force * b[-3]
     c = c + point.spool_per_sum @ a[-2:]
     d = d + point.spool_per_sum @ b[-2:]
-    return LinearController(a=a, b=b, c=c[None], d=d[None])
+    return a, b, c[None], d[None]
 
 
 class JointLoop:
     """Frequency responses of one joint's plants, to judge gains by.
 
+    The plants are those of `pd`, with the other joints free and held.
+
     Args:
-        points: Operating points.
-        data: Data of the joint alone.
+        simulation: The nominal machine in its rest pose; it is left as it was.
+        joint: Index of the joint.
         sensors: Sensors and timing.
+        valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
     """
 
     def __init__(
-        self, points: Sequence[OperatingPoint], data: NominalCylinders, sensors: SensorConfiguration
+        self,
+        simulation: Simulation,
+        joint: int,
+        sensors: SensorConfiguration,
+        *,
+        valve_share: float = 1.0,
     ) -> None:
-        self._points, self._model, self._sensors = points, CylinderModel(data), sensors
+        data = nominal_cylinders(simulation).joint(joint)
+        self._model, self._sensors = CylinderModel(data), sensors
         self._speed = float(no_load_speed(data)[0])
+        actuator = simulation.actuators[joint]
+        bandwidth = simulation.parameter(actuator, "bandwidth_hz")
+        simulation.set_parameter(actuator, "bandwidth_hz", valve_share * bandwidth)
+        self._points = []
+        for _ in operating_poses(simulation, joint):
+            for speed, held in product(SPEEDS, (False, True)):
+                try:
+                    point = _point(simulation, joint, speed, held, self._model, sensors)
+                except LeglabError:
+                    continue  # the cylinder cannot run at this speed under this load
+                self._points.append(point)
+        simulation.set_parameter(actuator, "bandwidth_hz", bandwidth)
         nyquist = math.pi / sensors.control_period
         self._frequencies = np.geomspace(0.5, 0.999 * nyquist, 120)
         self._z = np.exp(1j * self._frequencies * sensors.control_period)[:, None, None]
         self._plants = [
             p.c @ np.linalg.solve(self._z * np.eye(len(p.a)) - p.a, np.hstack([p.b, p.disturbance]))
-            for p in points
+            for p in self._points
         ]
-
-    def law(self, gains: BacksteppingGains) -> Feedback:
-        """Feedback with these gains."""
-        return Feedback(
-            self._model,
-            gains,
-            position_noise=position_uncertainty(self._sensors),
-            pressure_noise=self._sensors.pressure_noise,
-            period=self._sensors.control_period,
-            latency=self._sensors.latency,
-        )
 
     def judge(self, gains: BacksteppingGains) -> tuple[float, float]:
         """Worst response to steps of unknown flow and force, and largest sensitivity.
@@ -265,18 +221,23 @@ class JointLoop:
             Root of the integrated squares of the piston's errors after both steps [m s^(1/2)],
             and max |1/(1 + L)|; where a loop is unstable, infinity and its largest eigenvalue.
         """
-        law, worst, peak, radius = self.law(gains), 0.0, 0.0, 0.0
-        period = self._sensors.control_period
+        period, worst, peak, radius = self._sensors.control_period, 0.0, 0.0, 0.0
+        law = Feedback(
+            self._model,
+            gains,
+            position_noise=position_uncertainty(self._sensors),
+            pressure_noise=self._sensors.pressure_noise,
+            period=period,
+            latency=self._sensors.latency,
+        )
         area, w = self._model.data.area[:, 0], self._frequencies
         for point, plant in zip(self._points, self._plants, strict=True):
-            k = linear_controller(law, area, point, period)
-            closed = np.block(
-                [[point.a + point.b @ k.d @ point.c, point.b @ k.c], [k.b @ point.c, k.a]]
-            )
+            a, b, c, d = _linear_controller(law, area, point, period)
+            closed = np.block([[point.a + point.b @ d @ point.c, point.b @ c], [b @ point.c, a]])
             radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
             if radius >= 1.0:
                 continue
-            answer = (k.c @ np.linalg.solve(self._z * np.eye(len(k.a)) - k.a, k.b))[:, 0] + k.d
+            answer = (c @ np.linalg.solve(self._z * np.eye(len(a)) - a, b))[:, 0] + d
             sensitivity = 1.0 / (1.0 - (answer * plant[:, :, 0]).sum(axis=1))
             peak = max(peak, float(np.abs(sensitivity).max()))
             by_flow = plant[:, 0, 0] * point.spool_per_speed * sensitivity * self._speed
@@ -289,38 +250,7 @@ class JointLoop:
         return worst, peak
 
 
-def joint_loop(
-    simulation: Simulation, joint: int, sensors: SensorConfiguration, *, valve_share: float = 1.0
-) -> JointLoop:
-    """Prepares the judgement of one joint's gains on the nominal machine in its rest pose.
-
-    Args:
-        simulation: The machine; it is left as it was.
-        joint: Index of the joint.
-        sensors: Sensors and timing.
-        valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
-    """
-    data = nominal_cylinders(simulation).joint(joint)
-    actuator = simulation.actuators[joint]
-    bandwidth = simulation.parameter(actuator, "bandwidth_hz")
-    simulation.set_parameter(actuator, "bandwidth_hz", valve_share * bandwidth)
-    points = operating_points(
-        simulation, joint, data, period=sensors.control_period, latency=sensors.latency
-    )
-    simulation.set_parameter(actuator, "bandwidth_hz", bandwidth)
-    return JointLoop(points, data, sensors)
-
-
-def tuned_gains(
-    simulation: Simulation, joint: int, sensors: SensorConfiguration
-) -> BacksteppingGains:
-    """Gains of one joint: the quickest within `SENSITIVITY`, slowed down for a slower valve."""
-    gains = tune_joint(joint_loop(simulation, joint, sensors))[0]
-    slower = joint_loop(simulation, joint, sensors, valve_share=VALVE_SHARE)
-    return derated(gains, slower)
-
-
-def derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
+def _derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
     """Scales position gain and drifts down until `SLOW_SENSITIVITY` is kept; a tenth at least."""
     for factor in np.geomspace(1.0, 0.1, 19):
         slower = replace(
@@ -335,22 +265,17 @@ def derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
     return slower
 
 
-def gains_of(values: Sequence[float] | np.ndarray) -> BacksteppingGains:
-    """Gains of one joint from the variables of the search."""
-    return BacksteppingGains(
-        position_gain=np.array([10.0 ** values[0]]),
-        force_drift=np.array([10.0 ** values[1]]),
-        flow_drift=np.array([10.0 ** values[2]]),
-        force_damping=np.array([values[3]]),
-    )
+def _quickest(loop: JointLoop) -> BacksteppingGains:
+    """Gains with the smallest response to unknown flow and force that keep `SENSITIVITY`."""
+    from scipy.optimize import differential_evolution  # slow to import, seldom needed
 
-
-def tune_joint(loop: JointLoop) -> tuple[BacksteppingGains, float, float]:
-    """Gains with the smallest response to unknown flow and force that keep `SENSITIVITY`.
-
-    Returns:
-        The gains, the response and the largest sensitivity, as `JointLoop.judge` gives them.
-    """
+    def gains_of(values: np.ndarray) -> BacksteppingGains:
+        return BacksteppingGains(
+            position_gain=np.array([10.0 ** values[0]]),
+            force_drift=np.array([10.0 ** values[1]]),
+            flow_drift=np.array([10.0 ** values[2]]),
+            force_damping=np.array([values[3]]),
+        )
 
     def cost(values: np.ndarray) -> float:
         worst, peak = loop.judge(gains_of(values))
@@ -358,60 +283,41 @@ def tune_joint(loop: JointLoop) -> tuple[BacksteppingGains, float, float]:
             return 1e2 * peak
         return math.log(worst) + 20.0 * max(0.0, peak / SENSITIVITY - 1.0)
 
-    from scipy.optimize import differential_evolution  # slow to import, seldom needed
-
     result = differential_evolution(
         cost, _BOUNDS, seed=0, popsize=8, maxiter=18, tol=1e-4, polish=False
     )
-    gains = gains_of(result.x)
-    return gains, *loop.judge(gains)
+    return gains_of(result.x)
 
 
-_NAMES = tuple(field.name for field in fields(BacksteppingGains))
-_TIMING = ("control_period", "latency")
+def _rows(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[Row]:
+    rows = []
+    for joint in range(len(simulation.joints)):
+        loop = JointLoop(simulation, joint, sensors)
+        slower = JointLoop(simulation, joint, sensors, valve_share=VALVE_SHARE)
+        gains = _derated(_quickest(loop), slower)
+        response, peak = loop.judge(gains)
+        row = {name: float(values[0]) for name, values in asdict(gains).items()}
+        rows.append({**row, "response": response, "sensitivity": peak})
+    return rows
 
 
-def gains_text(models: Sequence[str]) -> str:
-    """Tunes models for the default sensors and formats the gains as TOML."""
-    sensors = SensorConfiguration()
-    lines = [
-        "# Gains by `python -m leglab.commissioning.backstepping_gains`: the smallest",
-        f"# response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
-        "# at every pose and piston speed of the linearised nominal plant, slowed down for",
-        f"# {SLOW_SENSITIVITY:g} at {VALVE_SHARE:g} times the valves' bandwidth. Not to be edited.",
-    ]
-    for model in models:
-        lines += ["", f"[{model}]"]
-        lines += [f"{name} = {getattr(sensors, name)!r}" for name in _TIMING]
-        simulation = Simulation(load_model(model))
-        for joint, name in enumerate(simulation.joints):
-            gains = tuned_gains(simulation, joint, sensors)
-            response, peak = joint_loop(simulation, joint, sensors).judge(gains)
-            values = [f"{key} = {getattr(gains, key)[0]:.4g}" for key in _NAMES]
-            values += [f"response = {response:.3g}", f"sensitivity = {peak:.3f}"]
-            lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
-            print(lines[-1], flush=True)
-    return "\n".join(lines) + "\n"
-
-
-def backstepping_gains(
-    model: str, simulation: Simulation, sensors: SensorConfiguration
-) -> BacksteppingGains:
-    """Gains of a shipped model from `GAINS_FILE`; for others, and other timing, tuned now.
-
-    Args:
-        model: Name or path of the model.
-        simulation: The nominal machine in its rest pose, where it is left.
-        sensors: Sensors and timing.
-    """
-    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
-    if rows:
-        return BacksteppingGains(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
-    tuned = [tuned_gains(simulation, joint, sensors) for joint in range(len(simulation.joints))]
-    return BacksteppingGains(
-        **{key: np.concatenate([getattr(gains, key) for gains in tuned]) for key in _NAMES}
-    )
-
+BACKSTEPPING = ControllerGains(
+    path=Path(__file__).with_name("backstepping_gains.toml"),
+    head=(
+        "Gains by `python -m leglab.commissioning.backstepping_gains`: the smallest",
+        f"response to unknown flow and force with a sensitivity of at most {SENSITIVITY:g}",
+        "at every pose and piston speed of the linearised nominal plant, slowed down for",
+        f"{SLOW_SENSITIVITY:g} at {VALVE_SHARE:g} times the valves' bandwidth. Not to be edited.",
+    ),
+    timing=("control_period", "latency"),
+    formats={
+        **{field.name: ".4g" for field in fields(BacksteppingGains)},
+        "response": ".3g",
+        "sensitivity": ".3f",
+    },
+    kind=BacksteppingGains,
+    tune=_rows,
+)
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))
+    BACKSTEPPING.write()

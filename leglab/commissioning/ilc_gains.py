@@ -4,32 +4,22 @@ Those of the shipped models stand in `ilc_gains.toml`, which
 `python -m leglab.commissioning.ilc_gains` writes anew.
 """
 
-from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from leglab.commissioning.adrc_gains import speeds_per_command
-from leglab.commissioning.pd_gains import (
-    CYLINDER_MODELS,
-    sampled_plants,
-    stored_gains,
-    stored_rows,
-    tuned_gains,
-)
+from leglab.commissioning.gains_file import ControllerGains, Row
+from leglab.commissioning.pd_gains import sampled_plants, stored_gains, tuned_gains
 from leglab.control.iterative_learning import LearningFilter, learning_function, q_filter
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
-
-GAINS_FILE = Path(__file__).with_name("ilc_gains.toml")
 
 # Largest share of an error of any frequency that one stride may leave to the next.
 CONTRACTION = 0.7
 # Cutoffs [rad/s] and leads, in control periods, that are tried.
 _CUTOFFS = np.geomspace(3.0, 300.0, 93)
 _LEADS = np.arange(13) / 2
-_NAMES = tuple(field.name for field in fields(LearningFilter))
 
 
 def closed_loops(
@@ -52,12 +42,11 @@ def closed_loops(
     alpha = velocity_filter_coefficient(sensors.control_period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / sensors.control_period / (1 - (1 - alpha) / z)
     feedback = gains[0] + gains[1] * derivative
-    home = simulation.data.qpos.copy()
-    responses = []
-    for held in (False, True):
-        simulation.data.qpos[:] = home
-        plants = sampled_plants(simulation, joint, sensors, held=held)
-        responses += [plant(z).ravel() for plant in plants]
+    responses = [
+        plant(z).ravel()
+        for held in (False, True)
+        for plant in sampled_plants(simulation, joint, sensors, held=held)
+    ]
     return np.array([response / (1 + response * feedback) for response in responses])
 
 
@@ -103,7 +92,7 @@ def tuned_filter(
     return best
 
 
-def _all_filters(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[dict]:
+def _rows(model: str, simulation: Simulation, sensors: SensorConfiguration) -> list[Row]:
     speeds = speeds_per_command(simulation)
     gains = stored_gains(model, simulation, sensors) or tuned_gains(
         Simulation(load_model(model)), sensors
@@ -116,39 +105,18 @@ def _all_filters(model: str, simulation: Simulation, sensors: SensorConfiguratio
     return rows
 
 
-def gains_text(models: Sequence[str]) -> str:
-    """Tunes models for the default sensors and formats the filters as TOML."""
-    sensors = SensorConfiguration()
-    lines = [
-        "# Learning filters by `python -m leglab.commissioning.ilc_gains`: the greatest cutoff",
-        f"# at which a stride leaves at most {CONTRACTION:g} of any error to the next, at every",
-        "# pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
-    ]
-    for model in models:
-        timing = ("control_period", "latency", "velocity_cutoff")
-        lines += ["", f"[{model}]", *(f"{name} = {getattr(sensors, name)!r}" for name in timing)]
-        simulation = Simulation(load_model(model))
-        for name, row in zip(
-            simulation.joints, _all_filters(model, simulation, sensors), strict=True
-        ):
-            values = [f"{key} = {row[key]:.4g}" for key in _NAMES]
-            lines.append(f"joints.{name} = {{ {', '.join(values)} }}")
-    return "\n".join(lines) + "\n"
-
-
-def ilc_gains(model: str, simulation: Simulation, sensors: SensorConfiguration) -> LearningFilter:
-    """Filters of a shipped model from `GAINS_FILE`; for others, and other timing, tuned now.
-
-    Args:
-        model: Name or path of the model.
-        simulation: The nominal machine in its rest pose; its positions are changed.
-        sensors: Sensors and timing.
-    """
-    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
-    if rows is None:
-        rows = _all_filters(model, simulation, sensors)
-    return LearningFilter(**{key: np.array([row[key] for row in rows]) for key in _NAMES})
-
+ILC = ControllerGains(
+    path=Path(__file__).with_name("ilc_gains.toml"),
+    head=(
+        "Learning filters by `python -m leglab.commissioning.ilc_gains`: the greatest cutoff",
+        f"at which a stride leaves at most {CONTRACTION:g} of any error to the next, at every",
+        "pose and piston speed of the linearised nominal plant. Not to be edited by hand.",
+    ),
+    timing=("control_period", "latency", "velocity_cutoff"),
+    formats=dict.fromkeys(("cutoff", "lead", "speed_per_command"), ".4g"),
+    kind=LearningFilter,
+    tune=_rows,
+)
 
 if __name__ == "__main__":
-    GAINS_FILE.write_text(gains_text(CYLINDER_MODELS))
+    ILC.write()

@@ -3,12 +3,9 @@
 Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes.
 """
 
-import json
 import math
-import re
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +13,8 @@ import mujoco
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.output import write_atomically
 from leglab.commissioning.calibration import drive_signs, free_inertia, native_speed_limit
+from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
@@ -31,23 +28,27 @@ from leglab.machine.simulation import Simulation, load_model
 if TYPE_CHECKING:
     import control
 
-# Tuned once by `leglab tune`, and not touched afterwards.
-GAINS_FILE = Path(__file__).with_name("pd_gains.toml")
-CYLINDER_MODELS = ("knee_bench", "leg", "leg_rail")
 TUNED_MODELS = (*CYLINDER_MODELS, "leg_motor")
-
-# How the file has the timing of the loop and each figure of a joint.
-_TIMING = ("control_period", "latency", "velocity_cutoff")
-_FORMAT = {
-    "position": ".4g",
-    "velocity": ".4g",
-    "gain_margin_db": ".2f",
-    "phase_margin_deg": ".1f",
-    "crossover": ".2f",
-}
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
+# Tuned once by `leglab tune`, and not touched afterwards.
+PD = GainsFile(
+    path=Path(__file__).with_name("pd_gains.toml"),
+    head=(
+        "PD gains by `leglab tune --write`: the greatest K_p that keeps "
+        f"{GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees",
+        "at every pose and piston speed of the linearised plant. Not to be edited by hand.",
+    ),
+    timing=("control_period", "latency", "velocity_cutoff"),
+    formats={
+        "position": ".4g",
+        "velocity": ".4g",
+        "gain_margin_db": ".2f",
+        "phase_margin_deg": ".1f",
+        "crossover": ".2f",
+    },
+)
 # Piston speeds [m/s] at which the plant is linearised: creeping and running, both ways. Dry
 # friction only steadies the loop (sgn(v) has no slope), so it is left out.
 SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
@@ -213,34 +214,44 @@ def sampled_plant(
     import control  # takes a second, and most runs find their gains in the file
 
     full = control.c2d(plant, period, "zoh")
-    part = control.c2d(plant, period - latency, "zoh") if latency < period else None
-    ad, bd = full.A, full.B
-    cp = plant.C @ part.A if part is not None else plant.C
-    dp = plant.C @ part.B if part is not None else np.zeros((1, 1))
-    n = ad.shape[0]
+    outputs, n = plant.C.shape
     # State (x, y_measured): y[k+1] = C (A_p x[k] + B_p u[k]).
-    a = np.block([[ad, np.zeros((n, 1))], [cp, np.zeros((1, 1))]])
-    b = np.vstack([bd, dp])
-    c = np.hstack([np.zeros((1, n)), np.ones((1, 1))])
+    cp, dp = plant.C, np.zeros((outputs, full.B.shape[1]))
+    if latency < period:
+        part = control.c2d(plant, period - latency, "zoh")
+        cp, dp = plant.C @ part.A, plant.C @ part.B
+    a = np.block([[full.A, np.zeros((n, outputs))], [cp, np.zeros((outputs, outputs))]])
+    b = np.vstack([full.B, dp])
+    c = np.hstack([np.zeros((outputs, n)), np.eye(outputs)])
     return control.ss(a, b, c, 0, period)
 
 
+def operating_poses(simulation: Simulation, joint: int) -> Iterator[None]:
+    """Moves a machine at rest to where a joint is linearised, and in the end back.
+
+    It is linearised in the present pose and at a quarter and three quarters of the joint's range.
+    """
+    data, index = simulation.data, simulation.qpos_index[joint]
+    home = data.qpos.copy()
+    low, high = simulation.joint_range()[joint]
+    for position in (home[index], low + 0.25 * (high - low), low + 0.75 * (high - low)):
+        data.qpos[:], data.qvel[:] = home, 0.0
+        data.qpos[index] = position
+        mujoco.mj_forward(simulation.model, data)
+        yield
+    data.qpos[:] = home
+    mujoco.mj_forward(simulation.model, data)
+
+
 def sampled_plants(
-    simulation: Simulation,
-    joint: int,
-    sensors: SensorConfiguration,
-    poses: Sequence[np.ndarray] | None = None,
-    *,
-    held: bool = False,
+    simulation: Simulation, joint: int, sensors: SensorConfiguration, *, held: bool = False
 ) -> list["control.StateSpace"]:
     """Linear plants of one joint, sampled: where gains are tuned.
 
     Args:
-        simulation: The nominal machine; its positions are changed.
+        simulation: The nominal machine at rest, which is left in its pose.
         joint: Index of the joint.
         sensors: Control period and latency of the loop.
-        poses: Positions (nq,) at which to linearise; None for the present one and the joint at a
-            quarter and three quarters of its range.
         held: Whether the other joints are held; without, they are free.
 
     Returns:
@@ -248,22 +259,12 @@ def sampled_plants(
         one a pose and piston speed.
     """
     plants = []
-    data = simulation.data
-    period, latency = sensors.control_period, sensors.latency
-    if poses is None:
-        home = data.qpos.copy()
-        low, high = simulation.joint_range()[joint]
-        poses = [home]
-        for fraction in (0.25, 0.75):
-            pose = home.copy()
-            pose[simulation.qpos_index[joint]] = low + fraction * (high - low)
-            poses.append(pose)
-    for pose in poses:
-        data.qpos[:], data.qvel[:] = pose, 0.0
-        mujoco.mj_forward(simulation.model, data)
+    for _ in operating_poses(simulation, joint):
         direction = float(drive_signs(simulation)[joint])
-        for plant in _plants(simulation, joint, held=held):
-            plants.append(sampled_plant(direction * plant, period, latency))
+        plants += [
+            sampled_plant(direction * plant, sensors.control_period, sensors.latency)
+            for plant in _plants(simulation, joint, held=held)
+        ]
     return plants
 
 
@@ -307,29 +308,22 @@ def _most_gains(
     return fastest**2 * per_push, fastest * per_push
 
 
-def tune(
-    simulation: Simulation,
-    joint: int,
-    *,
-    sensors: SensorConfiguration,
-    poses: Sequence[np.ndarray] | None = None,
-) -> Gains:
+def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) -> Gains:
     """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
 
     Margins are those of the sampled loop, with hold, latency and velocity filter, at every pose
     and piston speed. K_p decides the error in following a ramp, so the greatest is the best.
 
     Args:
-        simulation: The nominal machine; its positions are changed.
+        simulation: The nominal machine at rest, which is left in its pose.
         joint: Index of the joint.
         sensors: Control period, latency and velocity filter of the loop.
-        poses: As `sampled_plants`.
     """
     most_position, most_velocity = _most_gains(simulation, joint, sensors)
     period = sensors.control_period
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
-    responses = [plant(z).ravel() for plant in sampled_plants(simulation, joint, sensors, poses)]
+    responses = [plant(z).ravel() for plant in sampled_plants(simulation, joint, sensors)]
     alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 
@@ -398,8 +392,10 @@ def _round_down(value: float) -> float:
     return float(f"{math.floor(value / scale) * scale:.3g}")
 
 
-def tuned_rows(models: Sequence[str], progress: Callable[[int, int, str], None]) -> dict[str, dict]:
-    """Tunes models; the content of `GAINS_FILE` by model.
+def tuned_tables(
+    models: Sequence[str], progress: Callable[[int, int, str], None]
+) -> dict[str, dict]:
+    """Tunes models; tables of `PD` by model.
 
     Args:
         models: Names or paths.
@@ -414,78 +410,22 @@ def tuned_rows(models: Sequence[str], progress: Callable[[int, int, str], None])
     found: dict[str, dict] = {}
     for model, machine in machines.items():
         sensors = in_whole_steps(SensorConfiguration(), machine.model.opt.timestep)
-        rows = {}
+        rows = []
         for i, joint in enumerate(machine.joints):
             progress(done, total, f"tuning {model}, {joint}")
             done += 1
             machine.reset()
-            gains = tune(machine, i, sensors=sensors)
-            rows[joint] = {k: float(f"{getattr(gains, k):{_FORMAT[k]}}") for k in _FORMAT}
-        timing = {name: getattr(sensors, name) for name in _TIMING}
-        found[model] = {**timing, "joints": rows}
+            rows.append(asdict(tune(machine, i, sensors=sensors)))
+        found[model] = PD.table(machine, sensors, rows)
     return found
-
-
-def gains_text(tables: dict[str, dict]) -> str:
-    """Formats gains of `tuned_rows` as TOML."""
-    lines = [
-        "# PD gains by `leglab tune --write`: the greatest K_p that keeps "
-        f"{GAIN_MARGIN_DB:g} dB and {PHASE_MARGIN_DEG:g} degrees",
-        "# at every pose and piston speed of the linearised plant. Not to be edited by hand.",
-    ]
-    for model, table in tables.items():
-        lines += ["", f"[{_key(model)}]", *(f"{name} = {table[name]!r}" for name in _TIMING)]
-        for joint, row in table["joints"].items():
-            cells = ", ".join(f"{name} = {value:{_FORMAT[name]}}" for name, value in row.items())
-            lines.append(f"joints.{_key(joint)} = {{ {cells} }}")
-    return "\n".join(lines) + "\n"
-
-
-def store_gains(tables: dict[str, dict]) -> None:
-    """Puts gains of `tuned_rows` into `GAINS_FILE`; those of other models stay.
-
-    Raises:
-        LeglabError: The file cannot be written.
-    """
-    stored = tomllib.loads(GAINS_FILE.read_text())
-    text = gains_text({**stored, **tables})
-    write_atomically(GAINS_FILE, lambda file: file.write(text.encode()))
-
-
-def _key(name: str) -> str:
-    """A name as a key of TOML."""
-    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
 
 
 def stored_gains(
     model: str, simulation: Simulation, sensors: SensorConfiguration
 ) -> list[tuple[float, float]] | None:
-    """Gains of a shipped model from `GAINS_FILE`; None where it has none for this loop."""
-    rows = stored_rows(GAINS_FILE, model, simulation, sensors)
+    """Gains of a shipped model from `PD`; None where it has none for this loop."""
+    rows = PD.rows(model, simulation, sensors)
     return None if rows is None else [(row["position"], row["velocity"]) for row in rows]
-
-
-def stored_rows(
-    file: Path, model: str, simulation: Simulation, sensors: SensorConfiguration
-) -> list[dict[str, float]] | None:
-    """Gains of each joint from a file; None where it has none for this loop.
-
-    Args:
-        file: TOML with a table a model: the timing that it was tuned for, and `joints`.
-        model: Name or path of the model.
-        simulation: The machine, for the names of its joints.
-        sensors: Sensors and timing of the loop.
-    """
-    entry = tomllib.loads(file.read_text()).get(str(model)) if file.exists() else None
-    if entry is None:
-        return None
-    timing = entry.keys() & SensorConfiguration.model_fields
-    joints = entry["joints"]
-    if any(entry[name] != getattr(sensors, name) for name in timing):
-        return None
-    if any(name not in joints for name in simulation.joints):
-        return None
-    return [joints[name] for name in simulation.joints]
 
 
 def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:

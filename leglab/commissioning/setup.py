@@ -2,21 +2,18 @@
 
 import copy
 import hashlib
-from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from leglab.commissioning.adrc_gains import adrc_gains
-from leglab.commissioning.backstepping_gains import backstepping_gains
+from leglab.commissioning.adrc_gains import ADRC
+from leglab.commissioning.backstepping_gains import BACKSTEPPING
 from leglab.commissioning.calibration import ValveMap, drive_signs, valve_maps
-from leglab.commissioning.ilc_gains import ilc_gains
+from leglab.commissioning.ilc_gains import ILC
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
 from leglab.control import ControllerSetup, NominalMachine
-from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
-from leglab.control.extended_state_observer import DisturbanceGains
-from leglab.control.iterative_learning import LearningFilter
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty, velocity_delay
 from leglab.machine.simulation import Simulation
 
@@ -40,63 +37,41 @@ class CommissionedMachine(NominalMachine):
         )
         self._simulation, self._model, self._sensors = simulation, model, sensors
 
-    @cached_property
-    def position_gain(self) -> list[float]:
-        """PD gains: valve command per position error [1/rad], (joints,)."""
-        return [gain[0] for gain in self._gains]
-
-    @cached_property
-    def velocity_gain(self) -> list[float]:
-        """PD gains: valve command per velocity error [s/rad], (joints,)."""
-        return [gain[1] for gain in self._gains]
-
-    @cached_property
-    def setpoint(self) -> np.ndarray | None:
-        """Commands that ask servos for a position or velocity, (3, joints); None without servos."""
-        simulation = self._simulation
-        rows = np.zeros((3, len(simulation.joints)))
-        for drive in simulation.native.values():
-            rows[:, drive.id] = drive.setpoint(simulation.data)
-        return rows if rows.any() else None
-
-    @cached_property
-    def valve_maps(self) -> tuple[ValveMap, ...]:
-        """Steady command over position and velocity, one a joint."""
-        return _calibrated(self._own())
-
-    @cached_property
-    def cylinders(self) -> NominalCylinders:
-        """Data sheets and levers."""
-        return nominal_cylinders(self._own())
-
-    @cached_property
-    def inverse_dynamics(self) -> NominalDynamics:
-        """Function of position, velocity, acceleration to joint torques [N m], (joints,) each."""
-        return NominalDynamics(self._own())
-
-    @cached_property
-    def backstepping_gains(self) -> BacksteppingGains:
-        """Gains of `adaptive_backstepping`."""
-        return backstepping_gains(self._model, self._own(), self._sensors)
-
-    @cached_property
-    def adrc_gains(self) -> DisturbanceGains:
-        """Bandwidths of `adrc`."""
-        return adrc_gains(self._model, self._own(), self._sensors)
-
-    @cached_property
-    def ilc_gains(self) -> LearningFilter:
-        """Learning filter of `ilc`."""
-        return ilc_gains(self._model, self._own(), self._sensors)
-
-    @cached_property
-    def _gains(self) -> list[tuple[float, float]]:
-        stored = stored_gains(self._model, self._simulation, self._sensors)
-        return stored or _tuned(self._own(), self._sensors)
+    def find(self, name: str) -> Any:
+        """Measures, calibrates or tunes what a controller asks for; see `NominalMachine`."""
+        if name in ("position_gain", "velocity_gain"):
+            stored = stored_gains(self._model, self._simulation, self._sensors)
+            position, velocity = zip(*(stored or _tuned(self._own(), self._sensors)), strict=True)
+            return position if name == "position_gain" else velocity
+        if name == "setpoint":
+            return _setpoint(self._simulation)
+        own = self._own()
+        match name:
+            case "valve_maps":
+                return _calibrated(own)
+            case "cylinders":
+                return nominal_cylinders(own)
+            case "inverse_dynamics":
+                return NominalDynamics(own)
+            case "backstepping_gains":
+                return BACKSTEPPING.gains(self._model, own, self._sensors)
+            case "adrc_gains":
+                return ADRC.gains(self._model, own, self._sensors)
+            case "ilc_gains":
+                return ILC.gains(self._model, own, self._sensors)
+        return super().find(name)
 
     def _own(self) -> Simulation:
         """A machine for calibration, which moves it through its whole range."""
         return Simulation(copy.copy(self._simulation.model))
+
+
+def _setpoint(simulation: Simulation) -> np.ndarray | None:
+    """Commands that ask servos for a position or velocity, (3, joints); None without servos."""
+    rows = np.zeros((3, len(simulation.joints)))
+    for drive in simulation.native.values():
+        rows[:, drive.id] = drive.setpoint(simulation.data)
+    return rows if rows.any() else None
 
 
 def controller_setup(

@@ -10,7 +10,6 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -102,101 +101,74 @@ class Controller(Protocol):
 class NominalMachine:
     """The machine as its maker knows it, whatever happens to the real one in a run.
 
-    A subclass overrides what it can give (`leglab.commissioning.setup.CommissionedMachine` gives
+    A subclass finds what it can give (`leglab.commissioning.setup.CommissionedMachine` gives
     everything); the rest raises an error that names it. Values are found when somebody asks, once.
 
     Args:
-        known: Values by the names of the properties below, for a machine that is known by numbers.
+        known: Values by the names of the attributes, for a machine that is known by numbers.
+
+    Attributes:
+        direction: Sign of the joint velocity that a positive command gives, (joints,).
+        position_gain: PD gains: valve command per position error [1/rad], (joints,).
+        velocity_gain: PD gains: valve command per velocity error [s/rad], (joints,).
+        setpoint: Command with which a drive that has a loop of its own follows a reference. Rows
+            are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
+            (3, joints), with zeros for drives without such a loop; None where no drive has one.
+        valve_maps: Steady command over position and velocity, a `ValveMap` a joint.
+        cylinders: Data sheets and levers, a `leglab.control.backstepping.data.NominalCylinders`.
+        inverse_dynamics: Function of position, velocity, acceleration to joint torques [N m],
+            (joints,) each.
+        backstepping_gains: Tuned gains, a `leglab.control.backstepping.data.BacksteppingGains`.
+        adrc_gains: Tuned bandwidths, a `leglab.control.extended_state_observer.DisturbanceGains`.
+        ilc_gains: Tuned learning filter, a `leglab.control.iterative_learning.LearningFilter`.
+        latency: Age of a measurement when its command takes effect [s].
+        velocity_delay: Delay of the measured velocity's filter [s].
+        position_noise: Standard deviation of a measured position, resolution included [rad].
+        pressure_noise: Standard deviation of a measured pressure [Pa].
 
     Raises:
-        SettingsError: A name is none of the properties.
+        SettingsError: A name is none of the attributes.
     """
 
+    direction: np.ndarray
+    position_gain: Sequence[float]
+    velocity_gain: Sequence[float]
+    setpoint: np.ndarray | None
+    valve_maps: Sequence[Any]
+    cylinders: Any
+    inverse_dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    backstepping_gains: Any
+    adrc_gains: Any
+    ilc_gains: Any
+    latency: float
+    velocity_delay: float
+    position_noise: float
+    pressure_noise: float
+
     def __init__(self, **known: Any) -> None:
-        properties = [name for name in vars(NominalMachine) if not name.startswith("_")]
+        names = NominalMachine.__annotations__
         for name, value in known.items():
-            if name not in properties:
-                raise SettingsError.unknown("property of a nominal machine", name, properties)
+            if name not in names:
+                raise SettingsError.unknown("property of a nominal machine", name, names)
             self.__dict__[name] = value
 
-    @cached_property
-    def direction(self) -> np.ndarray:
-        """Sign of the joint velocity that a positive command gives, (joints,)."""
-        raise self._missing("direction")
+    def __getattr__(self, name: str) -> Any:
+        if name not in NominalMachine.__annotations__:
+            raise AttributeError(f"a nominal machine has no {name!r}")
+        self.__dict__[name] = value = self.find(name)
+        return value
 
-    @cached_property
-    def position_gain(self) -> Sequence[float]:
-        """PD gains: valve command per position error [1/rad], (joints,)."""
-        raise self._missing("position_gain")
+    def find(self, name: str) -> Any:
+        """Finds the value of an attribute that was not given.
 
-    @cached_property
-    def velocity_gain(self) -> Sequence[float]:
-        """PD gains: valve command per velocity error [s/rad], (joints,)."""
-        raise self._missing("velocity_gain")
-
-    @cached_property
-    def setpoint(self) -> np.ndarray | None:
-        """Command with which a drive that has a loop of its own follows a reference.
-
-        Rows are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
-        (3, joints), with zeros for drives without such a loop; None where no drive has one.
+        Raises:
+            ModelError: The machine does not give it.
         """
-        return None
-
-    @cached_property
-    def valve_maps(self) -> Sequence[Any]:
-        """Steady command over position and velocity, a `ValveMap` a joint."""
-        raise self._missing("valve_maps")
-
-    @cached_property
-    def cylinders(self) -> Any:
-        """Data sheets and levers, a `leglab.control.backstepping.data.NominalCylinders`."""
-        raise self._missing("cylinders")
-
-    @cached_property
-    def inverse_dynamics(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """Function of position, velocity, acceleration to joint torques [N m], (joints,) each."""
-        raise self._missing("inverse_dynamics")
-
-    @cached_property
-    def backstepping_gains(self) -> Any:
-        """Tuned gains, a `leglab.control.backstepping.data.BacksteppingGains`."""
-        raise self._missing("backstepping_gains")
-
-    @cached_property
-    def adrc_gains(self) -> Any:
-        """Tuned bandwidths, a `leglab.control.extended_state_observer.DisturbanceGains`."""
-        raise self._missing("adrc_gains")
-
-    @cached_property
-    def ilc_gains(self) -> Any:
-        """Tuned learning filter, a `leglab.control.iterative_learning.LearningFilter`."""
-        raise self._missing("ilc_gains")
-
-    @cached_property
-    def latency(self) -> float:
-        """Age of a measurement when its command takes effect [s]."""
-        raise self._missing("latency")
-
-    @cached_property
-    def velocity_delay(self) -> float:
-        """Delay of the measured velocity's filter [s]."""
-        raise self._missing("velocity_delay")
-
-    @cached_property
-    def position_noise(self) -> float:
-        """Standard deviation of a measured position, resolution included [rad]."""
-        raise self._missing("position_noise")
-
-    @cached_property
-    def pressure_noise(self) -> float:
-        """Standard deviation of a measured pressure [Pa]."""
-        raise self._missing("pressure_noise")
-
-    def _missing(self, name: str) -> ModelError:
+        if name == "setpoint":
+            return None
         known = sorted(n for n in self.__dict__ if not n.startswith("_"))
         told = f"the controller needs {name!r} of the machine, which gives "
-        return ModelError(told + (", ".join(known) or "nothing"), given=name, allowed=known)
+        raise ModelError(told + (", ".join(known) or "nothing"), given=name, allowed=known)
 
 
 @dataclass(frozen=True, kw_only=True)

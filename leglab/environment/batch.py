@@ -7,7 +7,7 @@ specimen and noise, and has the bits of the same episode alone; only its steps a
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -476,11 +476,6 @@ class Batch:
         return wish.reshape(torque.shape)
 
 
-def _of_all(name: str, repeat: Callable[[Any, int], Any]) -> Any:
-    """A property of one machine, for the joints of all; found when it is asked for."""
-    return cached_property(lambda many: repeat(getattr(many._one, name), many._count))
-
-
 class ManyMachines(NominalMachine):
     """The same nominal machine many times, for a controller that commands joint by joint.
 
@@ -489,17 +484,21 @@ class ManyMachines(NominalMachine):
         count: How many there are.
     """
 
-    direction = _of_all("direction", np.tile)
-    position_gain = _of_all("position_gain", lambda gains, count: list(gains) * count)
-    velocity_gain = _of_all("velocity_gain", lambda gains, count: list(gains) * count)
-    setpoint = _of_all(
-        "setpoint", lambda rows, count: None if rows is None else np.tile(rows, (1, count))
-    )
-    valve_maps = _of_all("valve_maps", lambda maps, count: tuple(maps) * count)
-
     def __init__(self, one: NominalMachine, count: int) -> None:
         super().__init__()
         self._one, self._count = one, count
+
+    def find(self, name: str) -> Any:
+        """As of one machine, for the joints of all."""
+        match name:
+            case "direction":
+                return np.tile(self._one.direction, self._count)
+            case "position_gain" | "velocity_gain" | "valve_maps":
+                return list(getattr(self._one, name)) * self._count
+            case "setpoint":
+                one = self._one.setpoint
+                return None if one is None else np.tile(one, (1, self._count))
+        return super().find(name)
 
 
 def episodes_of(base: Episode, randomize: Any, count: int) -> list[Episodes]:

@@ -9,10 +9,10 @@ import pytest
 from leglab import Run, RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.commissioning.backstepping_gains import (
+    BACKSTEPPING,
     SENSITIVITY,
     BacksteppingGains,
-    backstepping_gains,
-    joint_loop,
+    JointLoop,
 )
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.setup import controller_setup
@@ -182,14 +182,14 @@ def test_least_squares_learn_nothing_within_the_dead_zone_and_from_nan():
 @pytest.mark.parametrize(("model", "joint"), [("knee_bench", 0), ("leg", 0), ("leg", 3)])
 def test_stored_gains_keep_their_margins(model, joint):
     simulation, sensors = Simulation(load_model(model)), SensorConfiguration()
-    gains = backstepping_gains(model, simulation, sensors)
+    gains = BACKSTEPPING.gains(model, simulation, sensors)
     one = BacksteppingGains(
         **{
             name: getattr(gains, name)[joint : joint + 1]
             for name in ("position_gain", "force_damping", "force_drift", "flow_drift")
         }
     )
-    response, peak = joint_loop(simulation, joint, sensors).judge(one)
+    response, peak = JointLoop(simulation, joint, sensors).judge(one)
     assert math.isfinite(response)
     assert peak <= 1.01 * SENSITIVITY
 

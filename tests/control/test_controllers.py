@@ -1,6 +1,7 @@
 """Every controller by name; the laws that can be checked in closed form."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -11,9 +12,15 @@ from scipy.interpolate import RegularGridInterpolator
 import leglab.controllers
 import leglab.models
 from leglab import RunSettings, run_scenario
-from leglab.commissioning import pd_gains
 from leglab.commissioning.calibration import ValveMap
-from leglab.commissioning.pd_gains import SPEEDS, joint_plant, sampled_plant, stored_gains, tune
+from leglab.commissioning.pd_gains import (
+    PD,
+    SPEEDS,
+    joint_plant,
+    sampled_plant,
+    stored_gains,
+    tune,
+)
 from leglab.control import (
     ControllerSetup,
     Measurement,
@@ -136,12 +143,11 @@ def test_gains_of_a_model_without_stored_ones_are_tuned_at_the_timestep_of_the_r
     assert list(zip(machine.position_gain, machine.velocity_gain, strict=True)) == stored
 
 
-def test_tuning_one_model_keeps_the_stored_gains_of_the_others(tmp_path, monkeypatch):
+def test_tuning_one_model_keeps_the_stored_gains_of_the_others(tmp_path):
     file = tmp_path / "gains.toml"
-    file.write_text(pd_gains.GAINS_FILE.read_text())
+    file.write_text(PD.path.read_text())
     before = tomllib.loads(file.read_text())
-    monkeypatch.setattr(pd_gains, "GAINS_FILE", file)
-    pd_gains.store_gains({"own/arm.xml": {**before["knee_bench"]}})
+    replace(PD, path=file).store({"own/arm.xml": {**before["knee_bench"]}})
     after = tomllib.loads(file.read_text())
     assert after == {**before, "own/arm.xml": before["knee_bench"]}
 

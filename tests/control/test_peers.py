@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings
-from leglab.commissioning.adrc_gains import JointMargins, adrc_gains, plant_gain
+from leglab.commissioning.adrc_gains import ADRC, JointMargins, plant_gain
 from leglab.commissioning.adrc_gains import tuned_gains as tuned_bandwidths
-from leglab.commissioning.ilc_gains import CONTRACTION, closed_loops, ilc_gains
+from leglab.commissioning.ilc_gains import CONTRACTION, ILC, closed_loops
 from leglab.commissioning.pd_gains import sampled_plant, stored_gains
 from leglab.control.extended_state_observer import DisturbanceGains, DisturbanceRejection
 from leglab.control.iterative_learning import (
@@ -149,7 +149,7 @@ def test_lost_readings_leave_the_estimate_alone():
 def test_stored_bandwidths_keep_the_margins_of_pd(model):
     sensors = SensorConfiguration()
     simulation = Simulation(load_model(model))
-    gains = adrc_gains(model, simulation, sensors)
+    gains = ADRC.gains(model, simulation, sensors)
     for joint in range(len(simulation.joints)):
         simulation.reset()
         own = DisturbanceGains(**{name: value[[joint]] for name, value in vars(gains).items()})
@@ -162,7 +162,7 @@ def test_stored_bandwidths_keep_the_margins_of_pd(model):
 def test_stored_bandwidths_are_what_tuning_gives():
     sensors = SensorConfiguration()
     simulation = Simulation(load_model("knee_bench"))
-    stored = adrc_gains("knee_bench", simulation, sensors)
+    stored = ADRC.gains("knee_bench", simulation, sensors)
     tuned = tuned_bandwidths(simulation, 0, sensors)
     for name, value in vars(tuned).items():
         np.testing.assert_allclose(getattr(stored, name), value, rtol=1e-3)
@@ -270,7 +270,7 @@ def test_frozen_it_repeats_what_it_has():
 def test_stored_filters_contract_on_every_linearised_plant(model):
     sensors = SensorConfiguration()
     simulation = Simulation(load_model(model))
-    filters = ilc_gains(model, simulation, sensors)
+    filters = ILC.gains(model, simulation, sensors)
     gains = stored_gains(model, simulation, sensors)
     frequency = np.geomspace(0.2, 1000.0, 700)
     for joint, name in enumerate(simulation.joints):

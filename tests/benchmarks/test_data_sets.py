@@ -2,10 +2,10 @@
 
 import pytest
 
+from benchmarks import data_sets
+from benchmarks.data_sets import ACTUATOR, SILVERBOX
 from leglab.base.errors import LeglabError
 from leglab.identification import SplineNarx
-from leglab.studies.replication import real_data
-from leglab.studies.replication.real_data import ACTUATOR, SILVERBOX
 
 
 def recording(load):
@@ -16,19 +16,19 @@ def recording(load):
 
 
 def free_run_errors(data, structure):
-    model = SplineNarx(real_data.spline_narx(data, **structure))
-    return real_data.free_run_errors(real_data.train(model, data), data)
+    model = SplineNarx(data_sets.spline_narx(data, **structure))
+    return data_sets.free_run_errors(data_sets.train(model, data), data)
 
 
 def test_silverbox_after_one_online_pass():
-    errors = free_run_errors(recording(real_data.silverbox), SILVERBOX)
+    errors = free_run_errors(recording(data_sets.silverbox), SILVERBOX)
     assert errors["multisine"] <= 0.50  # mV
     assert errors["arrow, no extrapolation"] <= 0.50
     assert errors["arrow"] <= 2.3
 
 
 def test_silverbox_without_splines_stays_linear():
-    data = recording(real_data.silverbox)
+    data = recording(data_sets.silverbox)
     structure = {**SILVERBOX, "output_lags": (), "output_error_after": 0}
     errors = free_run_errors(data, structure)
     linear = dict(zip(data.tests, data.published["ARX"], strict=True))
@@ -36,23 +36,23 @@ def test_silverbox_without_splines_stays_linear():
 
 
 def test_actuator_after_one_online_pass():
-    errors = free_run_errors(recording(real_data.actuator), ACTUATOR)
+    errors = free_run_errors(recording(data_sets.actuator), ACTUATOR)
     assert errors["second half"] <= 0.55
 
 
 def test_selection_looks_at_the_training_part_alone():
-    data = recording(real_data.actuator)
+    data = recording(data_sets.actuator)
     grid = [{"na": na, "nb": 4, "nk": 1, "splines": 5, "input_lags": (1,)} for na in (2, 3, 4)]
-    ranked = real_data.select(data, grid, real_data.ACTUATOR_SPLITS)
+    ranked = data_sets.select(data, grid, data_sets.ACTUATOR_SPLITS)
     data.y[512:] = data.u[512:] = 0.0
-    assert real_data.select(data, grid, real_data.ACTUATOR_SPLITS) == ranked
+    assert data_sets.select(data, grid, data_sets.ACTUATOR_SPLITS) == ranked
     assert [c.error for c in ranked] == sorted(c.error for c in ranked)
 
 
 def test_structures_are_in_their_grids():
     for structure, grid in (
-        (SILVERBOX, real_data.silverbox_grid()),
-        (ACTUATOR, real_data.actuator_grid()),
+        (SILVERBOX, data_sets.silverbox_grid()),
+        (ACTUATOR, data_sets.actuator_grid()),
     ):
         assert any(structure.items() <= candidate.items() for candidate in grid)
 
@@ -60,10 +60,10 @@ def test_structures_are_in_their_grids():
 def test_missing_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("LEGLAB_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(LeglabError, match="nowhere"):
-        real_data.silverbox()
+        data_sets.silverbox()
 
 
 def test_missing_recording_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("LEGLAB_DATA", str(tmp_path))
     with pytest.raises(LeglabError, match="SNLS80mV"):
-        real_data.silverbox()
+        data_sets.silverbox()

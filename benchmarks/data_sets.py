@@ -1,12 +1,11 @@
-"""Two measured benchmarks: the Silverbox circuit and a hydraulic actuator.
+"""Two measured data sets, the Silverbox circuit and a hydraulic actuator, and models of them.
 
 Every model learns in one online pass over the training part and then runs free. The structure of
-the deployed identifier is the first of its grid, ranked on the training part alone
-(`python -m benchmarks real_data --select` shows the ranking). The recordings are other people's and
-are not part of this project: `shared_data` says where they are looked for.
+the deployed identifier is the first of its grid, ranked on the training part alone. The recordings
+are other people's: `shared_data` says where they are looked for.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, Literal, NamedTuple
@@ -124,20 +123,10 @@ def spline_narx(
     initial_gain: float = 1e4,
     output_error_after: int = 0,
 ) -> SplineNarxSettings:
-    """Lags, a constant, and spline blocks of single lags of y and u over their ranges.
+    """Lags (na, nb, nk), a constant, and a block of splines for some lags of y and of u.
 
-    Args:
-        data: Gives the declared ranges.
-        na: Past outputs.
-        nb: Inputs.
-        nk: Smallest lag of the input.
-        splines: In each block.
-        output_lags: Lags of y that get a block.
-        input_lags: Lags of u that get a block.
-        reach: Part of the declared range over which the splines lie.
-        outside: How they continue outside.
-        initial_gain: F(0) in scaled units.
-        output_error_after: Samples after which the simulation error is minimised; 0 never.
+    The splines lie over the part `reach` of the declared range. The simulation error is minimised
+    after so many samples; never where that is 0.
     """
     u_range, y_range = data.ranges
     blocks = [("y", lag, reach * y_range) for lag in output_lags]
@@ -210,15 +199,9 @@ class RankedStructure(NamedTuple):
 def select(
     data: Dataset, grid: Sequence[dict[str, Any]], splits: Sequence[tuple[slice, slice]]
 ) -> list[RankedStructure]:
-    """Ranks structures by their mean free-run error over splits of the training part.
+    """Ranks arguments of `spline_narx` by their mean free-run error, the best first.
 
-    Args:
-        data: Only its training part is looked at.
-        grid: Arguments of `spline_narx`, one candidate each.
-        splits: (learn online, run free) as parts of the training part.
-
-    Returns:
-        Rankeds, best first.
+    `splits` are (learn online, run free), parts of the training part.
     """
     u, y = data.u[data.train], data.y[data.train]
     ranked = []
@@ -232,27 +215,21 @@ def select(
     return sorted(ranked, key=lambda candidate: candidate.error)
 
 
-def _product(**choices: Sequence[Any]) -> Iterator[dict[str, Any]]:
-    for values in product(*choices.values()):
-        yield dict(zip(choices, values, strict=True))
+def _product(**choices: Sequence[Any]) -> list[dict[str, Any]]:
+    return [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
 
 
 def actuator_grid() -> list[dict[str, Any]]:
     """Orders, blocks of u and of y, their number of splines, and F(0) as regularisation."""
-    inputs = ((), (1,), (1, 2), (1, 2, 3), (0, 1), (0, 1, 2))
-    return [
-        {**orders, **rest}
-        for orders, rest in product(
-            ({"nb": nb, "nk": nk} for nb, nk in ((2, 1), (3, 1), (4, 1), (6, 1), (4, 0))),
-            _product(
-                na=(2, 3, 4, 5, 6, 8),
-                splines=(5, 8, 12, 16),
-                input_lags=inputs,
-                output_lags=((), (1,)),
-                initial_gain=(10.0, 30.0, 100.0, 1e4),
-            ),
-        )
-    ]
+    rest = _product(
+        na=(2, 3, 4, 5, 6, 8),
+        splines=(5, 8, 12, 16),
+        input_lags=((), (1,), (1, 2), (1, 2, 3), (0, 1), (0, 1, 2)),
+        output_lags=((), (1,)),
+        initial_gain=(10.0, 30.0, 100.0, 1e4),
+    )
+    orders = ((2, 1), (3, 1), (4, 1), (6, 1), (4, 0))
+    return [{"nb": nb, "nk": nk, **others} for (nb, nk), others in product(orders, rest)]
 
 
 ACTUATOR_SPLITS = (
@@ -266,18 +243,14 @@ ACTUATOR_SPLITS = (
 
 def silverbox_grid() -> list[dict[str, Any]]:
     """Orders, splines of y over the range of the training output (+-2 %), start of stage 2."""
-    return [
-        {**rest, "nb": rest["na"] + 1}
-        for rest in _product(
-            na=(2, 3, 4, 5, 6),
-            nk=(0,),
-            splines=(5, 6, 7, 8, 9, 10, 12, 14),
-            output_lags=((1,), (1, 2)),
-            reach=(0.85,),
-            outside=("quadratic",),
-            output_error_after=(1000, 2000, 5000),
-        )
-    ]
+    shared = {"nk": 0, "reach": 0.85, "outside": "quadratic"}
+    candidates = _product(
+        na=(2, 3, 4, 5, 6),
+        splines=(5, 6, 7, 8, 9, 10, 12, 14),
+        output_lags=((1,), (1, 2)),
+        output_error_after=(1000, 2000, 5000),
+    )
+    return [{**shared, **rest, "nb": rest["na"] + 1} for rest in candidates]
 
 
 SILVERBOX_SPLITS = ((slice(0, 52050), slice(52050, 65062)),)

@@ -1,0 +1,128 @@
+"""Files of tuned gains: a table a model with the timing of its loop, and a row a joint."""
+
+import inspect
+import json
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from leglab.base.output import write_atomically
+from leglab.machine.sensors import SensorConfiguration
+from leglab.machine.simulation import Simulation, load_model
+
+# Models whose joints all have cylinders.
+CYLINDER_MODELS = ("knee_bench", "leg", "leg_rail")
+
+Row = dict[str, float]
+Gains = TypeVar("Gains")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsFile:
+    """A file of tuned gains beside this module.
+
+    Attributes:
+        path: The file.
+        head: What its comment says.
+        timing: Fields of the sensors that the gains are tuned for.
+        formats: How a row has each figure, by name.
+    """
+
+    path: Path
+    head: Sequence[str]
+    timing: Sequence[str]
+    formats: Mapping[str, str]
+
+    def table(
+        self, simulation: Simulation, sensors: SensorConfiguration, rows: Sequence[Row]
+    ) -> dict[str, Any]:
+        """The table of a model, with its rows as they are written."""
+        joints = {
+            joint: {name: float(f"{row[name]:{form}}") for name, form in self.formats.items()}
+            for joint, row in zip(simulation.joints, rows, strict=True)
+        }
+        return {**{name: getattr(sensors, name) for name in self.timing}, "joints": joints}
+
+    def text(self, tables: Mapping[str, dict[str, Any]]) -> str:
+        """Formats tables by model as TOML."""
+        lines = [f"# {line}" for line in self.head]
+        for model, table in tables.items():
+            lines += [
+                "",
+                f"[{_key(model)}]",
+                *(f"{name} = {table[name]!r}" for name in self.timing),
+            ]
+            for joint, row in table["joints"].items():
+                cells = (f"{name} = {row[name]:{form}}" for name, form in self.formats.items())
+                lines.append(f"joints.{_key(joint)} = {{ {', '.join(cells)} }}")
+        return "\n".join(lines) + "\n"
+
+    def store(self, tables: Mapping[str, dict[str, Any]]) -> None:
+        """Writes tables by model; those of other models stay.
+
+        Raises:
+            LeglabError: The file cannot be written.
+        """
+        text = self.text({**tomllib.loads(self.path.read_text()), **tables})
+        write_atomically(self.path, lambda file: file.write(text.encode()))
+
+    def rows(
+        self, model: str, simulation: Simulation, sensors: SensorConfiguration
+    ) -> list[Row] | None:
+        """Stored gains of each joint; None where there are none for this loop.
+
+        Args:
+            model: Name or path of the model.
+            simulation: The machine, for the names of its joints.
+            sensors: Sensors and timing of the loop.
+        """
+        entry = tomllib.loads(self.path.read_text()).get(str(model))
+        if entry is None or any(entry[name] != getattr(sensors, name) for name in self.timing):
+            return None
+        joints = entry["joints"]
+        if any(name not in joints for name in simulation.joints):
+            return None
+        return [joints[name] for name in simulation.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerGains(GainsFile, Generic[Gains]):
+    """Gains of a controller: stored for the shipped models, tuned when asked for others.
+
+    Attributes:
+        kind: What the controller takes: a dataclass with an array (joints,) a field.
+        tune: Tunes a machine that is named, and changes its positions; a row a joint.
+    """
+
+    kind: Callable[..., Gains]
+    tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
+
+    def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> Gains:
+        """Gains of all joints.
+
+        Args:
+            model: Name or path of the model.
+            simulation: The nominal machine in its rest pose; its positions are changed.
+            sensors: Sensors and timing of the loop.
+        """
+        rows = self.rows(model, simulation, sensors) or self.tune(model, simulation, sensors)
+        names = inspect.signature(self.kind).parameters
+        return self.kind(**{name: np.array([row[name] for row in rows]) for name in names})
+
+    def write(self) -> None:
+        """Tunes `CYLINDER_MODELS` for the default sensors and writes the file."""
+        sensors, tables = SensorConfiguration(), {}
+        for model in CYLINDER_MODELS:
+            machine = Simulation(load_model(model))
+            tables[model] = self.table(machine, sensors, self.tune(model, machine, sensors))
+        self.path.write_text(self.text(tables))
+
+
+def _key(name: str) -> str:
+    """A name as a key of TOML."""
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
