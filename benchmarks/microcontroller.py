@@ -247,7 +247,7 @@ def measure(_options: argparse.Namespace) -> dict[str, Any]:
             least_memory=config.least_memory,
         )
         shape = inverse_map.settings
-        machine.write("kernel", smoothing_kernel(config.window, 4, 1 / RATE))
+        machine.write("kernel", smoothing_kernel(config.window, 1 / RATE))
         machine.write("velocity_knots", shape.features[0].basis.knots)  # type: ignore[union-attr]
         machine.write("position_knots", shape.features[1].basis.knots)  # type: ignore[union-attr]
         machine.write("prior", [2 / (s.upper - s.lower) for s in shape.inputs])

@@ -191,7 +191,7 @@ class JointLoop:
         *,
         valve_share: float = 1.0,
     ) -> None:
-        data = nominal_cylinders(simulation).joint(joint)
+        data = nominal_cylinders(simulation).joints([joint])
         self._model, self._sensors = CylinderModel(data), sensors
         self._speed = float(no_load_speed(data)[0])
         actuator = simulation.actuators[joint]

@@ -1,6 +1,7 @@
 """The nominal machine as data for model-based controllers: cylinders, levers, rigid bodies."""
 
 import copy
+from dataclasses import fields
 
 import mujoco
 import numpy as np
@@ -32,33 +33,20 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
     def row(name: str) -> np.ndarray:
         return np.array([sheet[name] for sheet in sheets])
 
+    own = [field.name for field in fields(NominalCylinders) if field.name in sheets[0]]
     mass = _effective_masses(simulation)
     position, lever, length = simulation.lever_tables(_LEVER_POSITIONS)
     return NominalCylinders(
         area=np.array([Cylinder(sheet).native.areas() for sheet in sheets]).T,
         dead_volume=np.stack([row("dead_volume_a"), row("dead_volume_b")]),
-        stroke=row("stroke"),
         orifice_gain=row("rated_flow") / np.sqrt(row("rated_pressure_drop") / 2),
-        laminar_transition_pressure=row("laminar_transition_pressure"),
-        lap=row("lap"),
-        edge_rounding=row("edge_rounding"),
         valve_frequency=2 * np.pi * row("bandwidth_hz"),
         valve_damping=row("damping_ratio"),
-        supply_pressure=row("supply_pressure"),
-        tank_pressure=row("tank_pressure"),
-        bulk_modulus=row("bulk_modulus"),
-        entrained_air=row("entrained_air"),
-        polytropic_index=row("polytropic_index"),
-        internal_leakage=row("internal_leakage"),
-        viscous=row("viscous"),
-        coulomb=row("coulomb"),
-        static=row("static"),
-        stribeck_velocity=row("stribeck_velocity"),
-        sigma_0=row("sigma_0"),
         mass=mass,
         position=position,
         lever=lever,
         piston=length + (row("stroke") / 2 - row("mid_length"))[:, None],
+        **{name: row(name) for name in own},
     )
 
 

@@ -102,7 +102,7 @@ class IterativeLearning:
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
         kernels = [
-            kernels_of(
+            _kernels(
                 cutoff=float(filters.cutoff[j]),
                 lead=float(filters.lead[j]),
                 speed_per_command=float(filters.speed_per_command[j]),
@@ -172,7 +172,7 @@ class IterativeLearning:
         rows[self._next] = rows[self._next + self._length] = values
 
 
-def kernels_of(
+def _kernels(
     *,
     cutoff: float,
     lead: float,
@@ -184,14 +184,7 @@ def kernels_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Impulse responses of Q and Q L, oldest sample first, (2 half + 1,) each.
 
-    Args:
-        cutoff: Of Q [rad/s].
-        lead: As `learning_function`.
-        speed_per_command: As `learning_function`.
-        crossover: As `learning_function`.
-        period: Control period [s].
-        half: Samples before and after the one that is asked for.
-        shift: How much later than the middle sample is asked for [s]; negative for earlier.
+    `shift` is how much later than the middle sample is asked for [s]; negative for earlier.
     """
     frequency = 2 * math.pi * np.fft.rfftfreq(_TRANSFORM, period)
     passed = q_filter(frequency, cutoff) * np.exp(1j * frequency * shift)

@@ -1,7 +1,5 @@
 """Valve commands by which cylinders give their joints wanted torques: an inner loop of force."""
 
-from dataclasses import fields, replace
-
 import numpy as np
 
 from leglab.control.backstepping.cylinder import CylinderModel
@@ -11,7 +9,6 @@ from leglab.control.contract import Measurement
 # Bandwidth of the loop of force times the control period, and rate of the integral, of it. Hold,
 # latency, the valve's lag and the integral leave some 30 degrees at the crossover.
 _BANDWIDTH, _INTEGRAL = 0.4, 0.5
-_TABLES = ("position", "lever", "piston")
 
 
 class TorqueLoop:
@@ -80,15 +77,3 @@ class TorqueLoop:
         assert now.supply_pressure is not None
         pressure = np.stack([now.pressure_a, now.pressure_b])
         return self.command(torque, now.position, now.velocity, pressure, now.supply_pressure)
-
-
-def repeated(data: NominalCylinders, count: int) -> NominalCylinders:
-    """The data of a machine many times, one behind the other, for all joints of a batch."""
-    rows = {field.name: getattr(data, field.name) for field in fields(data)}
-    return replace(
-        data,
-        **{
-            name: np.tile(value, (count, 1) if name in _TABLES else count)
-            for name, value in rows.items()
-        },
-    )

@@ -28,7 +28,7 @@ from leglab.control import (
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import CONTROLLERS, diagnostics_of
 from leglab.control.feedforward.adaptive import FeedforwardTeam
-from leglab.control.torque import TorqueLoop, repeated
+from leglab.control.torque import TorqueLoop
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.observations import flat_scale, observation_scales
@@ -130,7 +130,8 @@ class Batch:
         self.torque_limit: np.ndarray | None = None
         if cylinders is not None:
             self.torque_limit = TorqueLoop(cylinders, self.period).limit
-            self._torque = TorqueLoop(repeated(cylinders, self.count), self.period)
+            all_joints = np.tile(np.arange(len(cylinders.stroke)), self.count)
+            self._torque = TorqueLoop(cylinders.joints(all_joints), self.period)
         sizes = self._sizes(hydraulic)
         self._raw = np.zeros((self.count, sum(sizes.values())), dtype=np.float32)
         self.observation = self._raw

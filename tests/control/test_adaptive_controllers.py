@@ -104,7 +104,7 @@ def test_window_gives_exact_derivatives_of_a_polynomial():
 
 def test_smoothing_kernel_is_that_of_savitzky_and_golay():
     signal = pytest.importorskip("scipy.signal")
-    kernel = smoothing_kernel(15, 4, 0.01)
+    kernel = smoothing_kernel(15, 0.01)
     for order in range(4):
         expected = signal.savgol_coeffs(15, 4, deriv=order, delta=0.01, use="dot")
         np.testing.assert_allclose(kernel[order], expected, rtol=1e-8, atol=1e-6)

@@ -143,7 +143,7 @@ def pressure_pair(monkeypatch):
     chosen = [1, 3]  # hip roll and knee, which a positive command moves to either side
     signs = np.asarray(machine.direction)[chosen]
     table = ValveTable.of([machine.valve_maps[j] for j in chosen], signs)
-    sheets = [machine.cylinders.joint(j) for j in chosen]
+    sheets = [machine.cylinders.joints([j]) for j in chosen]
     cylinders = NominalCylinders(
         **{
             name: np.concatenate(

@@ -233,7 +233,7 @@ class PressureFeedforward(Feedforward):
 
     def __init__(self, parts, table, learner, loads, cylinders):
         super().__init__(parts, table, learner)
-        self.loads, self.sheets = loads, [cylinders.joint(j) for j in range(self.joints)]
+        self.loads, self.sheets = loads, [cylinders.joints([j]) for j in range(self.joints)]
 
     def take(self, pressure_a, pressure_b, supply):
         """Pressures of this period [Pa]; the last ones for what is lost."""

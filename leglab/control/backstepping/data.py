@@ -1,6 +1,6 @@
 """Data sheets of the nominal cylinders, and the gains that the feedback is designed from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -65,13 +65,13 @@ class NominalCylinders:
     lever: np.ndarray
     piston: np.ndarray
 
-    def joint(self, index: int) -> "NominalCylinders":
-        """The data of one joint alone, arrays keeping their axes."""
+    def joints(self, indices: Sequence[int] | np.ndarray) -> "NominalCylinders":
+        """The data of some joints, in this order, perhaps several times."""
+        tables = ("position", "lever", "piston")
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name, value in values.items():
-            axis = 0 if name in ("position", "lever", "piston") else -1
-            values[name] = value.take([index], axis)
-        return NominalCylinders(**values)
+        return NominalCylinders(
+            **{n: v.take(indices, axis=0 if n in tables else -1) for n, v in values.items()}
+        )
 
 
 # Corner frequency of the filter of the chambers' common pressure [rad/s].

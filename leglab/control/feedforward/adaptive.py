@@ -18,36 +18,42 @@ from leglab.identification import ChangeDetection, Rls, SplineNarx
 # What a period reports, in the order of the core's rows behind the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
-# Tracking errors below this [rad] are no reason to distrust the model.
-_NOISE = 0.2e-3
-
-# Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
-_GREATEST_ACCELERATION = 1000.0
-
-# Time constant of the errors by which the learned and the calibrated map are judged [s]; the
-# calibrated one takes over where the learned one's RMS error is so many times its own.
-_TRUST_TIME, _MARGIN = 0.5, 1.05
-
-# What was learned beyond the slow map is used by the share that held over this time [s], as
-# predicted by snapshots so far apart [s]. This share of the slow map's mean squared error counts as
-# evidence for what was learned, so that it is used before there is other evidence.
-_PROOF_TIME, _PROOF_HORIZON, _PROOF_DOUBT = 0.15, 0.02, 0.06
-
-# What the slow and the learned map differ by without being held to it [share of full speed].
-_PROOF_NOISE = 0.0005
-
-# A command that changes by this has turned [valve command]: noise of the feedback does less.
-_TURN = 0.002
-
-# A width of hysteresis in use follows errors within this time [s]: half a stride, in which commands
-# turn some times. What a little more of it would do is seen over this step [valve command].
-_PLAY_TIME, _PLAY_STEP = 0.5, 0.01
-
-# Squared errors of maps beside each other are averaged over this time [s], the logarithms of their
-# ratios over the second one, a quarter of a stride; each has so many independent errors. A map of
-# which the ratio to the one that knows nothing exceeds the last number is out: what is right may
-# err more than what has just learned the motion of now, but not so much.
-_CONTEST_TIME, _CONTEST_GATHER, _CONTEST_ERRORS, _CONTEST_WINDOW = 0.08, 0.25, 4.0, 6.0
+# Chosen numbers, by the names of the core.
+_CONSTANTS = {
+    # Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
+    "greatest_acceleration": 1000.0,
+    # Time constant of the errors by which the learned and the calibrated map are judged [s]; the
+    # calibrated one takes over where the learned one's RMS error is so many times its own. Tracking
+    # errors below the last number [rad] are no reason to distrust the model.
+    "trust_time": 0.5,
+    "margin": 1.05,
+    "noise": 0.2e-3,
+    # What was learned beyond the slow map is used by the share that held over this time [s], as
+    # predicted by snapshots so far apart [s]. This share of the slow map's mean squared error
+    # counts as evidence for what was learned, so that it is used before there is other evidence.
+    # What the two maps differ by without being held to it [share of full speed].
+    "proof_time": 0.15,
+    "proof_horizon": 0.02,
+    "proof_doubt": 0.06,
+    "proof_noise": 0.0005,
+    # A command that changes by this has turned [valve command]: noise of the feedback does less.
+    "turn": 0.002,
+    # A width of hysteresis in use follows errors within this time [s]: half a stride, in which
+    # commands turn some times. What a little more of it would do is seen over this step [valve
+    # command].
+    "play_time": 0.5,
+    "play_step": 0.01,
+    # Squared errors of maps beside each other are averaged over this time [s], the logarithms of
+    # their ratios over the second one, a quarter of a stride; each has so many independent errors.
+    # A map of which the ratio to the one that knows nothing exceeds the last number is out: what is
+    # right may err more than what has just learned the motion of now, but not so much.
+    "contest_time": 0.08,
+    "contest_gather": 0.25,
+    "contest_errors": 4.0,
+    "contest_window": 6.0,
+    "acceleration": ACCELERATION,
+    "jerk": JERK,
+}
 
 
 class LearningConfiguration(Configuration):
@@ -187,34 +193,18 @@ class AdaptiveFeedforward:
             {
                 **config.model_dump(),
                 **vars(table),
+                **_CONSTANTS,
                 "control_period": control_period,
                 "stop_time": math.inf if config.stop_time is None else config.stop_time,
                 "saturation": config.limit,
-                "greatest_acceleration": _GREATEST_ACCELERATION,
                 "forward": config.route == "forward",
-                "trust_time": _TRUST_TIME,
-                "margin": _MARGIN,
-                "noise": _NOISE,
-                "proof_time": _PROOF_TIME,
-                "proof_horizon": _PROOF_HORIZON,
-                "proof_doubt": _PROOF_DOUBT,
-                "proof_noise": _PROOF_NOISE,
-                "contest_time": _CONTEST_TIME,
-                "contest_gather": _CONTEST_GATHER,
-                "contest_errors": _CONTEST_ERRORS,
-                "contest_window": _CONTEST_WINDOW,
                 "contest_floor": config.noise**2,
                 "plays": np.array(plays, dtype=float),
-                "turn": _TURN,
-                "play_time": _PLAY_TIME,
-                "play_step": _PLAY_STEP,
                 "play_noise": config.noise,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
-                "acceleration": ACCELERATION,
-                "jerk": JERK,
                 "products": inverse_map.products,
-                "kernel": smoothing_kernel(config.window, 4, control_period),
+                "kernel": smoothing_kernel(config.window, control_period),
                 "lead": control_period - latency,
                 "position_delay": latency,
                 "velocity_delay": velocity_delay,

@@ -8,15 +8,14 @@ from numpy.typing import ArrayLike
 from leglab.control import ReferencePoint
 
 
-def smoothing_kernel(window: int, order: int, timestep: float) -> np.ndarray:
-    """Least-squares polynomial over a window: value and three derivatives at its middle.
+def smoothing_kernel(window: int, timestep: float) -> np.ndarray:
+    """Least-squares polynomial of order 4 over a window: value and three derivatives at its middle.
 
     Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of the polynomial of
     least squares are linear in the samples.
 
     Args:
-        window: Samples, odd, more than `order`.
-        order: Of the polynomial, at least 3.
+        window: Samples, odd, more than 4.
         timestep: Between samples [s].
 
     Returns:
@@ -24,7 +23,7 @@ def smoothing_kernel(window: int, order: int, timestep: float) -> np.ndarray:
     """
     half = window // 2
     offsets = np.arange(-half, half + 1) / half
-    powers = np.linalg.pinv(np.vander(offsets, order + 1, increasing=True))
+    powers = np.linalg.pinv(np.vander(offsets, 5, increasing=True))
     unit = half * timestep
     return np.stack([math.factorial(d) * powers[d] / unit**d for d in range(4)])
 
@@ -41,7 +40,7 @@ class SmoothingWindow:
 
     def __init__(self, signals: int, window: int, timestep: float, *, derivatives: int = 3) -> None:
         self._window = window
-        self._kernel = smoothing_kernel(window, 4, timestep)[: derivatives + 1]
+        self._kernel = smoothing_kernel(window, timestep)[: derivatives + 1]
         # Every sample is written twice, a window apart, so that a slice is always in order.
         self._rows = np.zeros((2 * window, signals))
         self.clear()

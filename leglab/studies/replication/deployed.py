@@ -117,8 +117,9 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
     return floor, rows
 
 
-def forgetting_modes(gain: float = 1e4) -> dict[str, Rls]:
+def forgetting_modes() -> dict[str, Rls]:
     """Every way of forgetting, by name; the last is the deployed one."""
+    gain = 1e4
     change = ChangeDetection(gain=gain)
     plain = Rls(initial_gain=gain)
     fortescue = Rls(initial_gain=gain, forgetting="variable", forgetting_factor=0.9, memory=400.0)

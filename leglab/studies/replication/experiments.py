@@ -29,7 +29,7 @@ from leglab.studies.replication.paper import (
     Scores,
     score,
 )
-from leglab.studies.replication.plant import Excitation, simulate
+from leglab.studies.replication.plant import simulate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +200,7 @@ def input_variance(instances: int, seed: int) -> list[Errors]:
     """The same for `VARIANCES` of the noise, the realisation otherwise that of paper mode."""
     rows = []
     for variance in VARIANCES:
-        u, y = (s[0] for s in simulate([seed], excitation=Excitation(variance=variance)))
+        u, y = (s[0] for s in simulate([seed], variance=variance))
         rows.append(_row(f"{variance:.2g}", u, y, instances, seed, OnlineSettings()))
     return rows
 
@@ -227,12 +227,9 @@ def initial_gain(u: Array, y: Array, instances: int, seed: int) -> dict[str, lis
     """
     curves: dict[str, list[float]] = {}
     for gain in INITIAL_GAINS:
-        runs = [
-            run_online(a, b, instances, seed, OnlineSettings(initial_gain=gain))
-            for a, b in zip(u, y, strict=True)
-        ]
+        errors = _errors(u, y, instances, seed, OnlineSettings(initial_gain=gain))
         for model in ONLINE[1:]:
-            one, free = _errors(runs, y, model)
+            one, free = errors[model]
             curves.setdefault(f"{model}, one step", []).append(float(np.mean(one)))
             curves.setdefault(f"{model}, free run (median)", []).append(float(np.median(free)))
             share = float(np.mean(~(free < DIVERGED)))
@@ -244,9 +241,10 @@ def learning_constant(u: Array, y: Array, instances: int, seed: int) -> dict[str
     """Validation RMS (one step) of BSNN and BSNN-ARX against `LEARNING_CONSTANTS`."""
     curves: dict[str, list[float]] = {}
     for eta in LEARNING_CONSTANTS:
-        runs = [run_online(u, y, instances, seed, OnlineSettings(learning_constant=eta))]
+        settings = OnlineSettings(learning_constant=eta)
+        errors = _errors(u[None], y[None], instances, seed, settings)
         for model in ("BSNN", "BSNN-ARX"):
-            curves.setdefault(model, []).append(float(np.mean(_errors(runs, y[None], model)[0])))
+            curves.setdefault(model, []).append(float(np.mean(errors[model][0])))
     return curves
 
 
@@ -281,8 +279,8 @@ def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
     for constant in (LEARNING_CONSTANT, PRINTED_LEARNING_CONSTANT):
         for gain in INITIAL_GAINS:
             settings = OnlineSettings(initial_gain=gain, learning_constant=constant)
-            runs = [run_online(a, b, instances, seed, settings) for a, b in zip(u, y, strict=True)]
-            arx, both = (_errors(runs, y, model)[0] for model in ("ARX", "BSNN-ARX"))
+            errors = _errors(u, y, instances, seed, settings)
+            arx, both = errors["ARX"][0], errors["BSNN-ARX"][0]
             means = float(np.mean(arx)), float(np.mean(both))
             rows.append(Order(constant, gain, *means, int(np.sum(both < arx))))
     return rows
@@ -324,16 +322,22 @@ def spline_shapes() -> tuple[Array, dict[str, Array]]:
     return u, shapes
 
 
-def _errors(runs: list[OnlineRuns], y: Array, model: str) -> tuple[Array, Array]:
-    """Mean one-step RMS of each realisation, and the free-run RMS of each instance of each."""
-    n = N_TRAINING
-    one, free = [], []
-    for run, output in zip(runs, y, strict=True):
-        result, target = run.runs[model], output[n:, None]
-        one.append(np.mean(rms(result.validation - target, axis=0)))
+def _errors(
+    u: Array, y: Array, instances: int, seed: int, settings: OnlineSettings
+) -> dict[str, tuple[Array, Array]]:
+    """By model: mean one-step RMS of each realisation, free-run RMS of each instance of each."""
+    runs = [run_online(a, b, instances, seed, settings).runs for a, b in zip(u, y, strict=True)]
+    targets = y[:, N_TRAINING:, None]
+    errors = {}
+    for model in ONLINE:
+        results = [run[model] for run in runs]
         with np.errstate(over="ignore", invalid="ignore"):
-            free.append(rms(result.free_run - target, axis=0))
-    return np.array(one), np.concatenate(free)
+            free = [rms(r.free_run - t, axis=0) for r, t in zip(results, targets, strict=True)]
+        one = [
+            np.mean(rms(r.validation - t, axis=0)) for r, t in zip(results, targets, strict=True)
+        ]
+        errors[model] = np.array(one), np.concatenate(free)
+    return errors
 
 
 ORDERS = (1, 2, 3, 5, 8, 12, 20, 32)
@@ -350,15 +354,13 @@ def multiplications(arx_parameters: int, neurons: int) -> int:
     return 5 * arx_parameters**2 + 3 * arx_parameters + 5 * neurons
 
 
-def update_times(samples: int = 20_000) -> list[tuple[int, int, int, float]]:
-    """Times batch updates of models of growing size.
-
-    Args:
-        samples: Samples of a timed call; the best of `ROUNDS` calls counts.
+def update_times() -> list[tuple[int, int, int, float]]:
+    """Times batch updates of models of growing size, the best of `ROUNDS` calls each.
 
     Returns:
         Rows (ARX parameters, neurons, multiplications as counted, nanoseconds a sample).
     """
+    samples = 20_000
     rng = np.random.default_rng(0)
     u = rng.uniform(0.0, 0.8, samples)
     y = 0.5 * np.concatenate([[0.0], u[:-1]]) + 0.01 * rng.standard_normal(samples)

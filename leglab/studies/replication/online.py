@@ -10,13 +10,7 @@ from typing import Literal
 import numpy as np
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
-from leglab.studies.replication.paper import (
-    LEARNING_CONSTANT,
-    N_TRAINING,
-    Array,
-    Scores,
-    score,
-)
+from leglab.studies.replication.paper import LEARNING_CONSTANT, N_TRAINING, Array, Scores, score
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,16 +21,14 @@ class OnlineSettings:
         initial_gain: F(0) of both ARX models is this times the identity.
         learning_constant: Of the weights and the bias (Eq. 12).
         middle_piece: "corrected" or "printed" Eq. 9.
-        spread: All parameters start uniformly in +- this (Sec. 3.1 has it for the network).
     """
 
     initial_gain: float = 5.6
     learning_constant: float = LEARNING_CONSTANT
     middle_piece: Literal["corrected", "printed"] = "corrected"
-    spread: float = 0.25
 
     def bsnn_arx(self) -> BsnnArxSettings:
-        """OnlineSettings of the BSNN-ARX model: 8 splines, na = nb = 3."""
+        """Settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
         base = BsnnArxSettings.paper_mode()
         basis = replace(base.network.basis[0], middle_piece=self.middle_piece)
         network = replace(base.network, basis=(basis,), learning_constant=(self.learning_constant,))
@@ -108,7 +100,7 @@ def online_models(instances: int, seed: int, settings: OnlineSettings) -> dict[s
     """BSNN, ARX and BSNN-ARX from random parameters; the BSNN starts as that of the BSNN-ARX."""
     rng = np.random.default_rng(seed)
     combined = BsnnArx(settings.bsnn_arx(), joints=instances)
-    combined.randomise(rng, settings.spread)
+    combined.randomise(rng)
     bsnn = static_alone(combined.settings, combined)
     return {"BSNN": bsnn, "ARX": _linear_alone(instances, rng, settings), "BSNN-ARX": combined}
 
@@ -146,7 +138,7 @@ def _linear_alone(instances: int, rng: np.random.Generator, settings: OnlineSett
     fixed = replace(base.network, basis=(identity,), learning_constant=(0.0,))
     network = replace(fixed, bias=False, saturation=False)
     model = BsnnArx(replace(base, network=network), joints=instances)
-    model.randomise(rng, settings.spread)
+    model.randomise(rng)
     parameters = model.parameters
     parameters[..., base.na + base.nb :] = identity.identity_weights()
     model.parameters = parameters

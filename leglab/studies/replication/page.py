@@ -29,8 +29,8 @@ from leglab.studies.replication.paper import (
     table_1,
     worst_deviation,
 )
+from leglab.studies.replication.plant import SAMPLING_TIME
 
-SAMPLING_TIME = 0.005  # s
 SHOWN_MODES = (
     "plain",
     "directional 0.99",

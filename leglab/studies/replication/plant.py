@@ -9,9 +9,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.base.errors import SettingsError
 from leglab.studies.replication.paper import Array
 
+MEAN = 0.7
+"""Of the noise that excites the plant (Sec. 3.1)."""
+VARIANCE = 0.07
+"""The paper prints "standard deviation sigma^2 = 0.07"; as a variance it fits Table 1 better."""
+CUTOFF = 16.0
+"""Of the filter [Hz]."""
+HOLD, HOLDS = 0.0025, 2
+"""Time for which one noise value is held [s], and such times in a sample."""
+SAMPLING_TIME = 0.005
+"""Of the recorded u and y [s]."""
 SUBSTEPS = 5
 """Runge-Kutta steps in one hold of the noise: halving them moves y by less than 1e-7."""
 
@@ -40,73 +49,40 @@ class Plant:
         return replace(self, **{name: getattr(self, name) * factor})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Excitation:
-    """Gaussian noise, held, then low-passed by a continuous first-order filter (Sec. 3.1).
-
-    Attributes:
-        mean: Mean of the noise.
-        variance: Variance of the noise before the filter; the paper prints "standard deviation
-            sigma^2 = 0.07", and variance 0.07 fits its table better than deviation 0.07.
-        cutoff: Cut-off frequency of the filter [Hz].
-        hold: Time for which one noise value is held [s].
-        sampling_time: Sampling time of the recorded u and y [s], a multiple of `hold`.
-    """
-
-    mean: float = 0.7
-    variance: float = 0.07
-    cutoff: float = 16.0
-    hold: float = 0.0025
-    sampling_time: float = 0.005
-
-
 def simulate(
     seeds: Sequence[int],
     n_samples: int = 2000,
     *,
-    plant: Plant | None = None,
-    excitation: Excitation | None = None,
-    after: Plant | Sequence[Plant] | None = None,
+    variance: float = VARIANCE,
+    after: Sequence[Plant] = (),
     change_at: int | None = None,
 ) -> tuple[Array, Array]:
     """Simulates the plant from rest, one realisation a seed, all at once.
 
+    The input is Gaussian noise, held, then low-passed by a continuous first-order filter.
+
     Args:
         seeds: One seed of the noise generator a realisation.
         n_samples: Samples a realisation; 2000 are the 10 s of the paper.
-        plant: Constants of the plant.
-        excitation: The input signal.
-        after: Constants from sample `change_at` on, one for all realisations or one each; no
-            change if None.
-        change_at: Sample of the change.
+        variance: Of the noise before the filter.
+        after: Constants from sample `change_at` on, one a realisation.
+        change_at: Sample of the change; None for never.
 
     Returns:
         Sampled input u and output y, each of shape (len(seeds), n_samples).
-
-    Raises:
-        LeglabError: The sampling time is no multiple of the hold.
     """
-    plant = plant or Plant()
-    signal = excitation or Excitation()
-    holds = round(signal.sampling_time / signal.hold)
-    if holds < 1 or abs(holds * signal.hold - signal.sampling_time) > 1e-9:
-        told = f"sampling_time {signal.sampling_time} s is no "
-        allowed = f"multiple of hold {signal.hold} s"
-        raise SettingsError(told, given=signal.sampling_time, allowed=allowed)
-    deviation = np.sqrt(signal.variance)
-    noise = np.stack(
-        [np.random.default_rng(s).normal(signal.mean, deviation, holds * n_samples) for s in seeds]
-    )
-    step = signal.hold / SUBSTEPS
-    half, full = (np.exp(-2.0 * np.pi * signal.cutoff * t) for t in (step / 2.0, step))
+    deviation, count = np.sqrt(variance), HOLDS * n_samples
+    noise = np.stack([np.random.default_rng(s).normal(MEAN, deviation, count) for s in seeds])
+    step = HOLD / SUBSTEPS
+    half, full = (np.exp(-2.0 * np.pi * CUTOFF * t) for t in (step / 2.0, step))
     u, y, v = (np.zeros(len(seeds)) for _ in range(3))
     inputs, outputs = (np.empty((len(seeds), n_samples)) for _ in range(2))
-    acceleration = _acceleration(plant)
-    for k in range(holds * n_samples):
-        if k % holds == 0:
-            inputs[:, k // holds], outputs[:, k // holds] = u, y
-            if after is not None and k // holds == change_at:
-                acceleration = _acceleration(*([after] if isinstance(after, Plant) else after))
+    acceleration = _acceleration(Plant())
+    for k in range(count):
+        if k % HOLDS == 0:
+            inputs[:, k // HOLDS], outputs[:, k // HOLDS] = u, y
+            if k // HOLDS == change_at:
+                acceleration = _acceleration(*after)
         held = noise[:, k]
         for _ in range(SUBSTEPS):
             middle, end = held + (u - held) * half, held + (u - held) * full
@@ -115,7 +91,7 @@ def simulate(
     return inputs, outputs
 
 
-def exact_free_run(u: Array, plant: Plant | None = None, *, sampling_time: float = 0.005) -> Array:
+def exact_free_run(u: Array) -> Array:
     """Output of the exact plant fed the sampled input, linearly interpolated.
 
     What this misses is what the input did between its samples: the floor of every model that
@@ -123,17 +99,15 @@ def exact_free_run(u: Array, plant: Plant | None = None, *, sampling_time: float
 
     Args:
         u: Sampled inputs, shape (n_realisations, n_samples); the plant starts from rest.
-        plant: Constants of the plant.
-        sampling_time: Sampling time of u [s].
     """
-    acceleration = _acceleration(plant or Plant())
+    acceleration = _acceleration(Plant())
     y, v, outputs = np.zeros(len(u)), np.zeros(len(u)), np.zeros_like(u)
     steps = 2 * SUBSTEPS
     for k in range(u.shape[1] - 1):
         slope = (u[:, k + 1] - u[:, k]) / steps
         for i in range(steps):
             forces = tuple(u[:, k] + slope * (i + part) for part in (0.0, 0.5, 1.0))
-            y, v = _runge_kutta(acceleration, y, v, forces, sampling_time / steps)
+            y, v = _runge_kutta(acceleration, y, v, forces, SAMPLING_TIME / steps)
         outputs[:, k + 1] = y
     return outputs
 

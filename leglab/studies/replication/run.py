@@ -23,9 +23,6 @@ class Replication:
 
     Attributes:
         comparison: Scores of all five models under paper mode.
-        recoveries: Re-adaptation by forgetting mode and changed constant.
-        free_runs: Rows of the deployed identifier's comparison with the floor.
-        floor: RMS of the exact plant on the sampled input [units of y].
         orders: ARX against BSNN-ARX, with paper mode's learning constant and the printed one.
         spread: Mean, standard deviation, least and largest RMS of each model over realisations.
         online_seconds: For the three online models of Table 1, 100 instances, on one core.
@@ -34,9 +31,6 @@ class Replication:
     """
 
     comparison: experiments.ModelComparison
-    recoveries: dict[str, dict[str, deployed.Recovery]]
-    free_runs: list[tuple[str, int, float, float, float, float]]
-    floor: float
     orders: list[experiments.Order]
     spread: list[experiments.Errors]
     online_seconds: float
@@ -129,15 +123,10 @@ def replicate(
     page.costs(sheet, experiments.update_times(), seconds)
 
     say("the deployed identifier")
-    floor, rows = deployed.free_runs(range(REALISATIONS))
-    page.deployed(sheet, floor, rows, REALISATIONS)
-    recoveries = deployed.readaptation(range(CHANGE_SEEDS))
-    page.readaptation(sheet, recoveries)
+    page.deployed(sheet, *deployed.free_runs(range(REALISATIONS)), REALISATIONS)
+    page.readaptation(sheet, deployed.readaptation(range(CHANGE_SEEDS)))
     return Replication(
         comparison=comparison,
-        recoveries=recoveries,
-        free_runs=rows,
-        floor=floor,
         orders=orders,
         spread=spread,
         online_seconds=seconds,

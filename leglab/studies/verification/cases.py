@@ -37,6 +37,7 @@ BULK_MODULUS = 1.4e9  # Pa
 LEAKAGE = 1.7e-13  # m^3/s/Pa at 40 degC
 GAIN = 1.25e-4 / math.sqrt(7e6 / 2)  # m^3/s/sqrt(Pa): K = Q_n / sqrt(dp_n/2) per edge
 DEAD_VOLUME_A, DEAD_VOLUME_B = 2.903e-6, 1.676e-6  # m^3
+ROUNDING = 0.0216  # of the edges of a real valve, of full spool travel
 _ATMOSPHERE = 101325.0  # Pa
 _LPM = 60e3  # l/min per m^3/s
 
@@ -140,16 +141,14 @@ def dynamic_viscosity_ratio(celsius: float) -> float:
     return walther(celsius) / walther(40.0) * density
 
 
-def steady_speed(
-    spool: float, load: float = 0.0, supply: float = SUPPLY_PRESSURE, tank: float = 0.0
-) -> tuple[float, float, float]:
+def steady_speed(spool: float, load: float = 0.0, tank: float = 0.0) -> tuple[float, float, float]:
     """Speed [m/s] and pressures A and B [Pa] of an ideal valve moving the piston against a load.
 
     Both edges pass Q = K x_s sqrt(dp), and the pressures balance the load [N]:
     v = K x_s sqrt((A_A p_s - A_B p_t - F)/(A_A^3 + A_B^3)) extending; A and B change places and F
     its sign retracting.
     """
-    k, cubes = GAIN * abs(spool), AREA_A**3 + AREA_B**3
+    k, cubes, supply = GAIN * abs(spool), AREA_A**3 + AREA_B**3, SUPPLY_PRESSURE
     if spool > 0:
         v = k * math.sqrt((AREA_A * supply - AREA_B * tank - load) / cubes)
         return v, supply - (AREA_A * v / k) ** 2, tank + (AREA_B * v / k) ** 2
@@ -241,12 +240,10 @@ def _resonance(solver: Solver) -> Iterator[CheckRow]:
         w = math.sqrt(stiffness(position) / MASS)
         if isinstance(solver, Engine):
             w = 2 * math.asin(0.5 * w * solver.timestep) / solver.timestep
-        experiment = Experiment(
-            position=position, velocity=1e-3, pressures=(5e6, 5e6 * AREA_A / AREA_B), duration=0.2
-        )
-        trace = solver.run(experiment)
-        name = f"angular frequency at x = {position * 1e3:g} mm"
-        yield CheckRow(name, "rad/s", w, _oscillation(trace, w, 0.0)[0])
+        pressures = 5e6, 5e6 * AREA_A / AREA_B
+        free = Experiment(position=position, velocity=1e-3, pressures=pressures, duration=0.2)
+        got = _oscillation(solver.run(free), w, 0.0)[0]
+        yield CheckRow(f"angular frequency at x = {position * 1e3:g} mm", "rad/s", w, got)
 
 
 def _linearised(position: float, leakage: float) -> np.ndarray:
@@ -381,18 +378,16 @@ def _blocked_drift(solver: Solver) -> Iterator[CheckRow]:
         late = (trace.time > 3 * tau) & (trace.time < 6 * tau)
         rest = trace.pressure_a - trace.pressure_b
         slope = np.polyfit(trace.time[late], np.log(np.abs(rest[late])), 1)[0]
-        for name, unit, want, got in (
-            ("pressure A", "Pa", level, trace.pressure_a[-1]),
-            ("pressure B", "Pa", level, trace.pressure_b[-1]),
-            ("way", "m", way, trace.position[-1] - start),
-            ("time constant", "s", tau, -1 / slope),
-        ):
-            yield CheckRow(f"{name} under {load:g} N, both ports blocked", unit, want, got)
+        where = f"under {load:g} N, both ports blocked"
+        yield CheckRow(f"pressure A {where}", "Pa", level, trace.pressure_a[-1])
+        yield CheckRow(f"pressure B {where}", "Pa", level, trace.pressure_b[-1])
+        yield CheckRow(f"way {where}", "m", way, trace.position[-1] - start)
+        yield CheckRow(f"time constant {where}", "s", tau, -1 / slope)
 
 
-def null_creep(load: float, rounding: float = 0.0216) -> tuple[float, float]:
+def null_creep(load: float) -> tuple[float, float]:
     """Speed [m/s] and pressure A [Pa] of the centred valve with rounded edges under a load [N]."""
-    k = GAIN * 0.5 * rounding
+    k = GAIN * 0.5 * ROUNDING
 
     def edge(pressure: float) -> float:
         return k * math.copysign(math.sqrt(abs(pressure)), pressure)
@@ -415,7 +410,7 @@ def _creep(solver: Solver) -> Iterator[CheckRow]:
     """e4: the leaking null of a real valve lets the piston creep."""
     for load in (0.0, 1000.0, 2000.0):
         experiment = Experiment(
-            parameters={**_LEAKING, "edge_rounding": 0.0216},
+            parameters={**_LEAKING, "edge_rounding": ROUNDING},
             pressures=(8e6, (8e6 * AREA_A - load) / AREA_B),
             load=constant(load),
             duration=1.0,
@@ -553,12 +548,13 @@ def _balance(solver: Solver) -> Iterator[CheckRow]:
     yield CheckRow(name, "J", _load_work(trace), end["energy_load"], tolerance, supplied)
 
 
-def stall_pressure(spool: float, leakage: float, supply: float = SUPPLY_PRESSURE) -> float:
+def stall_pressure(spool: float, leakage: float) -> float:
     """Pressure A at stall with a leaking seal: K x sqrt(d) = C_i (p_s - 2 d), pA = p_s - d."""
-    d = brentq(
-        lambda d: GAIN * spool * math.sqrt(d) - leakage * (supply - 2 * d), 0.0, supply, xtol=1e-6
-    )
-    return supply - d
+
+    def lost(d: float) -> float:
+        return GAIN * spool * math.sqrt(d) - leakage * (SUPPLY_PRESSURE - 2 * d)
+
+    return SUPPLY_PRESSURE - brentq(lost, 0.0, SUPPLY_PRESSURE, xtol=1e-6)
 
 
 @_case("k worn stall", 1e-3)
@@ -594,11 +590,11 @@ def _spool_step(solver: Solver) -> Iterator[CheckRow]:
 def _null_leak(solver: Solver) -> Iterator[CheckRow]:
     """Flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
     for supply in (16e6, 21e6):
-        rounded = {**IDEAL, "edge_rounding": 0.0216, "supply_pressure": supply}
+        rounded = {**IDEAL, "edge_rounding": ROUNDING, "supply_pressure": supply}
         half = 0.5 * supply, 0.5 * supply
         held = Experiment(parameters=rounded, mass=HELD, pressures=half, duration=0.1)
         flow = _power(solver.run(held), "energy_supply") / supply * _LPM
-        expected = GAIN * 0.0216 * math.sqrt(supply / 2) * _LPM
+        expected = GAIN * ROUNDING * math.sqrt(supply / 2) * _LPM
         yield CheckRow(f"supply flow at {supply / 1e5:g} bar", "l/min", expected, flow)
 
 

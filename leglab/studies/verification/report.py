@@ -16,8 +16,6 @@ from leglab.studies.shared_data import shared_data
 from leglab.studies.verification.cases import CASES, Check
 from leglab.studies.verification.replay import LIMITS, ReplayCheck, replay_all
 
-_ROUNDING = 1e-11
-
 
 def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], right: str) -> Table:
     """A table of (passed, cells), failures in red; commas between headings, `right` aligned so."""
@@ -29,7 +27,8 @@ def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], ri
     return grid
 
 
-def _closest(rows: Iterable[Check]) -> Check:
+def closest(rows: Iterable[Check]) -> Check:
+    """The row closest to its limit."""
     return max(rows, key=lambda row: row.deviation / row.tolerance)
 
 
@@ -53,7 +52,7 @@ def _summary(rows: Iterable[Check]) -> Table:
         groups[row.case, row.solver].append(row)
     lines = []
     for key, group in groups.items():
-        worst, passed = _closest(group), sum(row.passed for row in group)
+        worst, passed = closest(group), sum(row.passed for row in group)
         deviation = f"{worst.deviation:.1e}", f"{worst.tolerance:.0e}"
         cells = *key, f"{passed} of {len(group)}", worst.quantity, *deviation
         lines.append((passed == len(group), cells))
@@ -76,18 +75,6 @@ def _replay_table(results: Iterable[ReplayCheck]) -> Table:
     return _table("Replay of knee_bench/nominal over 0.3 s windows", head, lines, "")
 
 
-def markdown() -> str:
-    """The row closest to its limit of each case as Markdown, in MuJoCo at 1 ms or the core."""
-    lines = ["| case | closest row | deviation | allowed |", "|---|---|---|---|"]
-    for name, case in CASES.items():
-        worst = _closest(row for row in case() if row.solver in ("core", "MuJoCo 1 ms"))
-        quantity, deviation = worst.quantity, f"{worst.deviation:.1e}"
-        if worst.deviation < _ROUNDING:  # What is left of it differs between processors.
-            quantity, deviation = "all", "rounding"
-        lines.append(f"| {name} | {quantity} | {deviation} | {worst.tolerance:.0e} |")
-    return "\n".join(lines) + "\n"
-
-
 def _run() -> tuple[list[Check], list[ReplayCheck], str | None]:
     """Rows of all cases, errors of all replays, and why there are no replays."""
     rows = list(chain.from_iterable(case() for case in CASES.values()))
@@ -102,11 +89,10 @@ def _passed(rows: list[Check], replays: list[ReplayCheck]) -> bool:
     return all(row.passed for row in rows) and all(result.passed for result in replays)
 
 
-def verify(*, full: bool = True, console: Console | None = None) -> bool:
+def verify(console: Console | None = None) -> bool:
     """Compares the hydraulics with closed forms and with recordings of the knee bench.
 
     Args:
-        full: Print every row, not only the summary.
         console: Where to print; standard output if None.
 
     Returns:
@@ -116,8 +102,7 @@ def verify(*, full: bool = True, console: Console | None = None) -> bool:
     if not out.is_terminal and console is None:
         out = Console(width=160)  # a file or a pipe: keep rows on one line
     rows, replays, left_out = _run()
-    if full:
-        print_whole(out, _row_table(rows))
+    print_whole(out, _row_table(rows))
     print_whole(out, _summary(rows))
     if left_out:
         out.print(f"Replay of recordings left out: {left_out}")
