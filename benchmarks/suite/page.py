@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from benchmarks.suite.history import Entry, change, kept_value
+from benchmarks.suite.sections import Group, tables_page
 from benchmarks.suite.suite import (
     RATIOS,
     ROOT,
@@ -16,7 +17,6 @@ from benchmarks.suite.suite import (
 from leglab.base.errors import LeglabError
 from leglab.base.input import read_json
 from leglab.report.page.shell import Table
-from leglab.report.page.tables import Group, tables_page
 from leglab.report.page.wording import number
 
 _ENTRIES = 10  # of the history that are shown

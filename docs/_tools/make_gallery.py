@@ -41,7 +41,7 @@ def still(folders: list[Path], span: tuple[float, float], time: float) -> Image.
     """One frame of the film that shows a span [s]."""
     job = {"folders": [str(folder) for folder in folders], "camera": "three_quarter"}
     job |= {"start": span[0], "last": span[1], "frames": 2, "rate": 1.0 / (time - span[0])}
-    *_, frame = draw_frames(job, backend="egl", count=1, frame_size=3 * SIZE[0] * SIZE[1])
+    *_, frame = draw_frames(job, backend="egl", count=1)
     return Image.frombytes("RGB", SIZE, bytes(frame))
 
 

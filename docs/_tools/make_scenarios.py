@@ -145,7 +145,7 @@ def write_clip(folders: list[Path], start: float, out: Path) -> None:
     count = round(CLIP_LENGTH * CLIP_RATE)
     job = {"folders": [str(folder) for folder in folders], "camera": "three_quarter"}
     job |= {"start": start, "last": start + CLIP_LENGTH, "frames": count, "rate": CLIP_RATE}
-    drawn = draw_frames(job, backend="egl", count=1, frame_size=3 * SIZE[0] * SIZE[1])
+    drawn = draw_frames(job, backend="egl", count=1)
     frames = [Image.frombytes("RGB", SIZE, bytes(frame)) for frame in drawn]
     small = [frame.resize(CLIP_SIZE, Image.Resampling.LANCZOS) for frame in frames]
     for quality in (60, 50, 40, 30, 20, 10):

@@ -177,8 +177,9 @@ def _report_sweep(
     folder: Path, out: Path | None, wanted: _SweepFilms, *, overwrite: bool, as_json: bool
 ) -> None:
     from leglab.report.run.page import PAGE, check_out
+    from leglab.report.sweep.facts import MOST_FILMS
     from leglab.report.sweep.films import film_runs
-    from leglab.report.sweep.page import MOST_FILMS, worst_runs, write_sweep_page
+    from leglab.report.sweep.page import worst_runs, write_sweep_page
 
     if not 0 <= wanted.count <= MOST_FILMS:
         told = f"films is {wanted.count}; allowed: "

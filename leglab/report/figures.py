@@ -4,6 +4,7 @@ Panels are placed to the millimetre, so that all axes line up: automatic layouts
 the width of its own tick labels.
 """
 
+import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -29,6 +30,7 @@ from leglab.runs.run import Result
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3
+_PAGE_DPI = 130  # of figures on a page
 _CLOSE_UP = 3.0  # strides shown before and after the change
 # Panels [inch].
 _LEFT = 0.75  # axis label and tick labels
@@ -390,6 +392,14 @@ def _rows_between(recording: Recording, start: float, end: float) -> slice:
     if first >= last:
         recording.between(start, end)  # says what there is
     return slice(int(first), int(last))
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a page shows it."""
+    stream = io.BytesIO()
+    with style():
+        figure.savefig(stream, format="png", dpi=_PAGE_DPI)
+    return stream.getvalue()
 
 
 def _save(figure: Figure, path: Path) -> Path:

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from benchmarks.results import commit
+from benchmarks.suite.sections import Group, tables_page
 from leglab import RunSettings, run_scenario
 from leglab.base.output import write_atomically
 from leglab.report.page.shell import Table
-from leglab.report.page.tables import Group, tables_page
 from leglab.runs.preparation import scenario_of
 
 BANDS = Path(__file__).parents[1] / "data" / "tracking_bands.toml"

@@ -17,7 +17,7 @@ from leglab.base.fault_names import FaultEvent
 from leglab.base.recording import Recording
 from leglab.cli import main
 from leglab.report.film import encoder, look, render_film
-from leglab.report.film.encoder import Encoder
+from leglab.report.film.encoder import encoding
 from leglab.report.film.look import ALARM, GHOST, pressure_color
 from leglab.report.film.track import _named, load_track
 from leglab.report.film.workers import draw_frames
@@ -154,9 +154,9 @@ def stills(runs, tmp_path_factory):
 
 
 def encode(path, frame):
-    with Encoder(path, (320, 240), 30) as encoder:
+    with encoding(path, (320, 240), 30) as write:
         for _ in range(60):
-            encoder.write(frame)
+            write(frame)
 
 
 def like(frame, color, tolerance=40):
@@ -276,7 +276,7 @@ def test_seal_leakage_is_that_of_the_machine(runs):
 def test_frames_do_not_depend_on_the_process_that_draws_them(runs, stills):
     job = {"folders": [str(runs["pd"])], "camera": "three_quarter"}
     job |= {"start": 0.0, "last": LENGTH, "frames": 2, "rate": 1.0}
-    frames = list(draw_frames(job, backend="egl", count=2, frame_size=3 * 1280 * 720))
+    frames = list(draw_frames(job, backend="egl", count=2))
     for frame, expected in zip(frames, stills["seconds"], strict=True):
         assert np.array_equal(np.frombuffer(frame, np.uint8).reshape(720, 1280, 3), expected)
 
@@ -372,7 +372,7 @@ def test_an_encoder_that_hangs_or_writes_nothing_is_said(tmp_path, monkeypatch, 
     other.write_text(f"#!/bin/sh\n{does}\n")
     other.chmod(0o755)
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
-    monkeypatch.setattr("leglab.report.film.encoder._PATIENCE", 0.5, raising=False)
+    monkeypatch.setattr("leglab.report.film.encoder._PATIENCE", 0.5)
     with pytest.raises(LeglabError, match=rf"film\.mp4: cannot be encoded: {said}"):
         encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
     assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
@@ -408,7 +408,7 @@ def test_an_encoder_that_lacks_h264_is_said(tmp_path, monkeypatch):
 def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(LeglabError, match=r"cannot be written"):
-        Encoder(tmp_path / "file" / "film.mp4", (320, 240), 30)
+        encode(tmp_path / "file" / "film.mp4", b"")
 
 
 @pytest.mark.slow("films")

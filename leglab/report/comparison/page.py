@@ -1,51 +1,26 @@
 """The page of a comparison."""
 
-import base64
-import io
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from leglab.base.errors import LeglabError
-from leglab.base.output import write_atomically
 from leglab.report.comparison import words
-from leglab.report.figures import comparison_figure
-from leglab.report.page.shell import Linked, Section, Table, file_link, render
-from leglab.report.page.wording import capital, listed, number
+from leglab.report.figures import comparison_figure, png
+from leglab.report.page.shell import Section, Table, inlined, link, render, write_page
+from leglab.report.page.wording import capital, figure, listed, log_ticks, number, readable
 from leglab.report.run.page import PAGE
-from leglab.report.style import SERIES, style
+from leglab.report.style import SERIES
 from leglab.runs.comparison import StoredRun, read_comparison, stored_runs
 
-_DPI = 130
 # Above this ratio of the largest to the smallest value, a linear axis shows one of them alone.
 _LOG_RATIO = 8.0
 # Room beyond the outermost values, as a share of the axis.
 _ROOM = 0.04
-_SHARED = ("severity", "element", "reference", "duration", "tolerance")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mark:
-    """One mean with its interval: places along the axis [%], and the value as text."""
-
-    name: str
-    color: int
-    middle: float
-    low: float
-    high: float
-    value: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Intervals:
-    """Means with their intervals, of one quantity, by scenario on one axis."""
-
-    title: str
-    ticks: Sequence[tuple[float, str]]
-    groups: Sequence[tuple[str, Sequence[Mark]]]
+_SHARED = ("severity", "element", "reference", "tolerance")
 
 
 def write_comparison_page(folder: Path, path: Path | None = None) -> Path:
@@ -59,9 +34,7 @@ def write_comparison_page(folder: Path, path: Path | None = None) -> Path:
         LeglabError: The folder holds no comparison, or the page cannot be written.
     """
     path = path or folder / PAGE
-    text = page(folder, path.parent)
-    write_atomically(path, lambda stream: stream.write(text.encode()))
-    return path
+    return write_page(page(folder, path.parent), path)
 
 
 def page(folder: Path, base: Path | None = None) -> str:
@@ -145,19 +118,19 @@ def _numbers(summary: dict[str, Any]) -> Table:
     )
 
 
-# Name in the summary, title, factor to the shown unit, digits, unit; "" for that of errors.
+# Name in the summary, title, factor to the shown unit, unit; "" for that of errors.
 _QUANTITIES = (
-    ("after_rad", "RMS error after the change; without one, of the whole run", 1e3, 3, ""),
-    ("end_rad", "RMS error at the end", 1e3, 3, ""),
-    ("recovered", "undone at the end", 100.0, 3, "%"),
-    ("t90_s", "90 % undone after; runs that never did are left out", 1.0, 3, "s"),
+    ("after_rad", "RMS error after the change; without one, of the whole run", 1e3, ""),
+    ("end_rad", "RMS error at the end", 1e3, ""),
+    ("recovered", "undone at the end", 100.0, "%"),
+    ("t90_s", "90 % undone after; runs that never did are left out", 1.0, "s"),
 )
 
 
 def _intervals(
-    summary: dict[str, Any], name: str, title: str, factor: float, digits: int, unit: str
-) -> Intervals | None:
-    """Means and intervals of a quantity on one axis; None where there is no value."""
+    summary: dict[str, Any], name: str, title: str, factor: float, unit: str
+) -> dict[str, Any] | None:
+    """Means and intervals of a quantity on an axis from 0 to 100; None where there is no value."""
     unit = unit or summary["unit"]
     found = [
         (scenario, color, controller, factor * one["mean"], factor * (one["half_width"] or 0.0))
@@ -179,34 +152,23 @@ def _intervals(
     def place(value: float) -> float:
         return round(100.0 * (scale(value) - low) / span, 2)
 
-    groups: dict[str, list[Mark]] = {}
+    groups: dict[str, list[dict[str, Any]]] = {}
     for scenario, color, controller, middle, half in found:
-        told = number(middle, digits) + (f" ± {number(half, 2)}" if half else "")
-        groups.setdefault(scenario, []).append(
-            Mark(
-                name=controller,
-                color=color % len(SERIES),
-                middle=place(middle),
-                low=place(middle - half),
-                high=place(middle + half),
-                value=f"{told} {unit}",
-            )
-        )
-    ticks = [(at, f"{tick:g}") for tick in _ticks(low, low + span, log) if (at := place(tick)) >= 0]
-    axis = ", logarithmic" if log else ""
-    return Intervals(
-        title=f"{title} [{unit}{axis}]",
-        ticks=[tick for tick in ticks if tick[0] <= 100.0],
-        groups=list(groups.items()),
-    )
+        told = number(middle) + (f" ± {number(half, 2)}" if half else "")
+        ends = [middle - half, middle, middle + half]
+        places = dict(zip(("low", "middle", "high"), map(place, ends), strict=True))
+        look = {"name": controller, "color": color % len(SERIES), "value": f"{told} {unit}"}
+        groups.setdefault(scenario, []).append({**look, **places})
+    ticks = log_ticks(low, low + span, fine=span < 1.6) if log else _ticks(low, low + span)
+    return {
+        "title": f"{title} [{unit}{', logarithmic' if log else ''}]",
+        "ticks": [(at, f"{tick:g}") for tick in ticks if 0 <= (at := place(tick)) <= 100.0],
+        "groups": list(groups.items()),
+    }
 
 
-def _ticks(low: float, high: float, log: bool) -> list[float]:
-    """Round values between the ends of an axis, which are logarithms where it is logarithmic."""
-    if log:
-        factors = (1, 2, 5) if high - low < 1.6 else (1,)
-        powers = range(math.floor(low), math.ceil(high) + 1)
-        return [float(f"{factor}e{power}") for power in powers for factor in factors]
+def _ticks(low: float, high: float) -> list[float]:
+    """Round values between the ends of an axis."""
     step = 10.0 ** math.floor(math.log10(high - low))
     step = next(step * f for f in (0.1, 0.2, 0.5, 1.0, 2.0) if (high - low) / (step * f) <= 7)
     return [step * i for i in range(math.ceil(low / step), math.floor(high / step) + 1)]
@@ -215,25 +177,18 @@ def _ticks(low: float, high: float, log: bool) -> list[float]:
 def _curves(summary: dict[str, Any], runs: Sequence[StoredRun]) -> list[dict[str, str]]:
     """Error over time by scenario, as pictures; none of scenarios whose runs are not there."""
     drawn = []
+    many = summary["seeds"] > 1
+    between = "; the shade is the range from the best to the worst seed" if many else ""
     for scenario in summary["scenarios"]:
         shown = [r.result for r in runs if r.scenario == scenario and r.result and r.result["time"]]
-        try:
-            figure = comparison_figure(shown, title=scenario)
-        except LeglabError:
-            continue
-        stream = io.BytesIO()
-        with style():
-            figure.savefig(stream, format="png", dpi=_DPI)
-        many = summary["seeds"] > 1
-        between = "; the shade is the range from the best to the worst seed" if many else ""
-        drawn.append(
-            {
-                "alt": f"RMS error of {scenario} over time, by controller.",
-                "caption": f"{scenario}: RMS error over the stride that ends at each time, mean "
-                f"over the seeds{between}.",
-                "data": base64.b64encode(stream.getvalue()).decode(),
-            }
-        )
+        with suppress(LeglabError):
+            drawing = comparison_figure(shown, title=scenario)
+            alt = f"RMS error of {scenario} over time, by controller."
+            caption = (
+                f"{scenario}: RMS error over the stride that ends at each time, mean "
+                f"over the seeds{between}."
+            )
+            drawn.append({"alt": alt, "caption": caption, "data": inlined(png(drawing))})
     return drawn
 
 
@@ -243,20 +198,19 @@ def _runs(summary: dict[str, Any], runs: Sequence[StoredRun], base: Path) -> Tab
     for run in runs:
         metrics = run.result["metrics"] if run.result else {}
         adaptation, phases = metrics.get("adaptation") or {}, metrics.get("phases") or []
-        name = f"seed {run.seed}"
-        there = run.result is not None
-        note = metrics.get("failure") or adaptation.get("reason") or ""
+        name, note = f"seed {run.seed}", "its file is not there"
+        if run.result is not None:
+            name = link(name, run.path, base)
+            note = metrics.get("failure") or adaptation.get("reason") or ""
+        undone = adaptation.get("recovered")
+        after = phases[-1]["rms_rad"] if phases else None
+        three = (adaptation.get("before_rad"), after, adaptation.get("end_rad"))
+        t90 = "" if undone is None else figure(adaptation.get("t90_s"), missing="never")
         rows.append(
             [
-                run.scenario,
-                run.controller,
-                Linked(name, file_link(run.path, base)) if there else name,
-                note if there else "its file is not there",
-                _error(adaptation.get("before_rad")),
-                _error(phases[-1]["rms_rad"] if phases else None),
-                _error(adaptation.get("end_rad")),
-                _figure(adaptation.get("recovered"), 100.0),
-                _time(adaptation),
+                *(run.scenario, run.controller, name, note),
+                *(figure((error or {}).get("all"), 1e3) for error in three),
+                *(figure(undone, 100.0), t90),
             ]
         )
     unit = summary["unit"]
@@ -270,28 +224,12 @@ def _runs(summary: dict[str, Any], runs: Sequence[StoredRun], base: Path) -> Tab
     )
 
 
-def _error(errors: dict[str, float] | None) -> str:
-    return "" if errors is None else _figure(errors["all"], 1e3)
-
-
-def _figure(value: float | None, factor: float = 1.0) -> str:
-    return "" if value is None else number(factor * value)
-
-
-def _time(adaptation: dict[str, Any]) -> str:
-    if adaptation.get("recovered") is None:
-        return ""
-    return _figure(adaptation.get("t90_s")) or "never"
-
-
 def _commands(summary: dict[str, Any]) -> list[str]:
     """Commands that make the runs of one seed with their recordings, a film and a page."""
     if summary["ramp_duration"]:
         return []
     shared = "".join(
-        f" --{name} {shlex.quote(str(summary[name]))}"
-        for name in _SHARED
-        if name != "duration" and summary[name]
+        f" --{name} {shlex.quote(str(summary[name]))}" for name in _SHARED if summary[name]
     )
     if summary["duration"] is not None:
         shared += f" --duration {summary['duration']:g}"
@@ -307,7 +245,7 @@ def _commands(summary: dict[str, Any]) -> list[str]:
 
 def _settings(summary: dict[str, Any]) -> Table:
     told = {name: value for name, value in summary.items() if name not in ("results", "unit")}
-    rows = [(name.replace("_", " "), _text(value)) for name, value in told.items()]
+    rows = [(readable(name), _text(value)) for name, value in told.items()]
     return Table(caption="What all runs share", head=("setting", "value"), rows=rows, words=2)
 
 

@@ -108,8 +108,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
         chosen.append(("worst after", last))
     with style():
         rows = max(2, len(channels))  # A single channel has room for its error.
-        height = 0.85 + 1.55 * rows + 0.4
-        figure = Figure(figsize=(_WIDTH, height))
+        figure = Figure(figsize=(_WIDTH, 0.85 + 1.55 * rows + 0.4))
         grid = figure.subplots(rows, len(chosen), sharex=True, squeeze=False)
         told = []
         for column, (title, place) in enumerate(chosen):
@@ -122,14 +121,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
             if len(channels) < rows:
                 _draw_window_error(grid[-1, column], windows[place][channels[0]], first=not column)
             grid[-1, column].set_xlabel("time [s]")
-        lines = [
-            Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
-            Line2D([], [], color=VERMILION, linestyle="--", label="simulated, model as it was"),
-            Line2D([], [], color=BLUE, label=f"simulated, {after_words(result)}"),
-        ]
-        add_head(figure, "Measured over simulated", lines, **_LEGEND)
-        figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / height))
-        figure.align_ylabels()
+        _lay_out(figure, "Measured over simulated", result)
     length = result.remaining[0].horizon if result.remaining else _length(windows[0][channels[0]])
     kept = " that no fit has seen" if result.gap.held_out else ""
     return CaptionedFigure(
@@ -163,6 +155,18 @@ def _windows(
     return [w for w in found.values() if len(w) == len(channels)]
 
 
+def _lay_out(figure: Figure, title: str, result: Diagnosis) -> None:
+    """Places title, legend and axes of a figure that lays simulations over what was measured."""
+    lines = [
+        Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
+        Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
+        Line2D([], [], **_BEFORE_AFTER[1], label=f"simulated, {after_words(result)}"),
+    ]
+    add_head(figure, title, lines, **_LEGEND)
+    figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / figure.get_figheight()))
+    figure.align_ylabels()
+
+
 def _length(window: ResidualTrace) -> float:
     step = float(np.median(np.diff(window.time))) if window.time.size > 1 else 0.0
     return round(step * window.bins, 3)
@@ -173,13 +177,11 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
     factor, unit = shown_unit(window.unit)
     measured = factor * window.measured
     errors = [factor * e for e in (window.before, window.after)]
-    origin = 0.0
-    if window.channel.endswith("_position"):
-        origin = measured[0]
+    origin = measured[0] if window.channel.endswith("_position") else 0.0
     time = window.time - window.time[0]
     axes.plot(time, measured - origin, color=LIGHT_GREY, linewidth=4.0)
-    axes.plot(time, measured - errors[0] - origin, color=VERMILION, linestyle="--", linewidth=1.3)
-    axes.plot(time, measured - errors[1] - origin, color=BLUE, linewidth=1.3)
+    for look, error in zip(_BEFORE_AFTER, errors, strict=True):
+        axes.plot(time, measured - error - origin, **{**look, "linewidth": 1.3})
     axes.margins(y=0.22)
     ends = [abs(float(error[-1])) for error in errors]
     text = f"{number(ends[0], 2)} \u2192 {number(ends[1], 2)} {unit}"
@@ -187,12 +189,10 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
         text, (0.02, 0.97), xycoords="axes fraction", ha="left", va="top", fontsize=8, zorder=9,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
     )  # fmt: skip
-    for axis, most in ((axes.xaxis, 4), (axes.yaxis, 4)):
-        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+    _tick(axes, 4, 4)
     if first:
         kind = window.channel.removeprefix(f"{joint_of(window.channel)}_") or window.channel
-        label = readable(short(kind, 14))
-        axes.set_ylabel(f"{label} [{unit}]")
+        axes.set_ylabel(f"{readable(short(kind, 14))} [{unit}]")
     return (
         f"{window.channel} in {window.recording} at {window.time[0]:.1f} s: {number(ends[0])} "
         f"{unit} off at the end before, {number(ends[1])} {unit} after."
@@ -202,13 +202,19 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
 def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> None:
     """Draws how far the simulations of a window are from what was measured."""
     factor, unit = shown_unit(window.unit)
-    time = window.time - window.time[0]
     axes.axhline(0.0, color=LIGHT_GREY, linewidth=4.0)
-    axes.plot(time, -factor * window.before, color=VERMILION, linestyle="--", linewidth=1.3)
-    axes.plot(time, -factor * window.after, color=BLUE, linewidth=1.3)
-    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    for look, error in zip(_BEFORE_AFTER, (window.before, window.after), strict=True):
+        axes.plot(window.time - window.time[0], -factor * error, **{**look, "linewidth": 1.3})
+    _tick(axes, None, 4)
     if first:
         axes.set_ylabel(f"simulated less\nmeasured [{unit}]")
+
+
+def _tick(axes: Axes, across: int | None, up: int) -> None:
+    """Sets about how many round ticks there are in x, unless None, and in y."""
+    for axis, most in ((axes.xaxis, across), (axes.yaxis, up)):
+        if most is not None:
+            axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
 
 
 def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
@@ -222,45 +228,32 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
     measured = whole.measured[::every]
     simulated = [which[::every] for which in (whole.before, whole.after)]
     corrections = [c[::every] for c in (whole.correction_before, whole.correction_after)]
-    drawn = [
-        [(s, one) for s, one in zip(_BEFORE_AFTER, values, strict=True)]
-        for values in (
-            [factor * s for s in simulated],
-            [factor * (s - measured) for s in simulated],
-            [100.0 * c for c in corrections],
-        )
-    ]
-    labels = (f"position [{unit}]", f"simulated less\nmeasured [{unit}]", "correction\n[%]")
+    drawn = (
+        (f"position [{unit}]", [factor * s for s in simulated]),
+        (f"simulated less\nmeasured [{unit}]", [factor * (s - measured) for s in simulated]),
+        ("correction\n[%]", [100.0 * c for c in corrections]),
+    )
     with style():
-        height = 5.2
-        figure = Figure(figsize=(_WIDTH, height))
+        figure = Figure(figsize=(_WIDTH, 5.2))
         rows = figure.subplots(3, 1, sharex=True)
         rows[0].plot(time, factor * measured, color=LIGHT_GREY, linewidth=4.0)
-        for axes, curves, label in zip(rows, drawn, labels, strict=True):
+        for axes, (label, curves) in zip(rows, drawn, strict=True):
             if axes is not rows[0]:
                 axes.axhline(0.0, color=LIGHT_GREY, linewidth=1.6)
-            for look_of, values in curves:
-                axes.plot(time, values, **look_of)
+            for look, values in zip(_BEFORE_AFTER, curves, strict=True):
+                axes.plot(time, values, **look)
             axes.set_ylabel(label)
-            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+            _tick(axes, None, 4)
         rows[-1].set_xlabel("time [s]")
-        lines = [
-            Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
-            Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
-            Line2D([], [], **_BEFORE_AFTER[1], label=f"simulated, {after_words(result)}"),
-        ]
-        add_head(figure, f"The whole of {short(whole.recording, 40)}", lines, **_LEGEND)
-        figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / height))
-        figure.align_ylabels()
+        _lay_out(figure, f"The whole of {short(whole.recording, 40)}", result)
     told = whole.to_json()
 
-    def change(key: str, scale: float, ending: str) -> str:
-        before, after = (told[f"{key}{which}"] for which in ("before", "after"))
-        first = number(scale * before, 2) if math.isfinite(before) else "beyond bounds"
-        return f"{first} > {number(scale * after, 2)}{ending}"
+    def change(key: str, scale: float, unit: str) -> str:
+        before, after = (scale * told[f"{key}{which}"] for which in ("before", "after"))
+        first = number(before, 2) if math.isfinite(before) else "beyond bounds"
+        return f"{first} \u2192 {number(after, 2)} {unit}"
 
-    away = change("", factor, f" {unit}").replace(">", "\u2192")
-    help_ = change("correction_", 100.0, " %").replace(">", "\u2192")
+    away, help_ = change("", factor, unit), change("correction_", 100.0, "%")
     return CaptionedFigure(
         name="whole",
         figure=figure,
@@ -401,7 +394,9 @@ def _rows(labels: Sequence[str], left: float) -> tuple[Figure, Axes]:
     total = _HEAD + height + _FOOT
     figure = Figure(figsize=(_WIDTH, total))
     axes = _axes(figure, (left, _FOOT, _WIDTH - left - 0.25, height))
-    _label(axes, labels)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
     return figure, axes
 
 
@@ -410,12 +405,6 @@ def _axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
     width, height = figure.get_size_inches()
     left, bottom, across, up = place
     return figure.add_axes((left / width, bottom / height, across / width, up / height))
-
-
-def _label(axes: Axes, labels: Sequence[str]) -> None:
-    axes.set_yticks(range(len(labels)), labels)
-    axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
 
 
 def _log(axes: Axes, values: Sequence[float]) -> None:
@@ -469,13 +458,6 @@ def _errors(traces: Sequence[ResidualTrace]) -> tuple[list[np.ndarray], list[np.
     return [t.before for t in traces], [t.after for t in traces]
 
 
-def _scale(axes: Axes, limit: float, *, ticks: tuple[int, int]) -> None:
-    """Sets the half height, and about how many ticks the axes have in x and y."""
-    axes.set_ylim(-limit, limit)
-    for axis, most in zip((axes.xaxis, axes.yaxis), ticks, strict=True):
-        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
-
-
 def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> CaptionedFigure:
     """Errors of all recordings over position, velocity and, where measured, pressure."""
     factor, unit = shown_unit(traces[0].unit)
@@ -496,7 +478,8 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
         ):
             for axes, (_, state) in zip(row, states, strict=True):
                 _cloud(axes, state, values, color)
-                _scale(axes, limit, ticks=(4, 5))
+                axes.set_ylim(-limit, limit)
+                _tick(axes, 4, 5)
             row[0].set_ylabel(f"error [{unit}]")
         for axes, (label, _) in zip(grid[1], states, strict=True):
             axes.set_xlabel(label)
@@ -528,7 +511,8 @@ def _over_time(
             pairs = zip(row, (trace.before, trace.after), (VERMILION, BLUE), limits, strict=True)
             for axes, values, color, limit in pairs:
                 axes.plot(*_broken(trace.time, factor * values), color=color, linewidth=0.7)
-                _scale(axes, limit, ticks=(6, 3))
+                axes.set_ylim(-limit, limit)
+                _tick(axes, 6, 3)
             star = " *" * held.get(trace.recording, False)
             # On the right, where no tick labels are.
             row[1].yaxis.set_label_position("right")

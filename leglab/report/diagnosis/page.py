@@ -1,14 +1,11 @@
 """The page of a diagnosis: verdict in words, numbers, figures; one file, no network."""
 
-import base64
-import io
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from leglab.base.output import cannot_write, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
-from leglab.report.diagnosis.figures import pictures
+from leglab.report.diagnosis.figures import CaptionedFigure, pictures
 from leglab.report.diagnosis.words import (
     after_start,
     facts,
@@ -22,11 +19,11 @@ from leglab.report.diagnosis.words import (
     sections,
     uncertain,
 )
-from leglab.report.page.shell import Table, render
+from leglab.report.figures import png
+from leglab.report.page import shell
+from leglab.report.page.shell import Table, inlined, render
 from leglab.report.page.wording import capital, number, readable
-from leglab.report.style import style
 
-_DPI = 130
 _MOST_DEPARTED = 12
 # Figures that lay measured over simulated come before all others.
 _FIRST = ("overlay", "whole")
@@ -59,20 +56,16 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
             old.unlink()
     except OSError as error:
         raise cannot_write(place, error) from error
-    drawn = []
-    for picture in pictures(result):
-        stream = io.BytesIO()
-        with style():
-            picture.figure.savefig(stream, format="png", dpi=_DPI)
-        image = stream.getvalue()
-        write_atomically(place / f"{picture.name}.png", partial(_put, image))
-        data = base64.b64encode(image).decode()
-        drawn.append(
-            {"name": picture.name, "alt": picture.alt, "caption": picture.caption, "data": data}
-        )
-    path = folder / "diagnosis.html"
-    write_atomically(path, partial(_put, _page(result, drawn, model).encode()))
-    return path
+    drawn = [_drawn(picture, place) for picture in pictures(result)]
+    return shell.write_page(_page(result, drawn, model), folder / "diagnosis.html")
+
+
+def _drawn(picture: CaptionedFigure, place: Path) -> dict[str, str]:
+    """Writes a figure into a folder; returns it as the page shows it."""
+    image = png(picture.figure)
+    write_atomically(place / f"{picture.name}.png", lambda file: file.write(image))
+    told = {"name": picture.name, "alt": picture.alt, "caption": picture.caption}
+    return {**told, "data": inlined(image)}
 
 
 def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> str:
@@ -102,18 +95,16 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
 
 def _effects_table(result: Diagnosis) -> Table:
     rows = []
-    kinds = [(e, "") for e in result.effects] + [(e, " (smaller)") for e in result.smaller]
-    for effect, kind in kinds:
-        told = [percent(effect.confidence), percent(effect.contribution)]
-        for i, parameter in enumerate(effect.estimates):
-            first = [f"{readable(effect.name)}{kind}", effect.element] if i == 0 else ["", ""]
-            last = told if i == 0 else ["", ""]
-            doubt = ", uncertain" * uncertain(parameter)
+    for effect, smaller in result.all_effects:
+        first = [f"{readable(effect.name)}{' (smaller)' * smaller}", effect.element]
+        last = [percent(effect.confidence), percent(effect.contribution)]
+        for parameter in effect.estimates:
             value, ends, nominal, unit = parameter_numbers(parameter)
-            name = f"{readable(parameter.name)}{doubt}"
+            name = f"{readable(parameter.name)}{', uncertain' * uncertain(parameter)}"
             rows.append([*first, name, unit, value, ends, nominal, *last])
-        if not effect.parameters:
-            rows.append([f"{readable(effect.name)}{kind}", effect.element, *[""] * 5, *told])
+            first = last = ["", ""]
+        if not effect.estimates:
+            rows.append([*first, *[""] * 5, *last])
     names = ("effect", "element", "parameter", "unit", "value", "95 % interval")
     head = (*names, result.nominal_words, "confidence", "of the gap")
     changed = "What changed" if result.calibration else "Missing effects"
@@ -183,7 +174,3 @@ def _untestable_table(result: Diagnosis) -> Table:
     rows = [[readable(n.name), n.element, n.reason] for n in result.not_testable]
     head = ("effect", "element", "to see it")
     return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)
-
-
-def _put(content: bytes, stream: io.BufferedIOBase) -> None:
-    stream.write(content)

@@ -11,6 +11,7 @@ import numpy as np
 from leglab.base.causes import live_of
 from leglab.base.scale import rms
 from leglab.diagnosis.result import (
+    Calibration,
     Diagnosis,
     Estimate,
     NamedEffect,
@@ -168,22 +169,18 @@ def _mostly(result: Diagnosis) -> str:
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
     """Questions a reader has about the diagnosis of a model, in the order in which they ask."""
-    since = result.calibration is not None
-    found = [
-        Section(title="What was looked at", lines=_looked_at(result, model)),
-        Section(title="What changed since" if since else "What is missing", lines=_missing(result)),
-        Section(title="How sure", lines=_sure(result)),
-        Section(title="What is left", lines=_costs(result)),
-        Section(title="Where", lines=_where(result)),
-        Section(title="What cannot be told", lines=_untold(result)),
-        Section(title="Next experiment", lines=_next(result)),
-    ]
-    if since:
-        found.insert(1, Section(title="The specimen before", lines=_before(result)))
-    if result.verdict == "unexplained":
-        place = next(i for i, s in enumerate(found) if s.title == "How sure")
-        found[place] = Section(title="What was tried", lines=_tried(result))
-    return tuple(found)
+    before, unexplained = result.calibration, result.verdict == "unexplained"
+    answers = {
+        "What was looked at": _looked_at(result, model),
+        "The specimen before": _before(before) if before else (),
+        "What changed since" if before else "What is missing": _missing(result),
+        "What was tried" if unexplained else "How sure": (_tried if unexplained else _sure)(result),
+        "What is left": _costs(result),
+        "Where": _where(result),
+        "What cannot be told": _untold(result),
+        "Next experiment": _next(result),
+    }
+    return tuple(Section(title=title, lines=lines) for title, lines in answers.items() if lines)
 
 
 def parameter_words(p: Estimate) -> tuple[str, str, str]:
@@ -326,7 +323,7 @@ def _values(effect: NamedEffect, nominal: str) -> list[str]:
     told = []
     for p in effect.estimates:
         value, interval, other = parameter_words(p)
-        doubt = ", uncertain" if uncertain(p) else ""
+        doubt = ", uncertain" * uncertain(p)
         told.append(f"{readable(p.name)} {value} (95 %: {interval}{doubt}), {nominal} {other}")
     return told
 
@@ -344,15 +341,11 @@ def _confidence(effect: NamedEffect, *, alone: bool) -> str:
 
 def _gap_of(result: Diagnosis) -> str:
     """The gap that named effects may close, in words."""
-    gap = result.gap
-    place = f" on {_held(result)}" if gap.held_out else ""
+    held = result.gap.held_out
+    place = f" on {listed(held)}" if held else ""
     if result.calibration is not None:
         return f"what went wrong{place} since the healthy recordings"
     return f"the error beyond sensor noise{place}"
-
-
-def _held(result: Diagnosis) -> str:
-    return listed(result.gap.held_out)
 
 
 def _left(result: Diagnosis) -> str:
@@ -387,45 +380,36 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
     held = tuple(r.name for r in result.recordings if r.held_out)
     names = tuple(r.name for r in in_order(result))
     count = len(names)
-    lines = [f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(names)}."]
+    judged = "No recording was kept apart: the verdict is judged on the data of the fit."
     if held:
-        lines.append(f"{listed(held)} was kept from all fits; the verdict is judged on it.")
-    else:
-        lines.append("No recording was kept apart: the verdict is judged on the data of the fit.")
-    lines.append(
+        judged = f"{listed(held)} was kept from all fits; the verdict is judged on it."
+    return (
+        f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(names)}.",
+        judged,
         f"{len(result.ranking)} possible effects tried, alone and together, "
-        f"{result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s."
+        f"{result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s.",
     )
-    return tuple(lines)
 
 
-def _before(result: Diagnosis) -> tuple[str, ...]:
+def _before(calibration: Calibration) -> tuple[str, ...]:
     """Result of the healthy recordings for this machine."""
-    calibration = result.calibration
-    if calibration is None:
-        return ()
     told = "; ".join(
         f"{name} {number(before)}, calibrated {number(after)}"
         for name, before, after in calibration.recordings
     )
-    lines = [f"Error of the model in the healthy recordings, in noise levels: {told}."]
-    departed = [
-        f"{_parameter_of(p, effect)} at {element} {parameter_words(p)[0]}, in the model "
-        f"{parameter_words(p)[2]}"
-        for effect, element, p in calibration.estimates[:_RECALIBRATED]
-    ]
+    departed = []
+    for effect, element, p in calibration.estimates[:_RECALIBRATED]:
+        name = readable(effect if p.name == effect else f"{effect}, {p.name}")
+        value, _, nominal = parameter_words(p)
+        departed.append(f"{name} at {element} {value}, in the model {nominal}")
+    differs = "No parameter differs from the model by more than is just noticeable."
     if departed:
-        lines.append(f"What differs most from the model: {'; '.join(departed)}.")
-    else:
-        lines.append("No parameter differs from the model by more than is just noticeable.")
-    lines.append("This was so before; what follows is what changed since.")
-    return tuple(lines)
-
-
-def _parameter_of(p: Estimate, effect: str) -> str:
-    if p.name == effect:
-        return readable(effect)
-    return f"{readable(effect)}, {readable(p.name)}"
+        differs = f"What differs most from the model: {'; '.join(departed)}."
+    return (
+        f"Error of the model in the healthy recordings, in noise levels: {told}.",
+        differs,
+        "This was so before; what follows is what changed since.",
+    )
 
 
 def _missing(result: Diagnosis) -> tuple[str, ...]:
@@ -452,11 +436,9 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
         return ()
     told = []
     for effect in result.smaller:
+        many = len(effect.parameters) > 1
         values = ", ".join(
-            f"{readable(p.name)} {parameter_words(p)[0]}"
-            if len(effect.parameters) > 1
-            else parameter_words(p)[0]
-            for p in effect.parameters
+            f"{readable(p.name)} " * many + parameter_words(p)[0] for p in effect.parameters
         )
         closes = f"(closes {100.0 * effect.contribution:.0f} % of the gap)"
         told.append(f"{_at(effect)} {values}".rstrip() + f" {closes}")
@@ -486,35 +468,36 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 
 def _tried(result: Diagnosis) -> tuple[str, ...]:
     """Treatment of an error that no effect explains."""
-    lines = [f"{len(result.ranking)} possible effects, alone and together"]
     sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
-    names = tuple(dict.fromkeys(map(set_words, sets)))[:_CLOSEST]
-    lines[0] += f"; {listed(names)} came closest." if names else "."
+    closest = listed(tuple(dict.fromkeys(map(set_words, sets)))[:_CLOSEST])
     gap = result.gap
-    lines.append(
+    lines = [
+        f"{len(result.ranking)} possible effects, alone and together"
+        + (f"; {closest} came closest." if closest else "."),
         f"The model errs by {number(gap.before)} noise levels, recalibrated within tolerance by "
-        f"{number(gap.baseline)}."
-    )
-    moved = []
-    for p in result.nuisances:
+        f"{number(gap.baseline)}.",
+    ]
+
+    def departed(p: Estimate) -> float:
         half = (p.interval[1] - p.interval[0]) / 2.0
-        if half > 0.0 and abs(p.value - p.nominal) > _DEPARTED * half:
-            moved.append((abs(p.value - p.nominal) / half, p))
-    moved.sort(key=lambda entry: -entry[0])
-    if moved:
-        told = []
-        for _, p in moved[:_RECALIBRATED]:
-            value, _, nominal = parameter_words(p)
-            told.append(f"{readable(p.name)} {value}, {result.nominal_words} {nominal}")
+        return abs(p.value - p.nominal) / half if half > 0.0 else 0.0
+
+    moved = [p for p in result.nuisances if departed(p) > _DEPARTED]
+    told = []
+    for p in sorted(moved, key=departed, reverse=True)[:_RECALIBRATED]:
+        value, _, nominal = parameter_words(p)
+        told.append(f"{readable(p.name)} {value}, {result.nominal_words} {nominal}")
+    if told:
         lines.append(f"Recalibrated: {'; '.join(told)}.")
     for effect in result.effects:
         lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
     if result.effects:
         lines.append(_CONFIDENCE)
-    if result.model:
-        lines.append("The improved model carries no effect without a name.")
-    else:
-        lines.append("No improved model is written: nothing makes the held-out recordings better.")
+    lines.append(
+        "The improved model carries no effect without a name."
+        if result.model
+        else "No improved model is written: nothing makes the held-out recordings better."
+    )
     if result.learned:
         lines.append(f"Learned without a name: {result.learned.rstrip('.')}.")
     return tuple(lines)
@@ -523,23 +506,21 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
 def _costs(result: Diagnosis) -> tuple[str, ...]:
     gap = result.gap
     place = f"On {listed(gap.held_out)}" if gap.held_out else "On the recordings of the fit"
-    text = (
+    error = (
         f"{place} the simulation is off by {number(gap.before)} noise levels; recalibrated within "
         f"tolerance, by {number(gap.baseline)}"
     )
-    found = bool(result.effects or result.smaller)
-    text += f"; {after_words(result)}, by {number(gap.after)}." if found else "."
-    lines = [text]
+    if result.effects or result.smaller:
+        error += f"; {after_words(result)}, by {number(gap.after)}"
     floor = f"Noise of the sensors alone gives {number(gap.noise_floor)}"
     if gap.healthy is not None:
         floor += f"; the healthy machine, calibrated, had {number(gap.healthy)}"
-    lines.append(f"{floor}.")
+    lines = [f"{error}.", f"{floor}."]
     closed = gap.explained if gap.explained is not None else gap.closed_fraction
     if result.effects and closed is not None and math.isfinite(closed):
         share = f"{100.0 * closed:.0f} % of {_gap_of(result)} is explained."
-        lines.append(
-            share if closed > _HARDLY else f"The gap hardly closes: {100.0 * closed:.0f} %."
-        )
+        hardly = f"The gap hardly closes: {100.0 * closed:.0f} %."
+        lines.append(share if closed > _HARDLY else hardly)
     told = main_channels(result)  # They stand at the top of the page.
     rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
     if rows:

@@ -1,23 +1,22 @@
 """Films from raw frames, smaller films, and stills, all made by ffmpeg."""
 
-import contextlib
 import os
 import re
+import select
 import subprocess
 import tempfile
-import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import BinaryIO
 
 from leglab.base.errors import FileError, LeglabError
+from leglab.base.input import read_bytes
 from leglab.base.output import cannot_write, new_file, regular_file
 
 # What explains a failure best comes first; ffmpeg is told to print nothing but errors.
 _TELLING = ("No space left", "Unknown encoder", "")
-# Longest time that ffmpeg may take for a frame, or for its end [s].
+# Longest time that ffmpeg may take nothing of a frame, or for its end [s].
 _PATIENCE = 120.0
 # Longest time that it may take to encode a film anew, or for a picture of it [s].
 _PATIENCE_OF_A_FILM = 600.0
@@ -28,7 +27,8 @@ _CODING = ("-an", "-c:v", "libx264", "-preset", "fast", "-pix_fmt", "yuv420p")
 _STILL_WIDTH = 960  # at most [px]: as wide as a page shows a film on most screens
 
 
-class Encoder:
+@contextmanager
+def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[bytes], None]]:
     """Writes a film beside its place and moves it there when it is whole.
 
     H.264 in yuv420p with its index at the front: any browser starts to play it at once. One thread,
@@ -39,128 +39,83 @@ class Encoder:
         size: Width and height [px].
         rate: Frames a second.
 
+    Yields:
+        A function that adds a frame, RGB, row by row from the top.
+
     Raises:
-        LeglabError: There is no ffmpeg, it cannot encode H.264, or the file cannot be written.
+        LeglabError: There is no ffmpeg, it cannot encode H.264 or takes no more frames, the file
+            cannot be written or the disk is full.
     """
-
-    def __init__(self, out: Path, size: tuple[int, int], rate: int) -> None:
-        program = _ffmpeg()
-        check_film(out)
-        self._out = out
-        width, height = size
-        command = [
-            *(program, "-hide_banner", "-loglevel", "error", "-y"),
-            *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
-            *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
-            *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
-            *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
-            *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
-            *("-flags:v", "+bitexact", "-movflags", "+faststart"),
-        ]
-        with contextlib.ExitStack() as stack:
-            self._partial = stack.enter_context(new_file(out))
-            self._log = stack.enter_context(tempfile.TemporaryFile())
-            try:
-                self._process = subprocess.Popen(
-                    [*command, str(self._partial)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=self._log,
-                )
-            except OSError as error:
-                told = f"{program} cannot be run: {error.strerror}"
-                raise LeglabError(told, given=program) from error
-            self._patience = stack.enter_context(_Patience(self._process))
-            self._stack = stack.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def write(self, frame: bytes | bytearray) -> None:
-        """Adds a frame, RGB, row by row from the top.
-
-        Raises:
-            LeglabError: The encoder stopped, because the disk is full, for instance.
-        """
-        assert self._process.stdin is not None
-        self._patience.begin_anew()
+    program = _ffmpeg()
+    width, height = size
+    command = [
+        *(program, "-hide_banner", "-loglevel", "error", "-y"),
+        *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
+        *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
+        *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
+        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
+        *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
+        *("-flags:v", "+bitexact", "-movflags", "+faststart"),
+    ]
+    with new_file(out) as partial, tempfile.TemporaryFile() as log:
         try:
-            self._process.stdin.write(frame)
-        except OSError:
-            self._process.wait()
-            raise self._failure() from None
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        reason = error
-        try:
-            if error is not None:
-                self._process.kill()
-            self._patience.begin_anew()
-            with contextlib.suppress(OSError):
-                assert self._process.stdin is not None
-                self._process.stdin.close()
-            status = self._process.wait()
-            if error is None and (status or self._said() or not self._partial.stat().st_size):
-                raise self._failure()
-        except BaseException as failure:
-            reason = failure
-            raise
-        finally:  # The film takes its place where there is no reason against it.
-            self._stack.__exit__(type(reason) if reason else None, reason, trace)
-
-    def _said(self) -> str:
-        self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").splitlines()
-        return next((line.strip() for word in _TELLING for line in lines if word in line), "")
-
-    def _failure(self) -> LeglabError:
-        said = self._said()
-        if self._patience.ended:
-            said = f"ffmpeg took nothing for {_PATIENCE:g} s"
-        elif "No space left" in said:
-            told = f"{self._out}: cannot be written: no space left on the disk"
-            return FileError(told, given=self._out)
-        elif "Unknown encoder" in said:
-            return LeglabError(
-                "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
-                "to use the one that comes with imageio-ffmpeg"
+            process = subprocess.Popen(
+                [*command, str(partial)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
             )
-        told = f"{self._out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}"
-        return FileError(told, given=self._out)
+        except OSError as error:
+            told = f"{program} cannot be run: {error.strerror}"
+            raise LeglabError(told, given=program) from error
+        assert process.stdin is not None
+        pipe = process.stdin.fileno()
+        os.set_blocking(pipe, False)
+
+        def write(frame: bytes) -> None:
+            left = memoryview(frame)
+            while left:
+                _, ready, _ = select.select([], [pipe], [], _PATIENCE)
+                if not ready:
+                    raise subprocess.TimeoutExpired(program, _PATIENCE)
+                try:
+                    left = left[os.write(pipe, left) :]
+                except OSError:
+                    process.wait(_PATIENCE)
+                    raise _failure(out, log) from None
+
+        try:
+            yield write
+            process.stdin.close()
+            status = process.wait(_PATIENCE)
+            if status or _said(log) or not partial.stat().st_size:
+                raise _failure(out, log)
+        except subprocess.TimeoutExpired:
+            told = f"{out}: cannot be encoded: ffmpeg took nothing for {_PATIENCE:g} s"
+            raise FileError(told, given=out) from None
+        finally:
+            process.kill()
+            process.wait()
+            process.stdin.close()
 
 
-class _Patience:
-    """Ends a process that takes nothing for too long: a pipe that is full waits for ever."""
+def _said(log: BinaryIO) -> str:
+    log.seek(0)
+    lines = log.read().decode(errors="replace").splitlines()
+    return next((line.strip() for word in _TELLING for line in lines if word in line), "")
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
-        self._process = process
-        self._over = threading.Event()
-        self.ended = False
-        self.begin_anew()
-        self._watch = threading.Thread(target=self._wait, daemon=True)
 
-    def begin_anew(self) -> None:
-        self._last = time.monotonic() + _PATIENCE
-
-    def __enter__(self) -> Self:
-        self._watch.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._watch.join()
-
-    def _wait(self) -> None:
-        while (left := self._last - time.monotonic()) > 0:
-            if self._over.wait(left):
-                return
-        self.ended = True
-        self._process.kill()
+def _failure(out: Path, log: BinaryIO) -> LeglabError:
+    said = _said(log)
+    if "Unknown encoder" in said:
+        return LeglabError(
+            "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
+            "to use the one that comes with imageio-ffmpeg"
+        )
+    told = f"{out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}"
+    if "No space left" in said:
+        told = f"{out}: cannot be written: no space left on the disk"
+    return FileError(told, given=out)
 
 
 def check_film(path: Path) -> None:
@@ -203,14 +158,10 @@ def film_bytes(film: Path, most: int) -> bytes:
     Raises:
         LeglabError: It cannot be read or encoded.
     """
-    try:
-        content = film.read_bytes()
-    except OSError as error:
-        raise FileError(f"{film}: cannot be read: {error.strerror}", given=film) from error
+    content = read_bytes(film)
     if len(content) <= most:
         return content
-    seconds = _seconds(film)
-    rate = _AIM * 8 * most / max(seconds, 1e-3)
+    rate = _AIM * 8 * most / max(_seconds(film), 1e-3)
     for _ in range(_ATTEMPTS):
         bits = round(rate)
         rates = ("-b:v", f"{bits}", "-maxrate", f"{2 * bits}", "-bufsize", f"{4 * bits}")
@@ -228,13 +179,9 @@ def still_bytes(film: Path) -> bytes:
     Raises:
         LeglabError: It cannot be read.
     """
-    seconds = _seconds(film)
-    return _made(
-        film,
-        f".{film.stem}.still.jpg",
-        before=("-ss", f"{0.6 * seconds:.3f}"),
-        after=("-frames:v", "1", "-vf", f"scale='min({_STILL_WIDTH},iw)':-2", "-q:v", "4"),
-    )
+    before = ("-ss", f"{0.6 * _seconds(film):.3f}")
+    after = ("-frames:v", "1", "-vf", f"scale='min({_STILL_WIDTH},iw)':-2", "-q:v", "4")
+    return _made(film, f".{film.stem}.still.jpg", before=before, after=after)
 
 
 def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[str]) -> bytes:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError, SettingsError
-from leglab.report.film.encoder import Encoder, check_film
+from leglab.report.film.encoder import check_film, encoding
 from leglab.report.film.framing import DEFAULT_CAMERA
 from leglab.report.film.look import MAX_RUNS, SIZE
 from leglab.report.film.track import Track, load_track
@@ -18,7 +18,6 @@ from leglab.report.film.workers import NoOpenGLError, draw_frames, worker_count
 FRAME_RATE = 30
 BACKENDS = ("egl", "osmesa")
 INSTALL_LINE = "sudo apt-get install -y libegl1 libgl1-mesa-dri"
-_FRAME_SIZE = 3 * SIZE[0] * SIZE[1]
 
 
 def render_film(
@@ -70,10 +69,10 @@ def render_film(
     frames = _frames(job)
     # The first frame shows whether a film comes about at all, before any file is touched.
     head = next(frames)
-    with contextlib.closing(frames), Encoder(out, SIZE, FRAME_RATE) as encoder:
-        encoder.write(head)
+    with contextlib.closing(frames), encoding(out, SIZE, FRAME_RATE) as write:
+        write(head)
         for i, frame in enumerate(frames, start=2):
-            encoder.write(frame)
+            write(frame)
             if progress:
                 progress(i / count)
         if progress:
@@ -81,13 +80,12 @@ def render_film(
     return out
 
 
-def _frames(job: dict[str, Any]) -> Generator[bytearray, None, None]:
+def _frames(job: dict[str, Any]) -> Generator[bytes, None, None]:
     chosen = os.environ.get("MUJOCO_GL", "").lower()
     reasons = []
     for backend in (chosen,) if chosen in BACKENDS else BACKENDS:
-        count = worker_count(job["frames"])
         try:
-            yield from draw_frames(job, backend=backend, count=count, frame_size=_FRAME_SIZE)
+            yield from draw_frames(job, backend=backend, count=worker_count(job["frames"]))
             return
         except NoOpenGLError as error:
             reasons.append(str(error))

@@ -7,19 +7,18 @@ import contextlib
 import fcntl
 import json
 import os
-import queue
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import Any, NoReturn
 
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
+from leglab.report.film.look import SIZE
 
-_AHEAD = 6  # frames that a process may be ahead of the film
+_FRAME_SIZE = 3 * SIZE[0] * SIZE[1]  # bytes
 _PIPE = 1 << 20  # bytes
 _LEAST_FRAMES = 20  # below this, another process takes longer to start than it saves
 _ERROR_MARK = "leglab-error: "  # begins the line on standard error that is meant for the user
@@ -37,9 +36,7 @@ def worker_count(frames: int) -> int:
     return max(1, min(len(os.sched_getaffinity(0)), frames // _LEAST_FRAMES, 16))
 
 
-def draw_frames(
-    job: dict[str, Any], *, backend: str, count: int, frame_size: int
-) -> Iterator[bytearray]:
+def draw_frames(job: dict[str, Any], *, backend: str, count: int) -> Iterator[bytes]:
     """Draws the frames of a job.
 
     Args:
@@ -47,7 +44,6 @@ def draw_frames(
             how many there are a second, `rate`.
         backend: What MuJoCo renders with, "egl" or "osmesa".
         count: Number of processes.
-        frame_size: Bytes of a frame.
 
     Yields:
         The frames in order, RGB.
@@ -59,7 +55,7 @@ def draw_frames(
     # One thread a process: the processes are the parallelism, and few cores do not thrash.
     quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
     job = {**job, "plugins": plugins.carried(), "step": count}
-    workers = [_Worker({**job, "first": i}, quiet, frame_size) for i in range(count)]
+    workers = [_Worker({**job, "first": i}, quiet) for i in range(count)]
     try:
         for i in range(job["frames"]):
             yield workers[i % count].next_frame()
@@ -69,7 +65,7 @@ def draw_frames(
 
 
 class _Worker:
-    def __init__(self, job: dict[str, Any], env: dict[str, str], frame_size: int) -> None:
+    def __init__(self, job: dict[str, Any], env: dict[str, str]) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
             # Modules come from where they are installed, not from the working folder.
@@ -80,43 +76,22 @@ class _Worker:
             stderr=self._log,
         )
         assert self._process.stdout is not None
+        self._frames = self._process.stdout
         with contextlib.suppress(OSError, AttributeError):  # only Linux, and up to its limit
-            fcntl.fcntl(self._process.stdout.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
-        self._frames: queue.Queue[bytearray | None] = queue.Queue(_AHEAD)
-        self._closing = False
-        arguments = (self._process.stdout, frame_size)
-        self._reader = threading.Thread(target=self._read, args=arguments, daemon=True)
-        self._reader.start()
+            fcntl.fcntl(self._frames.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
 
-    def next_frame(self) -> bytearray:
-        frame = self._frames.get()
-        if frame is None:
+    def next_frame(self) -> bytes:
+        frame = self._frames.read(_FRAME_SIZE)
+        if len(frame) < _FRAME_SIZE:
             self._process.wait()
             raise self._failure()
         return frame
 
     def close(self) -> None:
-        self._closing = True
         self._process.kill()
         self._process.wait()
-        while self._reader.is_alive():
-            with contextlib.suppress(queue.Empty):
-                self._frames.get(timeout=0.01)
-        assert self._process.stdout is not None
-        self._process.stdout.close()
+        self._frames.close()
         self._log.close()
-
-    def _read(self, stream: IO[bytes], frame_size: int) -> None:
-        while not self._closing:
-            frame = bytearray(frame_size)
-            view, filled = memoryview(frame), 0
-            while filled < frame_size:
-                got = stream.readinto(view[filled:])  # type: ignore[attr-defined]
-                if not got:
-                    self._frames.put(None)
-                    return
-                filled += got
-            self._frames.put(frame)
 
     def _failure(self) -> LeglabError:
         self._log.seek(0)

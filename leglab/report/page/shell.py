@@ -15,6 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from leglab.base.output import write_atomically
 from leglab.report.page.glossary import Glossary
 from leglab.report.page.wording import printable
 from leglab.report.style import ORANGE, SERIES
@@ -27,33 +28,9 @@ _SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D
 # What no page may do. Bases and forms do not fall under the default; the others are named so that
 # they stay forbidden where the default is loosened.
 _FORBIDDEN = (
-    "default-src",
-    "connect-src",
-    "form-action",
-    "base-uri",
-    "frame-src",
-    "child-src",
-    "worker-src",
-    "object-src",
-    "font-src",
-    "manifest-src",
+    *("default-src", "connect-src", "form-action", "base-uri", "frame-src", "child-src"),
+    *("worker-src", "object-src", "font-src", "manifest-src"),
 )
-
-
-class Linked(str):
-    """The text of a cell of a table that links to a file.
-
-    Attributes:
-        link: From `file_link`.
-    """
-
-    link: str
-
-    def __new__(cls, text: str, link: str) -> "Linked":
-        """Makes one of a text and its link."""
-        made = super().__new__(cls, text)
-        made.link = link
-        return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +96,29 @@ def file_link(path: Path, base: Path) -> str:
     return "./" + quote(Path(relative).as_posix(), errors="surrogateescape")
 
 
+def inlined(content: bytes) -> str:
+    """A picture or film as a page holds it."""
+    return base64.b64encode(content).decode()
+
+
+def link(text: str, path: Path, base: Path) -> Markup:
+    """A text that links to a file from a page in the folder `base`."""
+    return Markup('<a href="{}">{}</a>').format(file_link(path, base), printable(text))
+
+
+def write_page(text: str, path: Path) -> Path:
+    """Writes a page, also over an earlier one, and returns its path.
+
+    Raises:
+        LeglabError: It cannot be written.
+    """
+    write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
+    return path
+
+
 def inline_json(content: Any) -> Markup:
     """JSON that may stand inside a script element, whatever texts it holds."""
-    text = content if isinstance(content, str) else json.dumps(content, allow_nan=False)
+    text = json.dumps(content, allow_nan=False)
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return Markup(text)

@@ -46,3 +46,21 @@ def number(value: float, digits: int = 3) -> str:
         decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
         return f"{rounded:,.{decimals}f}"
     return f"{rounded:.{digits}g}"
+
+
+def figure(value: float | None, factor: float = 1.0, *, missing: str = "") -> str:
+    """A number in a table, times a factor; `missing` where there is none or it is not finite."""
+    return missing if value is None or not math.isfinite(value) else number(factor * value)
+
+
+def log_ticks(low: float, high: float, *, fine: bool) -> list[float]:
+    """Round numbers about the ends of a logarithmic axis.
+
+    Args:
+        low: Logarithm of the lower end.
+        high: Logarithm of the upper end.
+        fine: Whether there are 1, 2 and 5 of each power of ten, or that alone.
+    """
+    factors = (1, 2, 5) if fine else (1,)
+    powers = range(math.floor(low) - 1, math.ceil(high) + 1)
+    return [float(f"{factor}e{power}") for power in powers for factor in factors]

@@ -1,17 +1,15 @@
 """The page of one run or several, and the film beside it."""
 
-import base64
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from markupsafe import Markup
-
 from leglab.base.errors import FileError, LeglabError
-from leglab.base.output import cannot_write, claimed_folder, write_atomically
+from leglab.base.output import cannot_write, claimed_folder
 from leglab.report.film.encoder import film_bytes, still_bytes
-from leglab.report.page.shell import asset, render
+from leglab.report.page.shell import asset, inlined, render, write_page
 from leglab.report.page.wording import listed
 from leglab.report.run import tables, words
 from leglab.report.run.plots import plot_data
@@ -41,15 +39,6 @@ class Report:
     page: Path
     film: Path | None
     why_no_film: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilmPart:
-    """The film as the page shows it: its data and a still, or the reason why there is none."""
-
-    text: str
-    data: Markup | None = None
-    still: str = ""
 
 
 def check_out(folder: Path, *, overwrite: bool) -> None:
@@ -93,8 +82,7 @@ def write_report(
             film = filmer(workplace / FILM)
         except LeglabError as error:
             why_no_film = str(error)
-    text = page(runs, film=film, no_film=why_no_film)
-    write_atomically(workplace / PAGE, lambda stream: stream.write(text.encode()))
+    write_page(page(runs, film=film, no_film=why_no_film), workplace / PAGE)
     try:
         if film is None:
             (folder / FILM).unlink(missing_ok=True)
@@ -103,9 +91,8 @@ def write_report(
         os.replace(workplace / PAGE, folder / PAGE)
     except OSError as error:
         raise cannot_write(folder, error) from error
-    return Report(
-        page=folder / PAGE, film=None if film is None else folder / FILM, why_no_film=why_no_film
-    )
+    shown = None if film is None else folder / FILM
+    return Report(page=folder / PAGE, film=shown, why_no_film=why_no_film)
 
 
 def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str = "") -> str:
@@ -124,38 +111,30 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     data = plot_data(runs, joints, first)
     from plotly.offline import get_plotlyjs  # slow to import
 
-    scripts = (get_plotlyjs(), asset("report.js"))
-
-    def fill(film: FilmPart) -> str:
-        return render(
-            "report.html",
-            kind="report",
-            scripts=scripts,
-            title=words.title(runs),
-            headline=words.headline(runs),
-            sections=words.sections(runs),
-            count=len(runs),
-            labels=[run.label for run in runs],
-            colors=len(SERIES),
-            bars=tables.error_bars(runs, len(SERIES)),
-            table=tables.run_table(runs),
-            joint_tables=tables.joint_tables(runs),
-            setting_tables=tables.setting_tables(runs),
-            joints=joints,
-            first_joint=first,
-            plots=data["plots"],
-            plot_data=data,
-            film=film,
-            film_file=FILM,
-        )
-
+    content = {
+        "scripts": (get_plotlyjs(), asset("report.js")),
+        "title": words.title(runs),
+        "headline": words.headline(runs),
+        "sections": words.sections(runs),
+        "count": len(runs),
+        "labels": [run.label for run in runs],
+        "colors": len(SERIES),
+        "bars": tables.error_bars(runs, len(SERIES)),
+        "table": tables.run_table(runs),
+        "joint_tables": tables.joint_tables(runs),
+        "setting_tables": tables.setting_tables(runs),
+        "joints": joints,
+        "first_joint": first,
+        "plots": data["plots"],
+        "plot_data": data,
+        "film_file": FILM,
+    }
+    fill = partial(render, "report.html", kind="report", **content)
     if film is None:
-        return fill(FilmPart(text=no_film or "none was asked for."))
-    still = base64.b64encode(still_bytes(film)).decode()
-    empty = FilmPart(text=_description(runs), data=Markup(""), still=still)
-    most = max(_FILM_LEAST, (_LARGEST - len(fill(empty).encode())) * 3 // 4)
-    content = base64.b64encode(film_bytes(film, most)).decode()
-    return fill(replace(empty, data=Markup(content)))
+        return fill(film={"text": no_film or "none was asked for.", "data": None})
+    part = {"text": _description(runs), "data": "", "still": inlined(still_bytes(film))}
+    most = max(_FILM_LEAST, (_LARGEST - len(fill(film=part).encode())) * 3 // 4)
+    return fill(film={**part, "data": inlined(film_bytes(film, most))})
 
 
 def _description(runs: Sequence[ReportedRun]) -> str:

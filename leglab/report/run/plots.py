@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.units import shared_unit
-from leglab.report.page.wording import printable, shortened
+from leglab.report.page.wording import log_ticks, printable, shortened
 from leglab.report.run.words import change_words
 from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
@@ -165,7 +165,9 @@ def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | Non
         return None
     unit = shared_unit(run.unit for run in runs)
     low, high = min(v.min() for v in values), max(v.max() for v in values)
-    log = low > 0 and high / low > _LOG_RATIO
+    log, ticks = low > 0 and high / low > _LOG_RATIO, None
+    if log:
+        ticks = log_ticks(math.log10(low), math.log10(high), fine=high / low < 1e3)
     return {
         "name": "error",
         "title": "RMS error of all joints over one stride",
@@ -176,17 +178,10 @@ def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | Non
         "by_joint": False,
         "labelled": True,
         "scale": "log" if log else "linear",
-        "ticks": _ticks(float(low), float(high)) if log else None,
+        "ticks": ticks,
         "range": None if log else [0.0, 1.06 * float(high)],
         "traces": traces,
     }
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers for a logarithmic axis: 1, 2, 5, or powers of ten alone where it is long."""
-    factors = (1, 2, 5) if high / low < 1e3 else (1,)
-    powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    return [float(f"{factor}e{power}") for power in powers for factor in factors]
 
 
 def _joint_plot(

@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from leglab.base.units import shared_unit
 from leglab.report.page.outcome import milli
 from leglab.report.page.shell import Table
-from leglab.report.page.wording import listed, number, readable
+from leglab.report.page.wording import figure, listed, readable
 from leglab.report.run.words import change_words, different
 from leglab.runs.folder import ReportedRun
 
@@ -16,45 +16,27 @@ _NONE = "-"
 _HIDDEN = ("elements",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bar:
-    """One bar: label, share of the longest [%], text of the value, number of the run's colour."""
+def error_bars(runs: Sequence[ReportedRun], colors: int) -> dict[str, Any] | None:
+    """Error by which each run is judged, against the first run's; None for a single run.
 
-    name: str
-    width: float
-    value: str
-    color: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bars:
-    """Bars below each other, with what they show."""
-
-    caption: str
-    rows: tuple[Bar, ...]
-
-
-def error_bars(runs: Sequence[ReportedRun], colors: int) -> Bars | None:
-    """Error by which each run is judged, against the first run's; None for a single run."""
+    A bar has a name, its share of the longest [%], the value as text and the number of its colour.
+    """
     if len(runs) < 2:
         return None
-    values = [run.error for run in runs]
-    most = max(values) or 1.0
+    first, most = runs[0], max(run.error for run in runs) or 1.0
     comparable = not different(runs)
     rows = []
-    for i, (run, value) in enumerate(zip(runs, values, strict=True)):
-        text = milli(value, run.unit)
-        if i and comparable and runs[0].metrics.completed and run.metrics.completed and values[0]:
-            text += f" ({100.0 * (value / values[0] - 1.0):+.0f} %)".replace("-", "\u2212")
-        if not run.metrics.completed:
-            text += ", stopped early"
-        rows.append(
-            Bar(name=run.label, width=round(100.0 * value / most, 2), value=text, color=i % colors)
-        )
+    for i, run in enumerate(runs):
+        text = milli(run.error, run.unit)
+        if i and comparable and first.metrics.completed and run.metrics.completed and first.error:
+            text += f" ({100.0 * (run.error / first.error - 1.0):+.0f} %)".replace("-", "\u2212")
+        text += ", stopped early" * (not run.metrics.completed)
+        width = round(100.0 * run.error / most, 2)
+        rows.append({"name": run.label, "width": width, "value": text, "color": i % colors})
     over = tuple(dict.fromkeys(run.judged_over for run in runs))
-    against = f", in brackets against {runs[0].label}" if comparable else ""
+    against = f", in brackets against {first.label}" if comparable else ""
     caption = f"RMS tracking error of all joints {listed(over, 'or')}{against}"
-    return Bars(caption=caption, rows=tuple(rows))
+    return {"caption": caption, "rows": rows}
 
 
 def run_table(runs: Sequence[ReportedRun]) -> Table:
@@ -71,16 +53,19 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
     head += [f"RMS command, {last}", f"energy, {last} [J]", f"power, {last} [W]", "came to [s]"]
     rows = []
     for run in runs:
-        found = run.metrics.adaptation
+        found, phase = run.metrics.adaptation, run.last
         row = [run.label, *[_milli(found.before_rad)] * changed]
-        row += [_milli(run.last.rms_rad), _milli(found.end_rad), _milli(run.last.peak_rad)]
+        row += map(_milli, (phase.rms_rad, found.end_rad, phase.peak_rad))
         if changed:
-            row += _damage(run)
-        row.append(number(run.last.effort["all"]) if "all" in run.last.effort else _NONE)
-        row.append(number(run.last.energy_j["all"]) if "all" in run.last.energy_j else _NONE)
-        row.append(_NONE if run.power is None else number(run.power))
-        row.append(f"{run.metrics.duration:g} of {run.planned:g}")
-        rows.append(row)
+            row.append(figure(found.damage_rad, 1e3, missing=_NONE))
+            told = [_NONE, _NONE]
+            if found.recovered is not None:
+                t90 = "never" if found.t90_s is None else f"{found.t90_s:.2f}"
+                told = [f"{round(100 * found.recovered)}", t90]
+            row += told
+        costs = (phase.effort.get("all"), phase.energy_j.get("all"), run.power)
+        row += [figure(value, missing=_NONE) for value in costs]
+        rows.append([*row, f"{run.metrics.duration:g} of {run.planned:g}"])
     return Table(caption="RMS tracking error of all joints and its costs", head=head, rows=rows)
 
 
@@ -100,17 +85,13 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
         shown = {name: values for name, values in columns.items() if values}
         rows = []
         for joint in run.joints:
-            cells = (number(1e3 * v[joint]) if joint in v else _NONE for v in shown.values())
-            rows.append([_named(run, joint), *cells])
+            cells = (figure(v.get(joint), 1e3, missing=_NONE) for v in shown.values())
+            own = run.metrics.error_unit(joint)
+            # With the unit of its errors where others have another.
+            rows.append([joint if own == run.unit else f"{joint} [{own}]", *cells])
         caption = f"{run.label}: tracking error [{run.unit}]"
         tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
     return tuple(tables)
-
-
-def _named(run: ReportedRun, joint: str) -> str:
-    """A joint, with the unit of its errors where others have another."""
-    own = run.metrics.error_unit(joint)
-    return joint if own == run.unit else f"{joint} [{own}]"
 
 
 def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
@@ -121,33 +102,27 @@ def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
         found["folder"] = run.folder.name
         found["stride, window of the moving error [s]"] = f"{run.configuration.window:g}"
         for i, change in enumerate(run.configuration.changes):
-            when = f"{change_words(change)}, from {change.start:g} s"
-            found[f"change {i + 1}"] = when + (
-                f" over {change.ramp_duration:g} s" if change.ramp_duration else ""
-            )
+            over = f" over {change.ramp_duration:g} s" if change.ramp_duration else ""
+            found[f"change {i + 1}"] = f"{change_words(change)}, from {change.start:g} s{over}"
     versions = [dict(run.configuration.versions) for run in runs]
     for run, found in zip(runs, versions, strict=True):
         if run.configuration.code:
             found["digest of the code"] = run.configuration.code[:12]
     tables = []
     for caption, columns in (("Settings", settings), ("Versions of the software", versions)):
-        rows = _side_by_side(columns)
+        rows = [
+            [readable(name), *(column.get(name, _NONE) for column in columns)]
+            for name in dict.fromkeys(name for column in columns for name in column)
+        ]
         differing = [row for row in rows if len(set(row[1:])) > 1]
         common = [row[:2] for row in rows if row not in differing]
-        which = " in which the runs differ"
-        tables.append(
-            Table(
-                caption=caption + which, head=["name", *labels], rows=differing, words=len(runs) + 1
-            )
-        )
-        which = " that all runs share" if len(runs) > 1 else ""
-        tables.append(Table(caption=caption + which, head=["name", "value"], rows=common, words=2))
+        shared = " that all runs share" * (len(runs) > 1)
+        differ, names = f"{caption} in which the runs differ", ["name", *labels]
+        tables += [
+            Table(caption=differ, head=names, rows=differing, words=len(names)),
+            Table(caption=caption + shared, head=["name", "value"], rows=common, words=2),
+        ]
     return tuple(table for table in tables if table.rows)
-
-
-def _side_by_side(columns: Sequence[dict[str, str]]) -> list[list[str]]:
-    names = list(dict.fromkeys(name for column in columns for name in column))
-    return [[readable(name), *(column.get(name, _NONE) for column in columns)] for name in names]
 
 
 def _units(run: ReportedRun) -> dict[str, str]:
@@ -195,14 +170,4 @@ def _flat(settings: dict, units: dict[str, str], prefix: str = "") -> dict[str, 
 
 
 def _milli(errors: dict[str, float] | None) -> str:
-    return _NONE if errors is None else number(1e3 * errors["all"])
-
-
-def _damage(run: ReportedRun) -> list[str]:
-    """Damage, share undone and time to nine tenths of it."""
-    found = run.metrics.adaptation
-    damage = _NONE if found.damage_rad is None else number(1e3 * found.damage_rad)
-    if found.recovered is None:
-        return [damage, _NONE, _NONE]
-    undone = "never" if found.t90_s is None else f"{found.t90_s:.2f}"
-    return [damage, f"{round(100 * found.recovered)}", undone]
+    return figure((errors or {}).get("all"), 1e3, missing=_NONE)

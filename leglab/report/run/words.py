@@ -15,19 +15,8 @@ from leglab.runs.record import ChangeRecord as Change
 
 # Settings that runs must share for their errors to be compared.
 _DECISIVE = (
-    "scenario",
-    "model",
-    "duration",
-    "severity",
-    "ramp_duration",
-    "element",
-    "reference",
-    "reference_config",
-    "seed",
-    "sensors",
-    "timestep",
-    "tolerance",
-    "vary",
+    *("scenario", "model", "duration", "severity", "ramp_duration", "element", "reference"),
+    *("reference_config", "seed", "sensors", "timestep", "tolerance", "vary"),
 )
 # Differences below this share are none that one would speak of.
 _ALIKE = 0.05

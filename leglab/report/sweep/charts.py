@@ -1,0 +1,214 @@
+"""Heat maps, curves over settings that were varied, and distributions of a sweep.
+
+They are plain: dicts of texts and of places along axes from 0 to 100, as the template shows them.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from leglab.report.page.wording import number
+from leglab.report.style import SERIES
+from leglab.report.sweep.facts import NEVER, Facts, Quantity, axis_words, value_words
+from leglab.runs.sweeps.rows import column
+
+# Rows and columns of a heat map, bars of a distribution.
+_MOST_ROWS, _MOST_COLUMNS, _BARS = 120, 20, 24
+# Sizes and settings that are drawn, not listed, are shown in so many classes.
+_CLASSES, LISTED = 6, 8
+# Shade of the worst value that a run reached, where others never reached any.
+_REACHED = 0.6
+# Values of a table that differ by no larger share than this have no shade.
+_ALIKE = 0.02
+# No value: the page says elsewhere why.
+NONE = "\u2013"
+# Axes that the heat maps show.
+_MAPPED = ("scenario", "controller", "severity", "seed")
+
+
+def heat_maps(facts: Facts) -> list[dict[str, Any]]:
+    """Medians by scenario and size, over controllers and, folded, over specimens of each."""
+    sized = (
+        "SELECT *, median(severity) OVER (PARTITION BY scenario, class) AS size FROM (SELECT *,"
+        f" ntile({_CLASSES}) OVER (PARTITION BY scenario ORDER BY severity) AS class FROM runs)"
+        if facts.sizes > 3 * _CLASSES
+        else "SELECT *, severity AS size FROM runs"
+    )
+    maps = []
+    for quantity in facts.quantities:
+        maps.append(_by_size(facts, quantity, sized, ""))
+        if facts.seeds > 1:
+            controllers = facts.rows("SELECT DISTINCT controller FROM runs ORDER BY 1")
+            for (controller,) in controllers[:_MOST_COLUMNS]:
+                maps.append(_by_size(facts, quantity, sized, controller))
+    return [found for found in maps if found["rows"]]
+
+
+def _by_size(facts: Facts, quantity: Quantity, source: str, controller: str) -> dict[str, Any]:
+    """Medians of a quantity over all controllers, or over the specimens of one."""
+    across, named = ("seed", "specimen (seed)") if controller else ("controller", "controller")
+    own = "AND controller = '{}'".format(controller.replace("'", "''")) if controller else ""
+    found = facts.rows(
+        f"SELECT scenario, size, {across} AS across, {quantity.median} AS m FROM ({source})"
+        f" WHERE status = 'ok' {own} GROUP BY ALL HAVING m IS NOT NULL"
+        " ORDER BY scenario, size, across"
+    )
+    caption = f"{quantity.title}, by scenario with size and {named}"
+
+    def told(place: tuple[str, float | None]) -> str:
+        scenario, size = place
+        return scenario if size is None else f"{scenario}, {number(size)}"
+
+    medians = [((scenario, size), other, m) for scenario, size, other, m in found]
+    shown = _heat_map(quantity, caption, "scenario, size", medians, told)
+    if controller:
+        shown["caption"] += f": {controller}"
+    return {**shown, "folded": bool(controller)}
+
+
+def _heat_map(
+    quantity: Quantity,
+    caption: str,
+    corner: str,
+    medians: Iterable[tuple[Any, Any, float]],
+    told: Callable[[Any], str],
+) -> dict[str, Any]:
+    """A table of medians, shaded the more the worse they are.
+
+    Args:
+        quantity: What they are of.
+        caption: Of the table.
+        corner: Head of the first column.
+        medians: Row, column and value; rows in their order.
+        told: Name of a row.
+
+    Returns:
+        Caption, head, and rows with their names; a field is its text and its shade, None for none.
+    """
+    values = {(row, column): value for row, column, value in medians}
+    columns = sorted({column for _, column in values})[:_MOST_COLUMNS]
+    rows = list(dict.fromkeys(row for row, _ in values))[:_MOST_ROWS]
+    known = [value for value in values.values() if value < NEVER]
+    low, high = (min(known), max(known)) if known else (0.0, 0.0)
+    # A value that was reached, however late, is not as bad as none.
+    most = _REACHED if len(known) < len(values) else 1.0
+
+    def field(value: float | None) -> tuple[str, float | None]:
+        if value is None:
+            return NONE, None
+        if value >= NEVER:
+            return "never", 1.0
+        text = number(quantity.factor * value)
+        if high - low <= _ALIKE * max(abs(low), abs(high)):
+            return text, None
+        share = (value - low) / (high - low)
+        return text, round(most * (share if quantity.bad > 0 else 1 - share), 3)
+
+    return {
+        "caption": caption,
+        "head": (corner, *map(str, columns)),
+        "rows": [(told(row), [field(values.get((row, name))) for name in columns]) for row in rows],
+    }
+
+
+def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
+    """What every setting does that the heat maps do not show, by its name."""
+    found = []
+    for axis in facts.record.axes:
+        if axis not in _MAPPED and column(axis) in facts.columns:
+            shown = [_effect(facts, axis, quantity) for quantity in facts.quantities]
+            found.append((axis_words(axis), [one for one in shown if one is not None]))
+    return [(name, shown) for name, shown in found if shown]
+
+
+def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | None:
+    """Medians by the values of a setting, of every scenario and controller, as table and curves."""
+    name = f'"{column(axis)}"'
+    ((kind, count),) = facts.rows(
+        f"SELECT any_value(typeof({name})), count(DISTINCT {name}) FROM runs"
+    )
+    numeric, source = kind == "DOUBLE", f"SELECT *, {name} AS value FROM runs"
+    if numeric and count > LISTED:
+        source = (
+            f"SELECT *, median({name}) OVER (PARTITION BY class) AS value FROM (SELECT *,"
+            f" ntile({_CLASSES}) OVER (ORDER BY {name}) AS class FROM runs"
+            f" WHERE {name} IS NOT NULL)"
+        )
+    found = facts.rows(
+        f"SELECT value, scenario || ', ' || controller AS who, {quantity.median} AS m FROM"
+        f" ({source}) WHERE status = 'ok' AND value IS NOT NULL GROUP BY ALL HAVING m IS NOT NULL"
+        " ORDER BY value, who"
+    )
+    medians = {(value, who): m for value, who, m in found}
+    known = [m for m in medians.values() if m < NEVER]
+    title = f"{quantity.title}, by {axis_words(axis)}"
+    table = _heat_map(quantity, title, axis_words(axis), found, value_words)
+    _, *columns = table["head"]
+    values = list(dict.fromkeys(value for value, _ in medians))[:_MOST_ROWS]
+    if len(values) < 2 or not known:
+        return None
+    across = _places(values if numeric else list(range(len(values))))
+    low, high = min(0.0, *known), max(known)
+    span = (high - low) or 1.0
+    curves = [
+        (
+            who,
+            [
+                (x, round(100.0 * (1.0 - (medians[value, who] - low) / span), 2))
+                for x, value in zip(across, values, strict=True)
+                if medians.get((value, who), NEVER) < NEVER
+            ],
+        )
+        for who in columns[: len(SERIES)]
+    ]
+    told = "; ".join(
+        f"{who}: "
+        + ", ".join(f"{c[i][0]} at {value}" for value, c in table["rows"] if c[i][0] != NONE)
+        for i, who in enumerate(columns)
+    )
+    return {
+        "table": table,
+        "alt": f"{title}. {told}.",
+        "ticks": [(x, value) for x, (value, _) in zip(across, table["rows"], strict=True)],
+        "curves": curves,
+        "low": number(quantity.factor * low),
+        "high": number(quantity.factor * high),
+    }
+
+
+def _places(values: Sequence[float]) -> list[float]:
+    """Places along an axis from 0 to 100, logarithmic where values span more than a decade."""
+    low, high = min(values), max(values)
+    scale = math.log if low > 0 and high / low > 10.0 else float
+    ends = scale(low), scale(high)
+    return [round(100.0 * (scale(v) - ends[0]) / (ends[1] - ends[0]), 2) for v in values]
+
+
+def distributions(facts: Facts) -> list[dict[str, Any]]:
+    """How many runs of each controller have which value, as bars from low to high, 0 to 1."""
+    found = []
+    for quantity in facts.quantities:
+        name = quantity.name
+        known = f"FROM runs WHERE status = 'ok' AND {name} IS NOT NULL"
+        # A few far ones would press all others into the first bar.
+        ((low, high),) = facts.rows(
+            f"SELECT quantile_cont({name}, 0.01), quantile_cont({name}, 0.99) {known}"
+        )
+        if low is None or not high > low:
+            continue
+        step = (high - low) / _BARS
+        place = f"least({_BARS - 1}, greatest(0, floor(({name} - {low!r}) / {step!r})))"
+        rows = []
+        for controller, quantiles, bars in facts.rows(
+            f"SELECT controller, quantile_cont({name}, [0.05, 0.5, 0.95]), list({place}) {known}"
+            f" GROUP BY 1 ORDER BY 1 LIMIT {_MOST_COLUMNS}"
+        ):
+            counts = Counter(bars)
+            most = max(counts.values())
+            told = " · ".join(number(quantity.factor * value) for value in quantiles)
+            shares = [round(counts[bar] / most, 3) for bar in range(_BARS)]
+            rows.append({"name": controller, "told": told, "bars": shares})
+        ends = {"low": number(quantity.factor * low), "high": number(quantity.factor * high)}
+        found.append({"title": quantity.title, **ends, "rows": rows})
+    return found

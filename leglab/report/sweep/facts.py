@@ -1,0 +1,111 @@
+"""What the page of a sweep asks the dataset: counts, quantities, the runs that went worst."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from leglab.machine.changes import parameter_units
+from leglab.report.page.wording import number, readable, readable_unit
+from leglab.runs.sweeps.query import Answer
+from leglab.runs.sweeps.store import SweepRecord
+
+# Runs of the list of the worst.
+MOST_FILMS = 12
+# Stands for a time that a run never reaches, in medians [s].
+NEVER = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """Quantity shown by a heat map or a distribution.
+
+    Attributes:
+        name: Column of the dataset.
+        title: What it is, with the unit.
+        factor: To the unit.
+        bad: +1 where more is worse, -1 where less is.
+    """
+
+    name: str
+    title: str
+    factor: float
+    bad: int
+
+    @property
+    def median(self) -> str:
+        """Median in SQL; of a time that some runs never reach, `NEVER` where most do not."""
+        value = self.name
+        if self is T90:
+            value = f"CASE WHEN recovered IS NULL THEN NULL ELSE coalesce({value}, {NEVER}) END"
+        return f"median({value})"
+
+
+T90 = Quantity(name="t90_s", title="90 % undone after, s", factor=1.0, bad=1)
+RECOVERED = Quantity(name="recovered", title="undone at the end, %", factor=100.0, bad=-1)
+END = Quantity(name="end_rad", title="error at the end, mrad", factor=1e3, bad=1)
+WHOLE = Quantity(name="rms_rad", title="error of the whole run, mrad", factor=1e3, bad=1)
+
+
+class Facts:
+    """Answers of the dataset that several parts of the page need.
+
+    Attributes:
+        folder: Of the sweep.
+        record: Content of its `sweep.json`.
+        columns: Names of the columns of the dataset.
+        done: Number of runs that are made.
+        failed: Number of them that failed.
+        judged: Number of them that have a damage.
+        error: The error by which runs are judged: short ones have no strides at their end.
+        quantities: What heat maps and distributions show.
+    """
+
+    def __init__(
+        self, folder: Path, record: SweepRecord, answered: Callable[[str], Answer]
+    ) -> None:
+        self.folder, self.record, self._answered = folder, record, answered
+        self.columns = set(answered("SELECT * FROM runs LIMIT 0").names)
+        ((self.done, self.failed, self.judged, ends, self.sizes, self.seeds),) = self.rows(
+            "SELECT count(*), count(*) FILTER (status = 'failed'), count(recovered),"
+            " count(end_rad), count(DISTINCT severity), count(DISTINCT seed) FROM runs"
+        )
+        self.error = END if ends else WHOLE
+        self.quantities = (T90, RECOVERED, self.error) if self.judged else (self.error,)
+
+    def rows(self, sql: str) -> tuple[tuple[Any, ...], ...]:
+        """Rows that answer a question in SQL."""
+        return self._answered(sql).rows
+
+    @cached_property
+    def worst_runs(self) -> tuple[tuple[Any, ...], ...]:
+        """Number, scenario, controller, element, size, seed, error, t90, share undone."""
+        value, order = ("recovered", "") if self.judged else (self.error.name, " DESC")
+        return self.rows(
+            f"SELECT run, scenario, controller, element, severity, seed, {self.error.name}, t90_s,"
+            f" recovered FROM runs WHERE {value} IS NOT NULL ORDER BY {value}{order}, run"
+            f" LIMIT {MOST_FILMS}"
+        )
+
+
+def axis_words(axis: str) -> str:
+    """A setting as one reads it: "internal leakage", "memory of the controller"."""
+    table, _, name = axis.rpartition(".")
+    owner = {
+        "controller_config": " of the controller",
+        "reference_config": " of the reference",
+        "sensors": " of the sensors",
+    }
+    first, _, rest = table.partition(".")
+    if first == "parameters":
+        unit = readable_unit(parameter_units().get(name, ""))
+        return readable(name) + (f" of {rest}" if rest else "") + (f" [{unit}]" if unit else "")
+    return readable(name) + owner.get(table, "")
+
+
+def value_words(value: Any) -> str:
+    """A value of a setting."""
+    if isinstance(value, float):
+        return number(value)
+    return "none" if value is None else str(value)
