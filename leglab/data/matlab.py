@@ -1,9 +1,6 @@
 """Recordings as MATLAB files, version 5 (what `save` writes as `-v6` and `-v7`), through scipy.
 
-A file holds one struct `recording` with the fields `time` [s], `signals` and `units` (structs with
-one field a column), `name_map` (JSON: the column's name here by field name, for MATLAB does not
-allow all names) and `metadata` (JSON). Files of others may hold vectors of one length, at the top
-or as the fields of one struct; the columns of a matrix `x` become `x[0]`, `x[1]`, and so on.
+Fields of a file: docs/reference/data_formats.md.
 """
 
 import io

@@ -1,15 +1,6 @@
 """Recordings as MCAP files and ROS 2 bags, through the `mcap-ros2-support` package.
 
-The JointState topic gives the time axis and `<joint>_position`, `<joint>_velocity` and
-`<joint>_effort`. Topics with one number a message (Float64, Float32, FluidPressure, Temperature)
-give a column named after the topic without its leading slash; arrays give `topic[0]`, `topic[1]`,
-and so on; other JointState topics `topic/joint/field`. A column map turns these into the names of
-the model.
-
-What is written opens in Foxglove as well: messages in chunks with an index, compressed, with the
-definition of every message. Beside its JointState a joint has two messages of ours, `leglab_msgs`,
-`/<joint>/hydraulics` and `/<joint>/control`, whose fields are its columns. With a scene there are
-`/robot_description` and `/tf`.
+Topics and messages: docs/reference/data_formats.md and docs/guides/recordings.md.
 """
 
 import re

@@ -1,11 +1,6 @@
 """Recordings as time series of MuJoCo's system identification, `mujoco.sysid.TimeSeries`.
 
-The class comes with MuJoCo and needs none of the packages of `mujoco[sysid]`. Its files end in
-`.npz` (`TimeSeries.save_to_disk`).
-
-Columns become signals of one number: `<joint>_position` is `<joint>_qpos`, `<joint>_velocity` is
-`<joint>_qvel`, `<actuator>_command` is `<actuator>_ctrl`, each of its type; all other columns keep
-their names as custom observations.
+The class comes with MuJoCo and needs none of the packages of `mujoco[sysid]`.
 """
 
 from pathlib import Path

@@ -186,13 +186,7 @@ def _fit(
 
 
 def _own(pattern: str, joints: Sequence[str]) -> str:
-    """The pattern of one joint's elements, without those of joints whose names begin with its own.
-
-    Args:
-        pattern: Of a change; left as it is where it is not the one that `get_scenario` makes for an
-            element, "JOINT,JOINT_*", or where no other joint is called "JOINT_...".
-        joints: Names of all joints of the machine.
-    """
+    """The pattern "JOINT,JOINT_*" of a change, without joints whose names begin with JOINT's."""
     for joint in joints:
         if pattern == joint_pattern(joint):
             others = [escape(o) for o in joints if o.startswith(f"{joint}_")]

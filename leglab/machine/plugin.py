@@ -101,30 +101,21 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
             start = int(model.name_pluginadr[i])
             own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
             table = tables[names[model.plugin[i]]]
+            joint = _text(model, i, table.plugin, "joint")  # on which it acts, if on one
             if table.plugin == RESIDUAL:
-                unit = "N m" if _joint(model, i, table.plugin) else "1"  # of a cylinder
-                table = residual_table(table, _coefficients(model, i), unit)
-            joint = _joint(model, i, table.plugin)
+                knots = {v: _text(model, i, RESIDUAL, f"{v}_knots") for v in RESIDUAL_VARIABLES}
+                counts = {v: len(text.split()) + 2 for v, text in knots.items() if text}
+                table = residual_table(table, counts, "N m" if joint else "1")  # 1 of a cylinder
             if joint and model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
                 table = table_at_slide(table)
             found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
     return found
 
 
-def _joint(model: mujoco.MjModel, instance: int, plugin: str) -> str:
-    """Name of the joint on which a plugin instance acts; empty if it acts on none."""
+def _text(model: mujoco.MjModel, instance: int, plugin: str, name: str) -> str:
+    """Text attribute of a plugin instance; empty where the plugin has none of this name."""
     texts = parameter_tables()[plugin][2]
-    return text_attribute(model, instance, texts.index("joint")) if "joint" in texts else ""
-
-
-def _coefficients(model: mujoco.MjModel, instance: int) -> dict[str, int]:
-    """Number of coefficients of a learned residual by variable."""
-    texts = parameter_tables()[RESIDUAL][2]
-    return {
-        variable: len(text_attribute(model, instance, texts.index(f"{variable}_knots")).split()) + 2
-        for variable in RESIDUAL_VARIABLES
-        if text_attribute(model, instance, texts.index(f"{variable}_knots"))
-    }
+    return text_attribute(model, instance, texts.index(name)) if name in texts else ""
 
 
 def attribute_names(plugin: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from leglab.base.errors import ModelError, RecordingError
 from leglab.base.recording import Recording
 from leglab.data.scene import Mesh, Scene
 from leglab.machine.cylinder import Cylinder
+from leglab.machine.sensors import held
 from leglab.machine.simulation import Simulation, actuator_moments
 
 _RATE = 50.0  # poses a second: more than a screen shows
@@ -70,7 +71,7 @@ def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
         rows=rows,
         positions=positions,
         quaternions=quaternions,
-        efforts=_efforts(model, recording, torques if forces else None),
+        efforts=_efforts(model, recording, torques) if forces else {},
         meshes=tuple(_meshes(model)),
     )
 
@@ -120,9 +121,8 @@ def _poses(model: mujoco.MjModel, recording: Recording) -> np.ndarray:
         good = np.flatnonzero(np.isfinite(samples))
         if not good.size:
             continue
-        # The last sample is held where some are missing.
-        held = good[np.clip(np.searchsorted(good, np.arange(samples.size), "right") - 1, 0, None)]
-        poses[:, model.jnt_qposadr[joint]] = samples[held]
+        first = float(samples[good[0]])
+        poses[:, model.jnt_qposadr[joint]] = held(samples, ~np.isfinite(samples), first)
         known += 1
     if not known:
         raise RecordingError(
@@ -157,14 +157,12 @@ def _cylinder_forces(simulation: Simulation, recording: Recording) -> dict[int, 
 
 
 def _efforts(
-    model: mujoco.MjModel, recording: Recording, torques: np.ndarray | None
+    model: mujoco.MjModel, recording: Recording, torques: np.ndarray
 ) -> dict[str, np.ndarray]:
     efforts = {}
     for joint in recording.joints:
-        if f"{joint}_effort" in recording:
-            continue
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
-        if index >= 0 and torques is not None:
+        if index >= 0 and f"{joint}_effort" not in recording:
             efforts[joint] = torques[:, model.jnt_dofadr[index]]
     return efforts
 

@@ -10,7 +10,6 @@ import numpy as np
 import leglab.machine.plugin
 from leglab.base.errors import ModelError, SettingsError, SimulationError
 from leglab.machine.cylinder import Cylinder
-from leglab.machine.geometry import check_cylinder
 from leglab.machine.library import model_path
 from leglab.machine.native import NativeActuator, joint_range
 from leglab.machine.parameters import Parameter
@@ -20,6 +19,11 @@ CYLINDER = "leglab.cylinder"
 _COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
 # Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
 SPEED_LIMIT = 1e3
+# Least lever arm of a cylinder that counts as one, of the greatest in its joint's range; and the
+# positions over the range that are looked at.
+_LEAST_LEVER, _LOOKED_AT = 1e-3, 9
+# Types of the joints that one number places, and whether they slide.
+_SLIDES = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
 
 
 def load_model(
@@ -92,8 +96,8 @@ class Simulation:
         varied: Whether the model is that of a specimen.
 
     Raises:
-        LeglabError: If an actuator is of another kind, moves no joint or several, or two move one;
-            as `leglab.machine.geometry.check_cylinder`.
+        LeglabError: If an actuator is of another kind, moves no joint or several, two move one, or
+            a cylinder does not fit the range of its joint.
     """
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
@@ -108,7 +112,8 @@ class Simulation:
         mujoco.mj_forward(model, self.data)
         moments = actuator_moments(model, self.data)
         names = [model.actuator(i).name for i in range(count)]
-        own = [self._is_cylinder(name) for name in names]
+        plugins = self.elements
+        own = [plugins.get(name) == CYLINDER for name in names]
         natives = {i: NativeActuator.of(model, i, moments[i]) for i in range(count) if not own[i]}
         self.actuators = tuple(natives[i].name if i in natives else names[i] for i in range(count))
         self.cylinders = tuple(name for name, mine in zip(names, own, strict=True) if mine)
@@ -258,22 +263,20 @@ class Simulation:
     def passive_joints(self) -> dict[str, int]:
         """Index in qpos of the hinge and slide joints that nothing drives, by name."""
         model = self.model
-        simple = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         return {
             model.joint(i).name: int(model.jnt_qposadr[i])
             for i in range(model.njnt)
-            if i not in self._joint_ids and model.jnt_type[i] in simple
+            if i not in self._joint_ids and int(model.jnt_type[i]) in _SLIDES
         }
 
     @property
     def slides(self) -> dict[str, bool]:
         """Whether a joint slides, by name, of all hinge and slide joints."""
         model = self.model
-        kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
         return {
-            model.joint(i).name: kinds[int(model.jnt_type[i])]
+            model.joint(i).name: _SLIDES[int(model.jnt_type[i])]
             for i in range(model.njnt)
-            if int(model.jnt_type[i]) in kinds
+            if int(model.jnt_type[i]) in _SLIDES
         }
 
     def joint_range(self) -> np.ndarray:
@@ -347,25 +350,49 @@ class Simulation:
         )
 
     def _check_cylinders(self) -> None:
-        """Raises `ModelError` for a cylinder that does not fit the range of its joint."""
-        tables = zip(*self.lever_tables(9), strict=True) if self.cylinders else ()
-        for name, joint, table in zip(self.actuators, self.joints, tables, strict=False):
-            if name not in self.native:
-                check_cylinder(
-                    name,
-                    joint,
-                    self.cylinder_parameters(name),
-                    **dict(zip(("position", "lever", "length"), table, strict=True)),
-                    unit="m" if self.slides[joint] else "rad",
+        """Refuses a cylinder that cannot sit where the model has it.
+
+        Within the joint's range each chamber has a volume, its dead one as far as the piston is
+        beyond its stroke, into the stops; and the lever arm keeps its sign.
+        """
+        tables = self.lever_tables(_LOOKED_AT) if self.cylinders else ((), (), ())
+        rows = zip(self.actuators, self.joints, *tables, strict=False)
+        for name, joint, position, lever, length in rows:
+            if name in self.native:
+                continue
+            sheet = self.cylinder_parameters(name)
+            unit = "m" if self.slides[joint] else "rad"
+            stroke, middle = sheet["stroke"], sheet["mid_length"]
+            area_a = np.pi / 4 * sheet["bore"] ** 2
+            area_b = area_a - np.pi / 4 * sheet["rod"] ** 2
+            extended = length - middle + stroke / 2
+            volume = np.minimum(
+                sheet["dead_volume_a"] + area_a * extended,
+                sheet["dead_volume_b"] + area_b * (stroke - extended),
+            )
+            worst = int(volume.argmin())
+            if volume[worst] <= 0.0:
+                raise ModelError(
+                    f"cylinder {name!r} with joint {joint!r} at {position[worst]:.3g} {unit}: its "
+                    f"anchors are {length[worst]:.4g} m apart; allowed: {middle - stroke / 2:.4g} "
+                    f"to {middle + stroke / 2:.4g} m (mid_length {middle:g} m, stroke {stroke:g} m)",
+                    given=name,
+                )
+            signed = lever * np.sign(lever[np.abs(lever).argmax()])
+            zero = int(np.abs(lever).argmin())
+            if signed.min() <= _LEAST_LEVER * signed.max():
+                raise ModelError(
+                    f"cylinder {name!r}: its lever arm on joint {joint!r} passes zero near "
+                    f"{position[zero]:.3g} {unit}, within the range {position[0]:.3g} to "
+                    f"{position[-1]:.3g} {unit}; allowed: anchors, or a range, by which it keeps "
+                    "one sign",
+                    given=name,
                 )
 
     def _supply_of(self, actuator: str) -> str:
         """Name of the supply that a cylinder draws from; empty where its pressure is its own."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
-
-    def _is_cylinder(self, actuator: str) -> bool:
-        return actuator in self._elements and self._elements[actuator][1].plugin == CYLINDER
 
     def _driven_joints(self, moments: np.ndarray) -> np.ndarray:
         """Joint that each actuator moves most, (actuators,)."""
