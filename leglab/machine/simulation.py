@@ -375,7 +375,8 @@ class Simulation:
                 raise ModelError(
                     f"cylinder {name!r} with joint {joint!r} at {position[worst]:.3g} {unit}: its "
                     f"anchors are {length[worst]:.4g} m apart; allowed: {middle - stroke / 2:.4g} "
-                    f"to {middle + stroke / 2:.4g} m (mid_length {middle:g} m, stroke {stroke:g} m)",
+                    f"to {middle + stroke / 2:.4g} m (mid_length {middle:g} m, stroke "
+                    f"{stroke:g} m)",
                     given=name,
                 )
             signed = lever * np.sign(lever[np.abs(lever).argmax()])
