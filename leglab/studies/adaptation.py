@@ -41,9 +41,8 @@ def faults() -> dict[str, tuple[float, float, float]]:
     sizes = dict(_OTHER_SIZES)
     for name, sides in FAULTS.items():
         own = sides[0].sizes
-        if len(own) < 3:
-            own = (own[0], (own[0] + own[-1]) / 2, own[-1])
-        sizes[name] = (own[0], own[len(own) // 2], own[-1])
+        middle = own[len(own) // 2] if len(own) > 2 else (own[0] + own[-1]) / 2
+        sizes[name] = (own[0], middle, own[-1])
     return {name: sizes[name] for name in scenario_names() if name in sizes}
 
 
@@ -80,11 +79,12 @@ def adaptation_plan(
     check_run(RunSettings(scenario="nominal", **settings))
     possible, missing = {}, []
     known = faults()
-    for name in only or ():
+    chosen = known if only is None else only
+    for name in chosen:
         if name not in known:
             raise SettingsError.unknown("fault of the benchmark", name, known)
     for name, sizes in known.items():
-        if only is not None and name not in only:
+        if name not in chosen:
             continue
         try:
             check_run(RunSettings(scenario=name, severity=sizes[0], **settings))
@@ -220,25 +220,20 @@ HEAD = (
 
 def cells(score: Score) -> list[str]:
     """A line of the table, below `HEAD`."""
-    median = score.t90_median_s
+    undone = None if score.recovered is None else 100.0 * score.recovered
+    numbers = (
+        score.before_mrad,
+        undone,
+        score.t90_median_s,
+        score.t90_worst_s,
+        score.worst_over_static,
+        score.travel_over_pd,
+        score.energy_over_pd,
+    )
+    shown = ["" if x is None else "never" if np.isinf(x) else f"{x:.3g}" for x in numbers]
     never = f"{score.never} of {score.told}" if score.told else ""
-    return [
-        score.controller,
-        str(score.runs),
-        str(score.failed) if score.failed else "",
-        _number(score.before_mrad),
-        _number(None if score.recovered is None else 100.0 * score.recovered),
-        "never" if median is not None and np.isinf(median) else _number(median),
-        _number(score.t90_worst_s),
-        never,
-        _number(score.worst_over_static),
-        _number(score.travel_over_pd),
-        _number(score.energy_over_pd),
-    ]
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+    failed = str(score.failed) if score.failed else ""
+    return [score.controller, str(score.runs), failed, *shown[:4], never, *shown[4:]]
 
 
 def as_json(found: Sequence[Score]) -> list[dict[str, Any]]:

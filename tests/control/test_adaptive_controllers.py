@@ -136,36 +136,36 @@ class FakeMap:
     command = np.tile(velocity / 10.0, (9, 1))
 
 
-def controller(config=None, joints=2) -> AdaptiveController:
-    names = tuple(f"joint_{i}" for i in range(joints))
+def controller(config=None) -> AdaptiveController:
     setup = ControllerSetup(
-        joints=names,
+        joints=("joint_0", "joint_1"),
         control_period=0.002,
         machine=NominalMachine(
-            direction=np.ones(joints),
-            position_gain=[1.0] * joints,
-            velocity_gain=[0.0] * joints,
-            valve_maps=[FakeMap] * joints,
+            direction=np.ones(2),
+            position_gain=[1.0, 1.0],
+            velocity_gain=[0.0, 0.0],
+            valve_maps=[FakeMap, FakeMap],
             latency=0.001,
             velocity_delay=0.003,
         ),
     )
-    made = make_controller("bsnn_arx", setup, config)
-    assert isinstance(made, AdaptiveController)
-    return made
+    return make_controller("bsnn_arx", setup, config)
 
 
-def drive(made: AdaptiveController, periods: int, joints: int = 2, corrupt=None) -> np.ndarray:
+def followed(k: int) -> tuple[Measurement, ReferencePoint]:
+    """Measurement and reference of a period of a machine that follows exactly."""
+    t = 0.002 * k
+    phase = 3.0 * t + np.arange(2)
+    point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
+    return Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity), point
+
+
+def drive(made: AdaptiveController, periods: int, corrupt=lambda k, position: position):
     """Commands of a controller whose machine follows the reference exactly."""
     commands = []
     for k in range(periods):
-        t = 0.002 * k
-        phase = 3.0 * t + np.arange(joints)
-        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
-        position = 0.5 * np.sin(phase - 0.003)
-        if corrupt:
-            position = corrupt(k, position)
-        measurement = Measurement(t, position, point.velocity)
+        measurement, point = followed(k)
+        measurement = measurement._replace(position=corrupt(k, measurement.position))
         if k == 0:
             made.reset(measurement)
         commands.append(made.command(measurement, point))
@@ -204,10 +204,7 @@ def test_kept_samples_are_those_that_were_learned():
     made.adaptation.keep(3)
     before, rows = made.adaptation.learner.parameters, []
     for k in range(400):
-        t = 0.002 * k
-        phase = 3.0 * t + np.arange(2)
-        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
-        measurement = Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity)
+        measurement, point = followed(k)
         made.command(measurement, point)
         if made.adaptation.kept_count():
             (row,) = made.adaptation.kept()
@@ -265,10 +262,8 @@ def test_supervisor_returns_to_the_calibration_where_it_tracks_better():
     made = controller({"position_gain": [4.0, 4.0]})
     position, errors = np.array([0.0, 0.5 * np.sin(1.0)]), []
     for k in range(3000):
-        t = 0.002 * k
-        phase = 3.0 * t + np.arange(2)
-        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
-        measurement = Measurement(t, position, point.velocity)
+        measurement, point = followed(k)
+        measurement = measurement._replace(position=position)
         if k == 0:
             made.reset(measurement)
         if k == 1000:
@@ -292,10 +287,7 @@ def test_what_was_learned_lately_and_does_not_hold_is_not_used(settle_time):
     made = controller({"settle_time": settle_time, "supervised": False})
     adaptation, asked = made.adaptation, []
     for k in range(1100):
-        t = 0.002 * k
-        phase = 3.0 * t + np.arange(2)
-        point = ReferencePoint(0.5 * np.sin(phase), 1.5 * np.cos(phase), -4.5 * np.sin(phase))
-        measurement = Measurement(t, 0.5 * np.sin(phase - 0.003), point.velocity)
+        measurement, point = followed(k)
         if k == 1000:
             before = made.diagnostics()["feedforward"].copy()
             spoilt = adaptation.learner.parameters
@@ -318,12 +310,11 @@ def test_what_was_learned_lately_and_does_not_hold_is_not_used(settle_time):
 
 def test_a_soft_machine_is_not_shaken_by_what_is_learned():
     settings = {"model": "leg", "severity": 0.15, "tolerance": 0.1, "seed": 1000, "vary": True}
-    machine = {
-        name: run(name, "air_in_oil", **settings) for name in ("static_feedforward", "bsnn_arx")
-    }
-    worst = {name: sliding_rms(r.history.time, r.history.error, 2.0) for name, r in machine.items()}
-    counted = machine["bsnn_arx"].history.time >= 7.0
-    assert (worst["bsnn_arx"] / worst["static_feedforward"])[counted].max() < 1.1
+    static, learning = (
+        run(name, "air_in_oil", **settings).history for name in ("static_feedforward", "bsnn_arx")
+    )
+    worst, calibrated = (sliding_rms(h.time, h.error, 2.0) for h in (learning, static))
+    assert (worst / calibrated)[learning.time >= 7.0].max() < 1.1
 
 
 @pytest.mark.parametrize(

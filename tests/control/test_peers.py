@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings
+from leglab.base.scale import rms
 from leglab.commissioning.adrc_gains import ADRC, JointMargins, plant_gain
 from leglab.commissioning.adrc_gains import tuned_gains as tuned_bandwidths
 from leglab.commissioning.ilc_gains import CONTRACTION, ILC, closed_loops
@@ -15,7 +16,7 @@ from leglab.control.extended_state_observer import DisturbanceGains, Disturbance
 from leglab.control.iterative_learning import (
     IterativeLearning,
     LearningFilter,
-    kernels_of,
+    _kernels,
     learning_function,
     q_filter,
 )
@@ -176,10 +177,16 @@ FILTER = LearningFilter(
 CROSSOVER = np.array([30.0, 25.0])
 
 
+def learner(stride=0.8):
+    return IterativeLearning(
+        FILTER, CROSSOVER, DIRECTION, stride=stride, period=PERIOD, tolerance=1e-3
+    )
+
+
 def test_kernels_are_the_filters():
     """Impulse responses against the functions that they are made of."""
     half, shift = 400, 0.3 * PERIOD
-    smoothing, learning = kernels_of(
+    smoothing, learning = _kernels(
         cutoff=50.0,
         lead=0.004,
         speed_per_command=10.0,
@@ -204,9 +211,7 @@ def test_kernels_are_the_filters():
 @pytest.mark.parametrize("stride", [0.8, 0.8013])
 def test_errors_contract_by_what_the_law_says(stride):
     """On the plant that it assumes each stride leaves 1 - gamma of an error that Q passes."""
-    learning = IterativeLearning(
-        FILTER, CROSSOVER, DIRECTION, stride=stride, period=PERIOD, tolerance=1e-3
-    )
+    learning = learner(stride)
     rate = DIRECTION * FILTER.speed_per_command
     count = round(12 * stride / PERIOD)
     decay = np.exp(-CROSSOVER * PERIOD)
@@ -221,21 +226,15 @@ def test_errors_contract_by_what_the_law_says(stride):
         # e' = flow - b_0 c - w_x e, held over a period.
         level = (flow - rate * correction) / CROSSOVER
         error = level + decay * (error - level)
-    strides = np.array(
-        [
-            np.sqrt(np.mean(errors[(place := round(j * stride / PERIOD)) : place + 400] ** 2, 0))
-            for j in range(12)
-        ]
-    )
+    starts = [round(j * stride / PERIOD) for j in range(12)]
+    strides = np.array([rms(errors[start : start + 400], axis=0) for start in starts])
     ratios = strides[5:9] / strides[4:8]
     # A held command acts half a period late, which a lead of zero does not make good.
     np.testing.assert_allclose(ratios, 0.5, atol=0.03)
 
 
 def test_nothing_is_learned_where_the_reference_does_not_repeat():
-    learning = IterativeLearning(
-        FILTER, CROSSOVER, DIRECTION, stride=0.8, period=PERIOD, tolerance=1e-3
-    )
+    learning = learner()
     for k in range(3000):
         time = k * PERIOD
         wave = np.sin(2 * np.pi * time / 0.8)
@@ -250,9 +249,7 @@ def test_nothing_is_learned_where_the_reference_does_not_repeat():
 
 
 def test_frozen_it_repeats_what_it_has():
-    learning = IterativeLearning(
-        FILTER, CROSSOVER, DIRECTION, stride=0.8, period=PERIOD, tolerance=1e-3
-    )
+    learning = learner()
     given = []
     for k in range(4000):
         wave = np.sin(2 * np.pi * k / 400)
@@ -299,11 +296,10 @@ def errors_of(controller, **settings):
     assert not history.failure, history.failure
     half = history.time[-1] / 2
 
-    def rms(start, end):
-        part = history.error[(history.time >= start) & (history.time < end)]
-        return 1e3 * float(np.sqrt(np.mean(part**2)))
+    def error(start, end):
+        return 1e3 * rms(history.error[(history.time >= start) & (history.time < end)])
 
-    return rms(half - 2.4, half), rms(2 * half - 2.4, 2 * half), history
+    return error(half - 2.4, half), error(2 * half - 2.4, 2 * half), history
 
 
 def test_both_undo_what_static_feedforward_leaves():
@@ -321,6 +317,7 @@ def test_ilc_is_static_feedforward_where_nothing_repeats():
     assert not history.diagnostics["correction"].any()
 
 
+_MOTOR = '<motor joint="slide" ctrlrange="-20 20"/>'
 _SLIDE = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
 <joint name="slide" type="slide" axis="1 0 0" damping="2" range="-0.5 0.5"/>
 <geom size="0.1" mass="2" contype="0" conaffinity="0"/></body></worldbody>
@@ -330,7 +327,7 @@ _SLIDE = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbo
 @pytest.mark.parametrize(
     "actuator",
     [
-        '<motor joint="slide" ctrlrange="-20 20"/>',
+        _MOTOR,
         '<velocity joint="slide" kv="30" ctrlrange="-3 3"/>',
         '<position joint="slide" kp="200" kv="20" ctrlrange="-1 1"/>',
     ],
@@ -341,19 +338,17 @@ def test_adrc_behind_a_force_is_of_second_order(actuator, tmp_path):
     model.write_text(_SLIDE.format(actuator))
     errors = []
     for controller in ("adrc", "pd"):
-        settings = RunSettings(
-            scenario="nominal", controller=controller, model=str(model), duration=4.0
-        )
-        history = Loop(settings).run()
+        settings = {"controller": controller, "model": str(model), "duration": 4.0}
+        history = Loop(RunSettings(scenario="nominal", **settings)).run()
         assert not history.failure
-        errors.append(np.sqrt(np.mean(history.error**2)))
+        errors.append(rms(history.error))
     assert errors[0] < 1.5 * errors[1]
 
 
 @pytest.mark.parametrize(
     "actuator",
     [
-        '<motor joint="slide" ctrlrange="-20 20"/>',
+        _MOTOR,
         '<general joint="slide" ctrlrange="-20 20" dyntype="filter" dynprm="0.01"/>',
     ],
 )
