@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
@@ -38,24 +39,8 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
             path is no regular file.
     """
     path = Path(path)
-    try:
-        real = regular_file(path)
-        handle, temporary = tempfile.mkstemp(
-            dir=real.parent, prefix=f".{real.name}.", suffix=".partial"
-        )
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            write(stream)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, real)
-    except BaseException as error:
-        with suppress(OSError):
-            os.unlink(temporary)
-        if isinstance(error, OSError) and error.strerror:
-            raise cannot_write(path, error) from error
-        raise
+    with _replaced(path) as partial, _told(path), partial.open("wb") as stream:
+        write(stream)
 
 
 @contextmanager
@@ -71,29 +56,13 @@ def new_file(path: Path) -> Iterator[Path]:
     Raises:
         FileError: Another process is writing the file, or it cannot be written or replaced.
     """
-    try:
+    with _told(path):
         real = regular_file(path)
-    except OSError as error:
-        raise cannot_write(path, error) from error
     with _folder(real.parent, path), _claimed(_lock_of(real), path) as alone:
         if alone:
-            remove(real.parent.glob(f".{_literal(real.name)}.*.partial{_literal(real.suffix)}"))
-        try:
-            handle, name = tempfile.mkstemp(
-                dir=real.parent, prefix=f".{real.name}.", suffix=f".partial{real.suffix}"
-            )
-            os.fchmod(handle, 0o666 & ~_umask())
-            os.close(handle)
-        except OSError as error:
-            raise cannot_write(path, error) from error
-        try:
-            yield Path(name)
-            try:
-                os.replace(name, real)
-            except OSError as error:
-                raise cannot_write(path, error) from error
-        finally:
-            remove([Path(name)])
+            remove(real.parent.glob(f".{escape(real.name)}.*.partial{escape(real.suffix)}"))
+        with _replaced(path, real.suffix) as partial:
+            yield partial
 
 
 def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
@@ -108,7 +77,7 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
         FileError: It exists and may not be replaced, holds something else, or is the working
             folder or one that holds it.
     """
-    try:
+    with _told(folder):
         if not os.path.lexists(folder):
             return
         if not overwrite:
@@ -119,8 +88,6 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
         if Path.cwd().is_relative_to(os.path.realpath(folder)):
             told = f"{str(folder)!r} is or holds the working folder: give another one"
             raise FileError(told, given=folder)
-    except OSError as error:
-        raise cannot_write(folder, error) from error
 
 
 def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
@@ -160,23 +127,19 @@ def new_folder(
     check_folder(folder, mark=mark, overwrite=overwrite)
     with _folder(real.parent, folder), _claimed(_lock_of(real), folder) as alone:
         earlier = real.with_name(f".{real.name}.earlier")
-        try:
+        with _told(folder):
             if alone:
-                remove(real.parent.glob(f".{_literal(real.name)}.*.partial"))
+                remove(real.parent.glob(f".{escape(real.name)}.*.partial"))
                 _recover(real, earlier)
             check_folder(folder, mark=mark, overwrite=overwrite)
             name = tempfile.mkdtemp(dir=real.parent, prefix=f".{real.name}.", suffix=".partial")
             os.chmod(name, 0o777 & ~_umask())
-        except OSError as error:
-            raise cannot_write(folder, error) from error
         try:
             yield Path(name)
             check_folder(folder, mark=mark, overwrite=overwrite)
-            try:
+            with _told(folder):
                 _carry_over(real, Path(name), {mark, *made})
                 _exchange(Path(name), real, earlier)
-            except OSError as error:
-                raise cannot_write(folder, error) from error
         finally:
             remove([Path(name)])
 
@@ -195,13 +158,11 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
         FileError: Another process is writing to the folder, or it cannot be written to.
     """
     with _folder(folder, folder), _claimed(folder / _LOCK, folder) as alone:
-        try:
+        with _told(folder):
             if alone:
                 remove(folder.glob(f"{_WORKPLACE}*"))
                 remove(path for path in folder.glob(".*.partial") if path.is_file())
             workplace = Path(tempfile.mkdtemp(dir=folder, prefix=_WORKPLACE))
-        except OSError as error:
-            raise cannot_write(folder, error) from error
         try:
             yield workplace
         finally:
@@ -236,17 +197,44 @@ def cannot_write(path: Path, error: OSError) -> FileError:
 
 
 @contextmanager
+def _told(place: Path) -> Iterator[None]:
+    """Says of what the system refuses that the place cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        if not error.strerror:
+            raise
+        raise cannot_write(place, error) from error
+
+
+@contextmanager
+def _replaced(path: Path, suffix: str = "") -> Iterator[Path]:
+    """Yields an empty file beside a file, behind links, which takes its place at the end."""
+    with _told(path):
+        real = regular_file(path)
+        handle, name = tempfile.mkstemp(
+            dir=real.parent, prefix=f".{real.name}.", suffix=f".partial{suffix}"
+        )
+        os.close(handle)
+    try:
+        yield Path(name)
+        with _told(path):
+            os.chmod(name, 0o666 & ~_umask())
+            os.replace(name, real)
+    finally:
+        remove([Path(name)])
+
+
+@contextmanager
 def _folder(folder: Path, place: Path) -> Iterator[None]:
     """Makes a folder with its parents; of those that it made, the empty ones go at the end."""
     made: list[Path] = []
-    try:
+    with _told(place):
         above = folder
         while not above.exists():
             made.append(above)
             above = above.parent
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(place, error) from error
     try:
         yield
     finally:
@@ -261,10 +249,8 @@ def _claimed(lock: Path, place: Path) -> Iterator[bool]:
 
     A file system without locks has none: what is written there is whole all the same.
     """
-    try:
+    with _told(place):
         handle, alone = _acquire(lock, place)
-    except OSError as error:
-        raise cannot_write(place, error) from error
     try:
         yield alone
     finally:
@@ -376,11 +362,6 @@ def remove(paths: Iterable[Path]) -> None:
         else:
             with suppress(OSError):
                 path.unlink()
-
-
-def _literal(name: str) -> str:
-    """Returns a name as a pattern that fits nothing else."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
 
 
 def _umask() -> int:

@@ -11,7 +11,8 @@ what it gives the joint [N m or N].
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -117,7 +118,8 @@ class Recording:
 
     def __reduce__(self) -> tuple:
         # Mapping proxies cannot be pickled, and runs travel between processes.
-        return _rebuild, (self.time, dict(self.columns), dict(self.metadata))
+        own = {"columns": dict(self.columns), "metadata": dict(self.metadata)}
+        return partial(Recording, time=self.time, **own), ()
 
     def __repr__(self) -> str:
         return f"Recording({self._extent()}; {_listed(self.columns)})"
@@ -289,8 +291,7 @@ class Recording:
         Raises:
             RecordingError: A column does not exist.
         """
-        columns = {name: self[name] for name in names}
-        return Recording(time=self.time, columns=columns, metadata=self.metadata)
+        return replace(self, columns={name: self[name] for name in names})
 
     def between(self, start: float, end: float) -> "Recording":
         """Returns the samples with start <= time < end [s].
@@ -306,7 +307,7 @@ class Recording:
                 allowed=f"[{self.time[0]:g}, {self.time[-1]:g}] s",
             )
         columns = {name: samples[first:last] for name, samples in self.columns.items()}
-        return Recording(time=self.time[first:last], columns=columns, metadata=self.metadata)
+        return replace(self, time=self.time[first:last], columns=columns)
 
     def error_unit(self, joints: Iterable[str] | None = None) -> str:
         """Returns the unit in which tracking errors are told: "mrad", "mm", or "mrad or mm".
@@ -321,15 +322,11 @@ class Recording:
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> "Recording":
         """Returns a recording with more columns; existing ones of the same name are replaced."""
-        return Recording(
-            time=self.time, columns={**self.columns, **columns}, metadata=self.metadata
-        )
+        return replace(self, columns={**self.columns, **columns})
 
     def with_metadata(self, **metadata: Any) -> "Recording":
         """Returns a recording with more metadata; existing keys are replaced."""
-        return Recording(
-            time=self.time, columns=self.columns, metadata={**self.metadata, **metadata}
-        )
+        return replace(self, metadata={**self.metadata, **metadata})
 
     def _extent(self) -> str:
         """Number of samples, duration and rate in words."""
@@ -349,10 +346,6 @@ def _listed(names: Iterable[str]) -> str:
     count = f"{len(names)} column{'s' * (len(names) != 1)}"
     shown = ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
     return f"{count}: {shown}" if names else count
-
-
-def _rebuild(time: np.ndarray, columns: dict, metadata: dict) -> Recording:
-    return Recording(time=time, columns=columns, metadata=metadata)
 
 
 def _read_only(samples: Any, name: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from glob import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 from leglab.base.errors import SettingsError
 from leglab.base.registry import Registry
@@ -64,9 +64,8 @@ class ParameterChange:
     def applies_to(self, element: str) -> bool:
         """Says whether an element changes."""
         patterns = self.element.split(",")
-        if any(fnmatchcase(element, p[1:]) for p in patterns if p.startswith("!")):
-            return False
-        return any(fnmatchcase(element, p) for p in patterns)
+        left_out = any(fnmatchcase(element, p[1:]) for p in patterns if p.startswith("!"))
+        return not left_out and any(fnmatchcase(element, p) for p in patterns)
 
     def value_at(self, time: float, before: float) -> float:
         """Returns the parameter's value.
@@ -75,15 +74,12 @@ class ParameterChange:
             time: Time [s].
             before: Its value before the change, in its own unit.
         """
-        if time >= self.end:
-            share = 1.0
-        elif time <= self.start:
-            share = 0.0
-        else:
-            share = (time - self.start) / self.ramp_duration
-        if share == 0.0:
-            return before
         after = before * self.value if self.kind == "scale" else self.value
+        if time >= self.end:
+            return after
+        if time <= self.start:
+            return before
+        share = (time - self.start) / self.ramp_duration
         return after if share == 1.0 else before + share * (after - before)
 
 
@@ -283,8 +279,7 @@ class Scenario:
 Builder = Callable[[Options], tuple[ParameterChange, ...]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Entry:
+class _Entry(NamedTuple):
     build: Builder
     summary: str
     duration: float
@@ -321,15 +316,8 @@ def register_scenario(
     """
 
     def register(build: Builder) -> Builder:
-        entry = _Entry(
-            build=build,
-            summary=summary,
-            duration=duration,
-            reference=reference,
-            reference_config=reference_config or {},
-            severity=severity,
-            per_joint=per_joint,
-        )
+        own = reference_config or {}
+        entry = _Entry(build, summary, duration, reference, own, severity, per_joint)
         SCENARIOS.add(name, entry, build)
         return build
 
@@ -365,15 +353,20 @@ def get_scenario(
             given=name,
             allowed=(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint),
         )
-    duration = entry.duration if duration is None else duration
     chosen = _choose_severity(name, entry.severity, severity)
+    scenario = Scenario(  # Refuses a bad duration before changes are built upon it.
+        name=name,
+        summary=entry.summary,
+        duration=entry.duration if duration is None else duration,
+        reference=entry.reference,
+        reference_config=entry.reference_config,
+        severity=chosen,
+    )
     options = Options(
-        duration=duration,
+        duration=scenario.duration,
         severity=math.nan if chosen is None else chosen,
         ramp_duration=ramp_duration,
     )
-    settled: dict[str, Any] = {"name": name, "summary": entry.summary, "duration": duration}
-    Scenario(**settled)  # Refuses a bad duration before changes are built upon it.
     changes = entry.build(options)
     if element is not None:
         own = joint_pattern(element)
@@ -381,13 +374,7 @@ def get_scenario(
     if ramp_duration and not changes:
         told = f"scenario {name!r} changes nothing, so it has no ramp_duration"
         raise SettingsError(told, given=ramp_duration)
-    return Scenario(
-        **settled,
-        reference=entry.reference,
-        reference_config=entry.reference_config,
-        changes=changes,
-        severity=chosen,
-    )
+    return replace(scenario, changes=changes)
 
 
 def joint_pattern(joint: str) -> str:
