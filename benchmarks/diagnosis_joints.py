@@ -34,7 +34,7 @@ _IMITATED = ("armature", "viscous_friction")
 _HIDDEN: tuple[int | tuple[str, ...], ...] = (1, 1, 2, 1, 0, 4, _IMITATED)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fault:
     """Parameters of a joint's cylinder, spring ("spring") or encoder ("") that change together."""
 
@@ -47,39 +47,19 @@ class Fault:
 
 
 FAULTS = {
-    "internal_leakage": Fault(
-        part="valve", parameters=("internal_leakage",), kind="scale", low=3.0, high=30.0
-    ),
-    "external_leakage": Fault(
-        part="valve", parameters=("external_leakage_a",), kind="set", low=3e-13, high=3e-12
-    ),
-    "valve_deadband": Fault(part="valve", parameters=("lap",), kind="set", low=0.035, high=0.08),
-    "valve_hysteresis": Fault(
-        part="valve", parameters=("hysteresis",), kind="set", low=0.01, high=0.05
-    ),
-    "valve_bias": Fault(
-        part="valve", parameters=("null_bias",), kind="set", low=0.015, high=0.05, signed=True
-    ),
-    "valve_bandwidth": Fault(
-        part="valve", parameters=("bandwidth_hz",), kind="set", low=20.0, high=70.0
-    ),
-    "valve_gain": Fault(
-        part="valve", parameters=("rated_flow",), kind="scale", low=0.65, high=0.88
-    ),
-    "viscous_friction": Fault(
-        part="valve", parameters=("viscous",), kind="scale", low=1.8, high=5.0
-    ),
-    "coulomb_friction": Fault(
-        part="valve", parameters=("coulomb", "static"), kind="add", low=60.0, high=300.0
-    ),
-    "stiction": Fault(part="valve", parameters=("static",), kind="scale", low=1.6, high=3.0),
-    "spring_stiffness": Fault(part="spring", parameters=("k1",), kind="scale", low=0.3, high=0.7),
-    "entrained_air": Fault(
-        part="valve", parameters=("entrained_air",), kind="scale", low=3.0, high=10.0
-    ),
-    "encoder_offset": Fault(
-        part="", parameters=("encoder_offset",), kind="set", low=0.015, high=0.08, signed=True
-    ),
+    "internal_leakage": Fault("valve", ("internal_leakage",), "scale", 3.0, 30.0),
+    "external_leakage": Fault("valve", ("external_leakage_a",), "set", 3e-13, 3e-12),
+    "valve_deadband": Fault("valve", ("lap",), "set", 0.035, 0.08),
+    "valve_hysteresis": Fault("valve", ("hysteresis",), "set", 0.01, 0.05),
+    "valve_bias": Fault("valve", ("null_bias",), "set", 0.015, 0.05, signed=True),
+    "valve_bandwidth": Fault("valve", ("bandwidth_hz",), "set", 20.0, 70.0),
+    "valve_gain": Fault("valve", ("rated_flow",), "scale", 0.65, 0.88),
+    "viscous_friction": Fault("valve", ("viscous",), "scale", 1.8, 5.0),
+    "coulomb_friction": Fault("valve", ("coulomb", "static"), "add", 60.0, 300.0),
+    "stiction": Fault("valve", ("static",), "scale", 1.6, 3.0),
+    "spring_stiffness": Fault("spring", ("k1",), "scale", 0.3, 0.7),
+    "entrained_air": Fault("valve", ("entrained_air",), "scale", 3.0, 10.0),
+    "encoder_offset": Fault("", ("encoder_offset",), "set", 0.015, 0.08, signed=True),
 }
 
 

@@ -20,8 +20,8 @@ from benchmarks import results
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change
+from leglab.diagnosis.replay import starts
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.replay.starts import start_states
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.studies.shared_data import shared_data
 
@@ -36,12 +36,10 @@ def trajectories(problem, windows):
     replay, change = problem.replay, Change(problem.machine)
     states, controls, sensors = [], [], []
     for cut in replay.cuts:
-        measured, _ = measure(cut, replay.channels, change)
-        rest = replay.rest_time
-        starts = start_states(cut, change, measured, replay.channels, rest)
-        time_axis = cut.series.time
-        for first, start in zip(cut.firsts, starts, strict=True):
-            end = first + replay.samples if windows else time_axis.size
+        measured, _ = starts.measure(cut, replay.channels, change)
+        begun = starts.start_states(cut, change, measured, replay.channels, replay.rest_time)
+        for first, start in zip(cut.firsts, begun, strict=True):
+            end = first + replay.samples if windows else cut.series.time.size
             part = slice(first, end)
             at = cut.series.period * np.arange(end - first)
             start[0] = 0.0  # time

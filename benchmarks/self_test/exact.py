@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from benchmarks.self_test.outcomes import run_missing
-from leglab.base.errors import SettingsError
+from benchmarks.self_test.outcomes import numbers, run_missing
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.jobs.engine import Progress
 from rigs.bench import (
     FAULTS,
     SUDDEN,
@@ -50,13 +48,7 @@ class Case:
 
 
 def cases(counts: Mapping[str, int], seed: int, names: Sequence[str]) -> list[Case]:
-    """The cases of a self-test: single ones cycle through all effects.
-
-    Args:
-        counts: Number of cases by kind.
-        seed: Of the pairs and the removed effects.
-        names: Effects that may be hidden.
-    """
+    """So many cases of each kind: single ones cycle through the names."""
     found = []
     for kind, count in counts.items():
         for number in range(count):
@@ -144,43 +136,20 @@ def self_test(
     count: int = 100,
     *,
     seed: int = 0,
-    processes: int = -1,
-    scheduler: str | None = None,
-    kinds: Iterable[str] = tuple(_SHARES),
-    progress: Progress | None = None,
+    kinds: Sequence[str] = tuple(_SHARES),
+    **how: Any,
 ) -> list[Outcome]:
-    """Runs the cases that FOLDER/outcomes.jsonl does not hold yet, and returns all.
+    """Runs the cases that FOLDER/outcomes-SEED.jsonl does not hold yet, and returns all.
 
-    Args:
-        folder: Where outcomes are kept: an interrupted test goes on from there.
-        count: Number of single-effect cases; the other kinds in proportion.
-        seed: With it every random choice is fixed.
-        processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
-        scheduler: Address of a Dask scheduler whose workers run the cases.
-        kinds: Of cases to run.
-        progress: Called with the number done, the total and the last case.
+    So many of single effects, and of the other kinds in proportion; `how` is as of `run_missing`.
 
     Raises:
         LeglabError: A kind does not exist, or a case came to no outcome.
     """
-    unknown = set(kinds) - set(_SHARES)
-    if unknown:
-        told = f"unknown kind of case {sorted(unknown)}; allowed: "
-        raise SettingsError(told, given=sorted(unknown), allowed=_SHARES)
-    counts = {k: max(1, round(_SHARES[k] * count)) for k in _SHARES if k in set(kinds)}
-    names = set(Library(Machine(MODEL)).names)
-    todo = cases(counts, seed, sorted(set(FAULTS) & names))
-    return run_missing(
-        folder / f"outcomes-{seed}.jsonl",
-        todo,
-        outcome_of,
-        key=lambda one: (one.kind, one.number),
-        parse=_OUTCOME.validate_python,
-        settings={"seed": seed},
-        processes=processes,
-        scheduler=scheduler,
-        progress=progress,
-    )
+    names = sorted(set(FAULTS) & set(Library(Machine(MODEL)).names))
+    todo = cases(numbers(_SHARES, kinds, count), seed, names)
+    path, parse = folder / f"outcomes-{seed}.jsonl", _OUTCOME.validate_python
+    return run_missing(path, todo, outcome_of, parse=parse, settings={"seed": seed}, **how)
 
 
 def outcome_of(given: dict[str, Any]) -> dict[str, Any]:

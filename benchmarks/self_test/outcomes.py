@@ -2,13 +2,13 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from leglab.base.errors import SimulationError
+from leglab.base.errors import SettingsError, SimulationError
 from leglab.jobs.engine import Progress, Results, executor, make_missing
 from leglab.jobs.work import Work
 
@@ -25,7 +25,6 @@ def run_missing(
     cases: Sequence[Case],
     work: Work,
     *,
-    key: Callable[[Case | Result], Key],
     parse: Callable[[Any], Result],
     done: Callable[[Result], bool] = lambda _: True,
     settings: dict[str, Any] | None = None,
@@ -40,8 +39,7 @@ def run_missing(
         cases: All cases, dataclasses; they run in an order in which each kind is always as far as
             the others.
         work: Makes an outcome, as JSON can hold it; it is given `case` and `settings` likewise.
-        key: Kind and number of a case, or of an outcome.
-        parse: Result of a decoded line.
+        parse: Result of a decoded line; cases and outcomes have a `kind` and a `number`.
         done: Whether an outcome counts; a case without one that does runs again.
         settings: What all cases share.
         processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
@@ -51,6 +49,10 @@ def run_missing(
     Raises:
         LeglabError: A case came to no outcome; those of the others are kept.
     """
+
+    def key(one: Any) -> Key:
+        return one.kind, one.number
+
     by_key = {key(case): case for case in cases}
     kept = lines(path, key, parse, done)
     counts = Counter(kind for kind, _ in by_key)
@@ -68,6 +70,18 @@ def run_missing(
             f"case {kind} {number}: {problem}{others}; the other outcomes are in {path}"
         )
     return [kept[one] for one in by_key]
+
+
+def numbers(shares: Mapping[str, float], kinds: Iterable[str], count: int) -> dict[str, int]:
+    """Cases of each of some kinds, by their shares of a count.
+
+    Raises:
+        LeglabError: A kind does not exist.
+    """
+    for kind in kinds:
+        if kind not in shares:
+            raise SettingsError.unknown("kind of case", kind, shares)
+    return {k: max(1, round(share * count)) for k, share in shares.items() if k in kinds}
 
 
 def lines(

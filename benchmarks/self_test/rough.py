@@ -16,14 +16,13 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
-from benchmarks.self_test.outcomes import run_missing
+from benchmarks.self_test.outcomes import numbers, run_missing
 from leglab.base.errors import SettingsError
 from leglab.diagnosis.effects.hypothesis import Library
 from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.jobs.engine import Progress
 from rigs.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 
 MODEL = "knee_bench"
@@ -171,12 +170,8 @@ def rough_cases(
     """The cases of a self-test: single ones cycle through all faults that have a name.
 
     Each cycle has an order of its own, drawn at random: the first cases of a test that is
-    interrupted, or resumed later, are a fair sample of all faults.
-
-    Args:
-        counts: Number of cases by kind.
-        settings: Their seed fixes specimens and pairs.
-        effects: Names that the diagnosis knows.
+    interrupted, or resumed later, are a fair sample of all faults. The seed of the settings fixes
+    specimens and pairs, `effects` are names that the diagnosis knows.
     """
     known = set(effects)
     faults = [name for name in FAULTS if effect_of(name) in known and name != _UNKNOWN]
@@ -204,44 +199,28 @@ def rough_self_test(
     count: int = 100,
     settings: RoughTestSettings | None = None,
     *,
-    processes: int = -1,
-    scheduler: str | None = None,
-    kinds: Iterable[str] = tuple(SHARES),
-    progress: Progress | None = None,
+    kinds: Sequence[str] = tuple(SHARES),
+    **how: Any,
 ) -> list[RoughOutcome]:
-    """Runs the cases whose outcome the folder lacks, and returns all.
+    """Runs the cases whose outcome the folder lacks in a file of the settings, and returns all.
 
-    Args:
-        folder: Where outcomes are kept, in a file of the settings' name.
-        count: Number of single faults; the other kinds in proportion.
-        settings: Which specimens, sizes and recordings.
-        processes: Cases at a time; -1 is one a core, 1 this process. With a scheduler -1.
-        scheduler: Address of a Dask scheduler whose workers run the cases.
-        kinds: Of cases to run.
-        progress: Called with the number done, the total and the last case.
+    So many of single faults, and of the other kinds in proportion; `how` is as of `run_missing`.
 
     Raises:
         LeglabError: A kind does not exist, or a case came to no outcome.
     """
     settings = settings or RoughTestSettings()
-    kinds = tuple(kinds)
-    for kind in kinds:
-        if kind not in SHARES:
-            raise SettingsError.unknown("kind of case", kind, SHARES)
-    counts = {k: max(1, round(share * count)) for k, share in SHARES.items() if k in kinds}
-    todo = rough_cases(counts, settings, Library(Machine(MODEL)).names)
+    known = Library(Machine(MODEL)).names
+    todo = rough_cases(numbers(SHARES, kinds, count), settings, known)
     hidden = {(case.kind, case.number): case.faults for case in todo}
     return run_missing(
         folder / f"outcomes-{settings.name}.jsonl",
         todo,
         outcome_of,
-        key=lambda one: (one.kind, one.number),
         parse=_OUTCOME.validate_python,
         done=lambda o: not o.error and o.faults == hidden[o.kind, o.number],
         settings=asdict(settings),
-        processes=processes,
-        scheduler=scheduler,
-        progress=progress,
+        **how,
     )
 
 
@@ -427,8 +406,3 @@ def missed(outcomes: Iterable[RoughOutcome]) -> list[tuple[str, ...]]:
         confidence = f"{o.claims[0][1]:.2f}" if o.claims else ""
         rows.append((o.faults[0], o.first, confidence, o.verdict, place))
     return rows
-
-
-def as_rows(outcomes: Iterable[RoughOutcome]) -> list[dict[str, Any]]:
-    """The outcomes as JSON holds them."""
-    return [asdict(outcome) for outcome in outcomes]

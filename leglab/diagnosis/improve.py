@@ -30,44 +30,29 @@ from leglab.diagnosis.verdict.verdict import diagnose
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayError:
-    """Replay errors of one recording, before and after.
-
-    Attributes:
-        held_out: Whether no fit has seen it.
-        noise_levels: RMS of whitened errors; noise alone gives 1.
-        at_horizon: RMS error at the end of the windows by channel [rad, m or Pa].
-    """
+    """Replay errors of one recording, before and after."""
 
     recording: str
-    held_out: bool
-    noise_levels: tuple[float, float]
+    held_out: bool  #: Whether no fit has seen it
+    noise_levels: tuple[float, float]  #: RMS of whitened errors; noise alone gives 1
+    #: RMS error at the end of the windows by channel [rad, m or Pa].
     at_horizon: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Improvement:
-    """An improved model, or the statement that nothing improves it.
+    """An improved model, or the statement that nothing improves it."""
 
-    Attributes:
-        improved: Whether a gain was proved on held-out recordings.
-        words: What was learned, or why nothing was.
-        effects: Parameters of the named effects in the model, by "effect at element".
-        remainder: As `Remainder.to_json`; None for none.
-        closed_fraction: (before - after) / (before - 1) of the held-out RMS in noise levels.
-        horizon: Length of the replayed windows [s].
-        units: Of the channels.
-        model: File name of the improved model; None where there is none.
-    """
-
-    improved: bool
-    words: str
+    improved: bool  #: Whether a gain was proved on held-out recordings
+    words: str  #: What was learned, or why nothing was
+    #: Parameters of the named effects in the model, by "effect at element".
     effects: dict[str, dict[str, float]]
-    remainder: dict[str, Any] | None
-    closed_fraction: float
-    horizon: float
+    remainder: dict[str, Any] | None  #: As `Remainder.to_json`; None for none
+    closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
+    horizon: float  #: Length of the replayed windows [s]
     recordings: tuple[ReplayError, ...]
-    units: dict[str, str]
-    model: str | None = None
+    units: dict[str, str]  #: Of the channels
+    model: str | None = None  #: File name of the improved model; None where there is none
 
     def to_json(self) -> dict[str, Any]:
         """The content of improvement.json."""
@@ -76,17 +61,11 @@ class Improvement:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImprovedModel:
-    """Parts of the improved model.
+    """Parts of the improved model."""
 
-    Attributes:
-        problem: Without what was learned.
-        hypothesis: Effects and refitted nuisances.
-        remainder: What was learned; None for nothing.
-    """
-
-    problem: Problem
-    hypothesis: Hypothesis
-    remainder: Remainder | None
+    problem: Problem  #: Without what was learned
+    hypothesis: Hypothesis  #: Effects and refitted nuisances
+    remainder: Remainder | None  #: What was learned; None for nothing
 
     def __repr__(self) -> str:
         return f"ImprovedModel({self.learned or 'nothing learned'})"

@@ -34,31 +34,25 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedEffect:
-    """An effect that the simulation lacks.
-
-    Attributes:
-        onset: Recording and time [s] at which it begins, where it is not there throughout.
-        confidence: Probability of the name among all sets of effects that were fitted, the least
-            of several, and against causes that no effect describes, in [0, 1].
-        contribution: Share of the gap that it closes when it is added last.
-        indistinguishable_from: Effects that explain these recordings as well.
-        without: Normalised replay error on the held-out recordings where it alone is taken out.
-        onset_interval: Recording, earliest and latest time [s] of an onset: in between it shows in
-            no motion.
-        differences: By how much directions differ that the effect says do; surer than each alone.
-    """
+    """An effect that the simulation lacks."""
 
     name: str
     element: str
     group: str
     physics: str
+    #: Recording and time [s] at which it begins, where it is not there throughout.
     onset: tuple[tuple[str, float], ...]
+    #: Probability of the name among all sets of effects that were fitted, the least of several, and
+    #: against causes that no effect describes, in [0, 1].
     confidence: float
-    contribution: float
+    contribution: float  #: Share of the gap that it closes when it is added last
     parameters: tuple[Estimate, ...]
-    indistinguishable_from: tuple[str, ...]
+    indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings as well
+    #: Normalised replay error on the held-out recordings where it alone is taken out.
     without: float = math.nan
+    #: Recording, earliest and latest time [s] of an onset: in between it shows in no motion.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
+    #: By how much directions differ that the effect says do; surer than each alone.
     differences: tuple[Estimate, ...] = ()
 
     @property
@@ -130,23 +124,19 @@ class RecordingGap:
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Gap on the held-out recordings, as in `RecordingGap`.
-
-    Attributes:
-        healthy: Error that the calibrated specimen had in its healthy recordings; None without any.
-        unnamed: Error of the final fit without the named effects; NaN where there are none.
-        compared: As `shown`, in errors that noise and the healthy specimen have, and over all
-            recordings where those held out hardly show what is named; None for `unnamed`, `after`
-            and what noise gives.
-    """
+    """Gap on the held-out recordings, as in `RecordingGap`."""
 
     metric: str = "normalised replay error"
     noise_floor: float = 1.0
     before: float
     baseline: float
     after: float
+    #: Error that the calibrated specimen had in its healthy recordings; None without any.
     healthy: float | None = None
+    #: Error of the final fit without the named effects; NaN where there are none.
     unnamed: float = math.nan
+    #: As `shown`, in errors that noise and the healthy specimen have, and over all recordings where
+    #: those held out hardly show what is named; None for `unnamed`, `after` and what noise gives.
     compared: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 

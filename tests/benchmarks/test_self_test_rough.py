@@ -274,7 +274,6 @@ def run_all(path, cases, run, **rest):
         path,
         cases,
         run,
-        key=lambda one: (one.kind, one.number),
         parse=rough_selftest._OUTCOME.validate_python,
         done=lambda o: not o.error,
         processes=1,
@@ -410,7 +409,7 @@ def test_a_case_goes_through_the_diagnosis(monkeypatch):
     assert found.severities[0][0] == "internal_leakage"
     assert {"verdict", "effects", "gap", "notes"} <= found.diagnosis.keys()
     assert len(found.ranking) == 5
-    kept = json.loads(json.dumps(rough_selftest.as_rows([found])))[0]
+    kept = json.loads(json.dumps(asdict(found)))
     assert rough_selftest._OUTCOME.validate_python(kept) == found
 
 

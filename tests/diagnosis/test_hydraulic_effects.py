@@ -218,7 +218,7 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
     problem = set_up("knee_bench", recordings, (), settings)
     key = "backlash", VALVE
     change = problem.library.change({key: np.array([5e-4])}, problem.replay.machine)
-    moments = [at for _, at, _ in problem.replay.along(change, problem.fitted, 1)]
+    moments = [at for _, at, _ in problem.replay.along(change, problem.fitted)]
     state = np.tile(change.variant.plugin_state, (moments[0].samples.size, 1))
     state[:, change.variant.slot(VALVE, "play")] = 5e-4
     for chamber in ("pressure_a", "pressure_b"):
@@ -242,7 +242,7 @@ def test_a_play_passes_the_forces_of_its_piston_on(healthy):
     problem = set_up("knee_bench", recordings, (), DiagnosisSettings(threads=1))
     key = "backlash", VALVE
     tight, loose = (
-        problem.replay.lacking(problem.library.change(h, problem.replay.machine), None, 5)
+        problem.replay.lacking(problem.library.change(h, problem.replay.machine), None)
         for h in (Hypothesis(), Hypothesis({key: np.array([3e-4])}))
     )
     assert np.median(np.abs(tight)) < 0.5  # N m, of some 30

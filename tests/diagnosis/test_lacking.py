@@ -29,7 +29,7 @@ def pushed():
 
 def lacking(problem, hypothesis, chosen=None):
     change = problem.library.change(hypothesis, problem.replay.machine)
-    return problem.replay.lacking(change, chosen, problem.thresholds.force_blocks)[0]
+    return problem.replay.lacking(change, chosen)[0]
 
 
 def test_a_constant_torque_is_left_over_in_every_part_of_every_window(pushed):
@@ -51,8 +51,7 @@ def test_only_the_chosen_windows_are_looked_at(pushed):
 def test_forces_come_with_a_replay_as_they_come_alone(pushed):
     change = pushed.library.change(Hypothesis(), pushed.replay.machine)
     chosen = np.arange(pushed.replay.windows) % 2 == 0
-    blocks = pushed.thresholds.force_blocks
-    both = pushed.replay.error(change, chosen=chosen, blocks=blocks)
+    both = pushed.replay.error(change, chosen=chosen, forces=True)
     np.testing.assert_array_equal(both.left, lacking(pushed, Hypothesis(), chosen))
     np.testing.assert_array_equal(both.values, pushed.replay.error(change, chosen=chosen).values)
 

@@ -17,9 +17,8 @@ from leglab.diagnosis.balance.balances import Balance, balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
-from leglab.diagnosis.remainder import learn_remainder
 from leglab.diagnosis.remainder.forms import choose_form
-from leglab.diagnosis.remainder.learning import pays
+from leglab.diagnosis.remainder.learning import learn_remainder, pays
 from leglab.diagnosis.remainder.part import Part, Periodicity
 from leglab.diagnosis.remainder.splines import CubicSpline, basis, clamped, nearest, roughness
 from leglab.diagnosis.remainder.words import describe

@@ -112,7 +112,6 @@ def test_a_comparison_and_a_self_test_run_on_a_cluster(two, tmp_path, capsys):
         tmp_path / "outcomes.jsonl",
         [RoughTestCase(kind="null", number=n, specimen=n, faults=()) for n in range(3)],
         told_case,
-        key=lambda one: (one.kind, one.number),
         parse=TypeAdapter(RoughTestCase).validate_python,
         settings={"add": 4},
         scheduler=address,

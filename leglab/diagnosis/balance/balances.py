@@ -1,8 +1,7 @@
 """Balances of force and of oil along the measured motion: what the model lacks at every moment.
 
-Integral form: the measured momentum gained over a window against the impulses of all modelled
-forces, and the pressure gained against the modelled flows. Nothing is differentiated but over the
-length of a window, so that noise of sensors hardly counts.
+In integral form: momentum or pressure gained over a window against the impulses of all modelled
+forces or flows, so that noise of sensors hardly counts.
 """
 
 from collections.abc import Callable, Iterator, Sequence

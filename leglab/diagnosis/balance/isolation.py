@@ -14,10 +14,9 @@ from leglab.diagnosis.result import Where
 def isolate(problem: Problem) -> tuple[Where, ...]:
     """Where the model as it was disagrees with the measured motion, worst first.
 
-    Balances of force and of oil, see `balances`, have measured inputs only: a valve fault does not
-    light the mechanism, and a mechanical one does not light the valve. Their residuals are told in
-    levels of their own noise. Where no pressures were measured there are no balances of oil, and
-    the residuals are the errors of the replayed motion, joint by joint.
+    Balances have measured inputs only: a valve fault does not light the mechanism, and a mechanical
+    one does not light the valve. Residuals are told in levels of their own noise. Without pressures
+    they are the errors of the replayed motion, joint by joint.
     """
     along = balances(problem, Hypothesis())
     if any(balance.oil for balance in along):

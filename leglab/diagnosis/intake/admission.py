@@ -276,10 +276,9 @@ def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
 def _in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
     """Whether the speeds of an unlimited hinge are clearly those of degrees.
 
-    Changes of speed over ten places of a grid of bins are compared with the integral of the
-    accelerations that the model has at the measured positions, speeds and commands. It is clear
-    where, with all unlimited hinges taken for degrees, they leave less than half as much over as
-    taken for radians, and less than half of the changes.
+    Changes of speed over ten places of a grid of bins are compared with the model's accelerations.
+    It is clear where, with all unlimited hinges taken for degrees, these leave less than half as
+    much over as taken for radians, and less than half of the changes.
     """
     model, places = machine.base.model, 10
     period = max(DEFAULT.bin, Clock.of(recording.time).period)

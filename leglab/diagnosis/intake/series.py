@@ -1,10 +1,8 @@
-"""Recordings on one uniform grid: what a replay needs of a log as loggers write it.
+"""Recordings on one uniform grid, by the times at which their rows were measured.
 
-Stamps are believed: a log with jitter, lost rows or a clock of its own is brought onto the grid by
-the times at which its rows were measured. A measured value on the grid is the mean of the samples
-nearest to it, moved there along a parabola through their neighbours: noise stays white, motion
-keeps its phase, and a log of a higher rate is averaged before it is thinned. A command is held
-between its stamps; on the grid it is its mean over the period that it acts in: no impulse is lost.
+A measured value on the grid is the mean of the samples nearest to it, moved there along a parabola
+through their neighbours: noise stays white, motion keeps its phase. A command is held between its
+stamps; on the grid it is its mean over the period that it acts in: no impulse is lost.
 """
 
 from collections.abc import Mapping

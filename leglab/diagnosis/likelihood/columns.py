@@ -101,8 +101,8 @@ class Errors:
         made = problem.library.change(hypothesis, problem.replay.machine)
         if louder is not None and not scaled:
             made.commands.setdefault(louder, []).insert(0, lambda u, _: LOUDER * u)
-        blocks = DEFAULT.force_blocks if problem.balanced else 0
-        found = problem.replay.error(made, chosen=self.chosen, blocks=blocks)
+        forces = bool(problem.balanced)
+        found = problem.replay.error(made, chosen=self.chosen, forces=forces)
         errors = found.normalised + problem.noise.defect[self.chosen]
         errors = errors.reshape(len(errors), -1)
         if found.left is None or found.pushed is None:
@@ -122,7 +122,7 @@ class Errors:
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
         made = problem.library.change(Hypothesis(), problem.replay.machine)
-        left, pushed = problem.replay.lacking(made, self.chosen, DEFAULT.force_blocks)
+        left, pushed = problem.replay.lacking(made, self.chosen)
         return _size(left), _size(pushed)
 
     @property

@@ -1,11 +1,9 @@
 """Marginal likelihood of sets of effects by the normal equations of one linearisation.
 
-Errors y - f(x) of a window have the covariance N + s^2 D: sensors, start states and time step, and
-the model's own error of a size s that nobody knows. Parameters outside of a set depart from the
-specimen as machines are made (a normal prior of an unknown spread: "spike"), those of the set as
-faults do ("slab"; George and McCulloch 1993). Gaussian integrals over all of them, sums over s and
-over the spread, leave the evidence of a set. Errors go together beyond D: all log likelihoods count
-by 1/design effect (composite likelihood; Pauli, Racugno and Ventura 2011).
+Errors have the covariance N + s^2 D: sensors, start states and time step, and the model's own error
+of an unknown size s. Parameters outside of a set depart as machines are made (a normal prior of an
+unknown spread: "spike"), those of the set as faults do ("slab"; George and McCulloch 1993). All log
+likelihoods count by 1/design effect (Pauli, Racugno and Ventura 2011).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

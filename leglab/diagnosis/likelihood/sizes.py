@@ -1,7 +1,6 @@
 """Sizes of parameters from what the recordings show, by the dimension of their units.
 
-A force on a joint is small or large beside the forces in the recordings, not beside those of some
-bench: a machine of a hundred times the inertia has faults of a hundred times the size.
+A machine of a hundred times the inertia has faults of a hundred times the size.
 """
 
 import math

@@ -1,8 +1,7 @@
 """Errors of a model whose structure is only nearly right: their pattern, with a size to be found.
 
-No model of a real machine is exact. What its best parameters leave has a memory in every channel
-and a size in every recording (Kennedy and O'Hagan 2001); how much of it there is, nothing included,
-is an unknown of the likelihood.
+What the best parameters leave has a memory in every channel and a size in every recording (Kennedy
+and O'Hagan 2001).
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,7 @@
 """Faults of command and sensor paths: as functions of samples, and as a model carries them.
 
-Replays feed actuators directly and compare corrected samples, so what a model file says about these
-paths (a valve's delay, `leglab.command_path`, numerics of encoder faults) is taken out of the
-replayed model and applied to commands and measured columns, as hypothetical faults are.
+Replays feed actuators directly and compare corrected samples: what a model file says of these paths
+is taken out of the replayed model and applied as hypothetical faults are.
 """
 
 import math

@@ -1,8 +1,4 @@
-"""Forces along the measured motion that a model does not account for.
-
-No valve and no integration comes between: what the mechanism lacks shows beside the sensors' noise
-alone, where a replay of the same motion shows it behind all that the valve does.
-"""
+"""Forces along the measured motion that a model does not account for, without any integration."""
 
 from collections.abc import Sequence
 
@@ -61,12 +57,11 @@ def comparable_forces(
 ) -> np.ndarray:
     """Forces left over as hypotheses can be compared by them, (samples, joints) [N m or N].
 
-    Recordings have no forces, and a hypothesis that halves all inertia, friction and drive also
-    halves what it leaves over, while it errs as much in every motion. So what is left over counts
-    by the acceleration that it makes, as the sensor tells it, and that by the force it takes on
-    the unmodified machine: M_0 M^-1 f for a force f and joint-space inertias M_0 and M. (The
-    density of a measured acceleration under normal forces of an unknown size has M as its
-    Jacobian.) `found` is what the hypothesis leaves over, and `joints` those that can be known.
+    A hypothesis that halves all inertia, friction and drive also halves what it leaves over, while
+    it errs as much in every motion. So what is left over counts by the acceleration that it makes,
+    as the sensor tells it, and that by the force it takes on the unmodified machine: M_0 M^-1 f for
+    a force f and joint-space inertias M_0 and M. `found` is what the hypothesis leaves over,
+    `joints` those that can be known.
     """
     machine, base, k = change.machine, change.machine.base, measured.samples
 

@@ -1,8 +1,7 @@
 """Accelerations by commands of MuJoCo's own actuators, faster than position filters follow.
 
-A motor's force follows its command at once, and a light joint that a noisy loop drives changes its
-velocity from sample to sample. Smoothed positions do not show that, but the commands are known: the
-motion that they make by themselves is added as far as the filters take it away.
+Smoothed positions do not show how a noisy command moves a light joint from sample to sample, but
+commands are known: the motion that they make is added as far as filters take it away.
 """
 
 from collections.abc import Iterator, Mapping

@@ -138,29 +138,29 @@ class Replay:
         *,
         chosen: np.ndarray | None = None,
         nudge: Nudge | None = None,
-        blocks: int = 0,
+        forces: bool = False,
     ) -> ReplayErrors:
         """Measured less predicted under a change, of all windows or those in a mask, (windows,).
 
-        With a departure from the start states, and `blocks` into which a window is divided for the
-        forces that it leaves over, 0 for none.
+        With a departure from the start states, and with the forces that windows leave over if
+        wanted.
         """
         parts = list(self._parts(change, chosen))
         left: np.ndarray | None = None
         pushed: np.ndarray | None = None
-        if blocks and not self.blind:
+        if forces and not self.blind:
             # What holds at starts and inside windows follows from the same series, at once.
-            along = list(self._along(change, parts, blocks, starts=True))
+            along = list(self._along(change, parts, starts=True))
             starts = np.concatenate([states[: cut.firsts.size] for cut, _, states in along])
             inside = [
                 (cut, replace(at, samples=at.samples[n:]), states[n:])
                 for cut, at, states in along
                 for n in [cut.firsts.size]
             ]
-            left, pushed = self._left(change, inside, blocks)
+            left, pushed = self._left(change, inside)
         else:
-            if blocks:
-                left, pushed = self._left(change, self._along(change, parts, blocks), blocks)
+            if forces:
+                left, pushed = self._left(change, self._along(change, parts))
             starts = self._starts(change, parts)
         if nudge is not None:
             starts[:, place(change.variant, nudge.element, nudge.quantity)] += nudge.size
@@ -179,21 +179,17 @@ class Replay:
             values=values, normalised=values / gain[:, None], left=left, pushed=pushed
         )
 
-    def lacking(
-        self, change: Change, chosen: np.ndarray | None, blocks: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def lacking(self, change: Change, chosen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Forces that the measured motion leaves over, averaged over blocks of a window [N m or N].
 
         Shape (chosen windows, joints whose forces can be known, blocks), as `comparable_forces` has
         them; and what commands of native actuators that are `LOUDER` change in them.
         """
-        return self._left(change, self.along(change, chosen, blocks), blocks)
+        return self._left(change, self.along(change, chosen))
 
-    def along(
-        self, change: Change, chosen: np.ndarray | None, blocks: int = DEFAULT.force_blocks
-    ) -> Iterator[Along]:
+    def along(self, change: Change, chosen: np.ndarray | None) -> Iterator[Along]:
         """Samples inside the chosen windows of every recording, and full physics states there."""
-        return self._along(change, self._parts(change, chosen), blocks)
+        return self._along(change, self._parts(change, chosen))
 
     @property
     def half(self) -> int:
@@ -201,10 +197,11 @@ class Replay:
         return self.samples // self.bins
 
     def _along(
-        self, change: Change, parts: Iterable[Part], blocks: int, *, starts: bool = False
+        self, change: Change, parts: Iterable[Part], *, starts: bool = False
     ) -> Iterator[Along]:
         """As `along`, after window starts if wanted; as many samples in each block."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
+        blocks = DEFAULT.force_blocks
         inside = inside[: inside.size // blocks * blocks]
         for cut, measured, _ in parts:
             samples = (cut.firsts[:, None] + inside).ravel()
@@ -213,9 +210,7 @@ class Replay:
             at = replace(measured, samples=samples)
             yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
-    def _left(
-        self, change: Change, along: Iterable[Along], blocks: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _left(self, change: Change, along: Iterable[Along]) -> tuple[np.ndarray, np.ndarray]:
         """As `lacking`."""
         joints = balanced_joints(self.machine, self.channels)
         native = self.machine.native_actuators()
@@ -223,7 +218,7 @@ class Replay:
         def left(cut: Cut, measured: Measured, states: np.ndarray) -> np.ndarray:
             found = lacking_forces(change, measured, states, self.half)
             rows = comparable_forces(change, measured, found, joints)
-            rows = rows.reshape(cut.firsts.size, blocks, -1, len(joints)).mean(axis=2)
+            rows = rows.reshape(cut.firsts.size, DEFAULT.force_blocks, -1, len(joints)).mean(axis=2)
             return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
 
         found, pushed = [], []

@@ -154,15 +154,13 @@ class Problem:
         return other
 
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
-        """Noise model about a change.
+        """Noise model about a change, from the errors there, (windows, channels, bins).
 
-        The covariance of a window's errors is N + S P S' + D D': sensor noise of the bins,
-        start-state errors of covariance P carried on by the sensitivity S of the predictions, from
+        The covariance of a window's errors is N + S P S' + D D': sensor noise of the bins, start-
+        state errors of covariance P carried on by the sensitivity S of the predictions, from
         replays with nudged starts, and the defect of the time step. That is taken off as for a
-        machine, which has no step; a recording of the model itself has the error of the model's
-        step, so that the defect as a whole is no evidence, in no window. `reference` are the
-        errors under the change, shape (windows, channels, bins), and `finer` is what half the
-        time step changes in them.
+        machine, which has no step; a recording of the model itself has the error of its step, so
+        that the defect is no evidence. `finer` is what half the time step changes in the errors.
         """
         replay, limits, size = self.replay, self.thresholds, self.size
         per_bin = replay.samples // replay.bins
@@ -285,12 +283,11 @@ def thinned(mask: np.ndarray, count: int) -> np.ndarray:
 def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Factor from what half the time step changes to what no step at all would, (channels,).
 
-    The error of a step h is c_1 h + c_2 h^2: a scheme that is of second order for forces of the
-    position is of first order for those of the velocity (damping, Coriolis, servos). Two halvings
-    tell both parts (Romberg): the limit is (2 first + 8 second)/3 away, 4/3 of the first halving
-    for the second order and 2 for the first. The middle of all windows counts, since beside jumps
-    and stick-slip differences have no order. `first` is what half the step changes in the errors,
-    (windows, channels, bins), and `second` what a quarter changes beyond that.
+    The error of a step h is c_1 h + c_2 h^2. Two halvings tell both parts (Romberg): the limit is
+    (2 first + 8 second)/3 away, 4/3 of the first halving for the second order and 2 for the first.
+    The middle of all windows counts, since beside jumps and stick-slip differences have no order.
+    `first` is what half the step changes in the errors, (windows, channels, bins), and `second`
+    what a quarter changes beyond that.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)

@@ -1,9 +1,8 @@
 """Start states of windows: measured motion, and hidden states that follow from it.
 
-Valve spools, sliding bristles under the load that joints carry, and the pressure of a supply follow
-from the measured series. At rest the measured motion is all noise, and the balance of forces says
-what dry friction carries; where several bristles rest on one joint (a cylinder's seals, a bearing)
-they share it by their limits. What touches something keeps the deflection of its last slide.
+At rest the measured motion is all noise, and the balance of forces says what dry friction carries;
+several bristles on one joint (a cylinder's seals, a bearing) share it by their limits. What touches
+something keeps the deflection of its last slide.
 """
 
 from dataclasses import dataclass, field, replace
@@ -424,9 +423,9 @@ def start_states(
 ) -> np.ndarray:
     """Full physics states at window starts under a change, shape (windows, nstate).
 
-    The samples of `measured` say where windows start. A bristle that slid less than twice its
-    deflection in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots),
-    where pressures are not measured.
+    Windows start at the samples of `measured`. A bristle that slid less than twice its deflection
+    in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots), where
+    pressures are not measured.
     """
     machine, variant, firsts = change.machine, change.variant, measured.samples
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))
@@ -479,10 +478,9 @@ def hidden_slots(change: Change) -> np.ndarray:
 
 
 def plays(machine: Machine, variant: Variant) -> list[int]:
-    """Places in the plugin state of the plays of all cylinders.
+    """Places in the plugin state of the plays of all cylinders, which balances of forces close.
 
-    A piston crosses its play within milliseconds, and presses a flank else. So balances of
-    forces close the plays: the piston's force acts on the joint, not a flank's force in the
-    first step of a simulation, which is an artefact.
+    A piston crosses its play within milliseconds: its force acts on the joint, not a flank's force
+    in the first step of a simulation, which is an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.cylinders]

@@ -72,10 +72,10 @@ def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
 def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """Standard deviation of white sensor noise, from what a smoothing filter leaves over.
 
-    The filter keeps its centre coefficient c of each sample, so that white noise of variance s^2
-    leaves s^2 (1 - c). The median makes jumps of the signal count little (Rousseeuw and
-    Croux 1993). Where a signal rests on one reading it shows no noise, and does not count: 0 where
-    it never changes, or is shorter than the filter. `window` is the filter's length and order.
+    The filter, by length and order, keeps its centre coefficient c of each sample, so that noise of
+    variance s^2 leaves s^2 (1 - c). The median makes jumps count little (Rousseeuw and Croux 1993).
+    Where a signal rests on one reading it shows no noise: 0 where it never changes, or is too
+    short.
     """
     if samples.size < window[0]:
         return 0.0
@@ -106,8 +106,7 @@ def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -
 def resolution(series: Sequence[UniformSeries], column: str) -> float:
     """Rounding error of a column: its least step in any recording over sqrt(12).
 
-    A recording that rests on one count has no step of its own, and one of the others counts. Of a
-    column that never moves at all nobody knows the step.
+    Of a column that never moves at all nobody knows the step.
     """
     if all(np.ptp(s.columns[column]) == 0.0 for s in series):
         return UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
@@ -173,11 +172,9 @@ class Cut:
 def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
     """Samples in a window, and bins into which it is divided, at a sampling period [s].
 
-    `thresholds.window` and `bin` as far as the samples allow. Forces are told in
-    `thresholds.force_blocks` parts of a window, and each is a change of velocity from one bin to
-    the next but one. So a window has two bins for each part and a bin at least one sample: ten
-    samples, seven of them beyond the reach of the shortest filter about the window's start. Of a
-    log below 33 Hz a window lasts longer than 0.3 s.
+    `thresholds.window` and `bin` as far as the samples allow: a window has two bins for each of its
+    `thresholds.force_blocks` parts, and a bin at least one sample. Of a log below 33 Hz a window
+    lasts longer than 0.3 s.
     """
     fewest = 2 * thresholds.force_blocks
     samples = max(round(thresholds.window / period), fewest)
@@ -196,11 +193,10 @@ def cut_all(
 ) -> list[Cut]:
     """Cuts recordings into windows of `samples`, none before `lead` samples have passed.
 
-    Of windows in which nothing moves one in a few is kept, for the others say the same. Whatever
-    holds a machine at rest explains them, too much friction as well as the right one: of those, and
-    of windows in which next to nothing moves of what moves in all of them, no more are kept than
-    one for so many others. Each recording keeps at least one of its own. `noise` is as
-    `sensor_noise` has it.
+    Of windows in which nothing moves one in a few is kept. Whatever holds a machine at rest
+    explains them: of those, and of windows in which next to nothing moves of what moves in all of
+    them, no more are kept than one for so many others. Each recording keeps at least one of its
+    own. `noise` is as `sensor_noise` has it.
     """
     made = [
         _cut(machine, one, channels, own, samples, lead, thresholds)

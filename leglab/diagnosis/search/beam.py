@@ -22,30 +22,28 @@ def beam(evidence: Evidence) -> list[Score]:
 
     current = [score(())]
     for depth in range(DEPTH):
-        found: dict[frozenset[int], Score] = {}
+        found = []
         for one in current:
             for member in one.members:
                 score(m for m in one.members if m != member)
             for _, member in evidence.additions(one)[: SCORED if depth else 5 * SCORED]:
-                new = score((*one.members, member))
-                names = frozenset(new.unknowns)
-                if names not in found or new.log > found[names].log:
-                    found[names] = new
+                found.append(score((*one.members, member)))
         if not found:
             break
         before = max(s.log for s in current)
         # A single impostor may lead where only two effects together explain: more first ones stay.
-        current = sorted(found.values(), key=lambda s: -s.log)[
-            : BEST_SETS if depth else 3 * BEST_SETS
-        ]
+        current = _best(found)[: BEST_SETS if depth else 3 * BEST_SETS]
         if depth and current[0].log < before:
             break
+    return _best(seen.values())
+
+
+def _best(scores: Iterable[Score]) -> list[Score]:
+    """Of every set of unknowns the best jumps, best first."""
     best: dict[frozenset[int], Score] = {}
-    for one in seen.values():
-        names = frozenset(one.unknowns)
-        if names not in best or one.log > best[names].log:
-            best[names] = one
-    return sorted(best.values(), key=lambda s: -s.log)
+    for one in sorted(scores, key=lambda s: -s.log):
+        best.setdefault(frozenset(one.unknowns), one)
+    return list(best.values())
 
 
 def without_idle(evidence: Evidence, score: Score, lost: float) -> Score:

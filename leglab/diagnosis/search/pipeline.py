@@ -105,7 +105,7 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
     """The machine at the step of its replays, whose error `Problem` takes off.
 
     The longest that divides the sampling period [s], is at most twice the model's own and that the
-    model accepts: a plugin may refuse a long one. Below the model's own there is nothing to accept.
+    model accepts.
 
     Raises:
         LeglabError: The model refuses its own step as well.

@@ -1,11 +1,7 @@
 """Confidence of names: against every rival, by every part, and against unknown causes.
 
-Evidence alone is sure of whatever absorbs most. Three questions bound it. Does the name hold
-without each part of the recordings in turn, in motion and in units of the drive? Do the data decide
-at all, or is a set without the name merely more complicated? And does the name explain as much of
-what is left without it as the cause itself would, or as little as the best impostor of a cause that
-no effect describes? How much an impostor would explain is computed: every effect of the library in
-turn plays the unknown cause, and the best effect of another kind its impostor.
+How much an impostor of an unknown cause would explain is computed: every effect of the library in
+turn plays that cause, and the best effect of another kind its impostor.
 """
 
 import math

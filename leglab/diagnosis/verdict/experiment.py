@@ -23,9 +23,9 @@ def excitations(samples: int, period: float) -> dict[str, np.ndarray]:
 def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     """T-optimal choice (Atkinson and Fedorov 1975) between two rivals.
 
-    Both rivals, with the parameters that fit the present recordings, answer every excitation of
-    the excitations from a calm moment of those recordings; the one in which they differ most, in
-    noise levels, is proposed; None where no excitation separates them.
+    Both, with the parameters that fit the present recordings, answer every excitation from a calm
+    moment of those; the one in which they differ most, in noise levels, is proposed; None where
+    none separates them.
     """
     (one, first), (other, second) = rivals.items()
     replay, period = problem.replay, problem.series[0].period

@@ -1,7 +1,6 @@
 """Sets of effects as a verdict compares them: whole, by parts, and in units of the drive.
 
-Among them are those that lack an effect where it stands: each effect of every good set is taken out
-by a replay. So every name has a rival at its own place.
+Each effect of every good set is also taken out by a replay: every name has a rival.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

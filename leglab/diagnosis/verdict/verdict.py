@@ -12,27 +12,12 @@ from scipy.stats import t as student
 from leglab.base.recording import Recording
 from leglab.base.scale import rms
 from leglab.base.threads import one_blas_thread
+from leglab.diagnosis import result
 from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
-from leglab.diagnosis.result import (
-    Calibration,
-    Diagnosis,
-    Estimate,
-    Gap,
-    NamedEffect,
-    NotTestable,
-    Proposal,
-    Rank,
-    RecordingGap,
-    Remaining,
-    ResidualTrace,
-    Rivals,
-    Verdict,
-    root_mean,
-)
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
 from leglab.diagnosis.search.search import Found
@@ -54,7 +39,7 @@ def diagnose(
     healthy: Mapping[str, Recording] | None = None,
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Diagnosis, Outcome]:
+) -> tuple[result.Diagnosis, Outcome]:
     """Diagnoses a model on recordings.
 
     Args:
@@ -99,7 +84,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
     if not problem.held.any():
         return False
     with_it, without = (problem.noise_levels(h) for h in (outcome.final, outcome.unnamed))
-    after, before = (root_mean(squares[problem.held]) for squares in (with_it, without))
+    after, before = (result.root_mean(squares[problem.held]) for squares in (with_it, without))
     return not lessens(before, after) and noise_alone(without, problem.replay.recording)
 
 
@@ -115,25 +100,25 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
     return as_noise(squares[problem.held], problem.replay.recording[problem.held])
 
 
-def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
+def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> result.Diagnosis:
     """The verdict of a judged search; `remarks` are those on the recordings."""
     final, problem, floors = outcome.final, outcome.about, outcome.floors()
     models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
     squares = {name: problem.noise_levels(h) for name, h in models.items()}
 
     def levels(windows: np.ndarray) -> dict[str, Any]:
-        return {name: root_mean(square[windows]) for name, square in squares.items()}
+        return {name: result.root_mean(square[windows]) for name, square in squares.items()}
 
     owners = [problem.replay.recording == i for i in range(len(problem.series))]
     recordings = tuple(
-        RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
+        result.RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
         for series, own in zip(problem.series, owners, strict=True)
     )
     remarks = [*remarks, *notes(problem)]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
     held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
-        unnamed = root_mean(problem.noise_levels(outcome.unnamed)[held])
+        unnamed = result.root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
             # A slow motion that nobody fitted cannot tell what a fast one would show.
@@ -142,16 +127,16 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> Diagnosis:
                 "the held-out recordings hardly show what is named: the share explained is that "
                 "over all recordings"
             )
-        compared = root_mean(without[shown]), root_mean(with_it[shown]), 1.0
-    gap = Gap(
+        compared = result.root_mean(without[shown]), result.root_mean(with_it[shown]), 1.0
+    gap = result.Gap(
         held_out=tuple(r.name for r in recordings if r.held_out),
         unnamed=unnamed,
         compared=compared,
-        healthy=root_mean(floors[held]) if outcome.specimen else None,
+        healthy=result.root_mean(floors[held]) if outcome.specimen else None,
         **levels(held),
     )
     verdict, effects, smaller = _effects(outcome, gap, shown)
-    return Diagnosis(
+    return result.Diagnosis(
         verdict=verdict,
         effects=effects,
         smaller=smaller,
@@ -180,7 +165,7 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
     may be on another day.
     """
     problem = outcome.about
-    if outcome.specimen and root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
+    if outcome.specimen and result.root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
         return True
     change = problem.raw_errors(outcome.unnamed) - problem.raw_errors(outcome.final)
     square = np.mean(whitened(problem.noise.whitening, change) ** 2, axis=1)
@@ -189,8 +174,8 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
 
 
 def _effects(
-    outcome: Outcome, gap: Gap, shown: np.ndarray
-) -> tuple[Verdict, tuple[NamedEffect, ...], tuple[NamedEffect, ...]]:
+    outcome: Outcome, gap: result.Gap, shown: np.ndarray
+) -> tuple[result.Verdict, tuple[result.NamedEffect, ...], tuple[result.NamedEffect, ...]]:
     """Verdict, named effects and smaller differences, the largest contribution first.
 
     `shown` are the windows that tell what the effects explain.
@@ -208,7 +193,7 @@ def _effects(
         told = key if key in (*judged.named, *judged.confusion) else (key[0], EVERY)
         one = judged.effects[told]
         gone = final.without(key)
-        without = root_mean(outcome.compared.noise_levels(gone)[shown])
+        without = result.root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
         # Of a set that is not told apart none is surer than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
@@ -219,7 +204,7 @@ def _effects(
         onsets = [(s.name, s.time[0], ends) for s, ends in begins if np.isfinite(ends).all()]
         estimates = _estimates(outcome, key)
         effects.append(
-            NamedEffect(
+            result.NamedEffect(
                 name=key[0],
                 element=key[1],
                 group=site.effect.group,
@@ -233,7 +218,7 @@ def _effects(
                 indistinguishable_from=tuple(
                     dict.fromkeys(k[0] for k in judged.confusion if k not in (key, told))
                 ),
-                without=root_mean(problem.noise_levels(gone)[problem.judged]),
+                without=result.root_mean(problem.noise_levels(gone)[problem.judged]),
             )
         )
     effects.sort(key=lambda e: -e.contribution)
@@ -243,7 +228,7 @@ def _effects(
     return verdict, tuple(e for e in effects if e not in smaller), smaller
 
 
-def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
+def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     """Parameters of a told effect, then differences of directions, with 95 % intervals.
 
     A parameter of another law than the machine's is one thing in a slow motion and another in a
@@ -276,11 +261,11 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[Estimate, ...]:
 
 def _estimate(
     name: str, unit: str, value: float, nominal: float, low: float, high: float
-) -> Estimate:
-    return Estimate(name=name, unit=unit, value=value, nominal=nominal, interval=(low, high))
+) -> result.Estimate:
+    return result.Estimate(name=name, unit=unit, value=value, nominal=nominal, interval=(low, high))
 
 
-def _ranking(found: Found) -> tuple[Rank, ...]:
+def _ranking(found: Found) -> tuple[result.Rank, ...]:
     """Evidence of each effect alone at the first linearisation [nats]."""
     fitter, best = found.fitter, found.ranks[0].evidence
     evidence = fitter.evidence(found.first, best.spread, best.weight, best.kappa)
@@ -291,23 +276,25 @@ def _ranking(found: Found) -> tuple[Rank, ...]:
         if key in gains:
             gains[key] = max(gains[key], evidence.score((member,)).log - nothing.log)
     rows = sorted(gains.items(), key=lambda row: -row[1])
-    return tuple(Rank(name=k[0], element=k[1], gain=g) for k, g in rows)
+    return tuple(result.Rank(name=k[0], element=k[1], gain=g) for k, g in rows)
 
 
-def _rivals(rows: Sequence[Row]) -> Rivals:
+def _rivals(rows: Sequence[Row]) -> result.Rivals:
     """How much each of some sets is preferred to another."""
     names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
-    return Rivals(names=names, cost=tuple(row.level**2 for row in rows), preference=preference)
+    return result.Rivals(
+        names=names, cost=tuple(row.level**2 for row in rows), preference=preference
+    )
 
 
-def _remaining(problem: Problem, final: Hypothesis) -> tuple[Remaining, ...]:
+def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, ...]:
     """Errors at the end of the windows that are judged, before and after."""
     before, after = (problem.raw_errors(h)[problem.judged][:, :, -1] for h in (Hypothesis(), final))
     noise = np.median(problem.sensor_noise, axis=0)
     return tuple(
-        Remaining(
+        result.Remaining(
             channel=channel.column,
             unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),
             horizon=problem.replay.window,
@@ -319,7 +306,7 @@ def _remaining(problem: Problem, final: Hypothesis) -> tuple[Remaining, ...]:
     )
 
 
-def _calibration(specimen: Specimen) -> Calibration:
+def _calibration(specimen: Specimen) -> result.Calibration:
     """The calibration for the page: what departed most."""
     problem, rows = specimen.problem, []
     for key, site in problem.library.sites.items():
@@ -330,13 +317,13 @@ def _calibration(specimen: Specimen) -> Calibration:
                 rows.append((away, (*key, _estimate(p.name, p.unit, v, nominal, v, v))))
     rows.sort(key=lambda row: -row[0])
     levels = zip(problem.series, specimen.levels.tolist(), strict=True)
-    return Calibration(
+    return result.Calibration(
         recordings=tuple((series.name, before, after) for series, (before, after) in levels),
         estimates=tuple(row for _, row in rows),
     )
 
 
-def _next_experiment(outcome: Outcome) -> Proposal | None:
+def _next_experiment(outcome: Outcome) -> result.Proposal | None:
     """Experiment that would tell the first effect of a confusion set from its rival."""
     rivals: dict[str, Hypothesis] = {}
     for key in outcome.judged.confusion:
@@ -345,7 +332,7 @@ def _next_experiment(outcome: Outcome) -> Proposal | None:
     return propose(outcome.problem, dict([*rivals.items()][:2])) if len(rivals) > 1 else None
 
 
-def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
+def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
     """Effects that the recordings do not show, or that are over between two samples."""
     found, problem = outcome.found, outcome.problem
     first, spread, u = found.first, found.ranks[0].evidence.spread, found.fitter.at.unknowns
@@ -363,10 +350,10 @@ def _not_testable(outcome: Outcome) -> tuple[NotTestable, ...]:
         for key, visible in sorted(seen.items())
         if visible < VISIBLE and key not in outcome.named and key[1] != EVERY
     }
-    return tuple(NotTestable(name=n, element=e, reason=r) for (n, e), r in reasons.items())
+    return tuple(result.NotTestable(name=n, element=e, reason=r) for (n, e), r in reasons.items())
 
 
-def _nuisances(outcome: Outcome) -> tuple[Estimate, ...]:
+def _nuisances(outcome: Outcome) -> tuple[result.Estimate, ...]:
     """Refitted parameters that have a tolerance, with the range of it."""
     found = []
     for key, site in outcome.about.library.sites.items():
@@ -378,7 +365,7 @@ def _nuisances(outcome: Outcome) -> tuple[Estimate, ...]:
     return tuple(found)
 
 
-def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
+def traces(problem: Problem, final: Hypothesis) -> tuple[result.ResidualTrace, ...]:
     """Replay errors before and after, of every recording and channel."""
     replay = problem.replay
     before, after = (problem.raw_errors(h) for h in (Hypothesis(), final))
@@ -391,7 +378,7 @@ def traces(problem: Problem, final: Hypothesis) -> tuple[ResidualTrace, ...]:
             index, position, velocity = bin_motion(problem, i, channel.joint)
             a, b = (series.columns.get(f"{channel.joint}_pressure_{c}") for c in "ab")
             rows.append(
-                ResidualTrace(
+                result.ResidualTrace(
                     recording=series.name,
                     channel=channel.column,
                     unit="Pa" if channel.chamber else problem.machine.unit(channel.joint),

@@ -1,9 +1,8 @@
 """A whole recording simulated in one go, in closed loop.
 
-Replays of windows say how wrong a model is; a whole recording says what that comes to. Driven by
-the measured commands alone, a machine without a spring drifts away for whatever small reason, and
-nothing is seen. So a position loop corrects each command; how far the simulation still strays, and
-how much correction it needs, is what the model lacks.
+Driven by the measured commands alone, a machine without a spring drifts away for whatever small
+reason. So a position loop corrects each command; how far the simulation still strays, and how much
+correction it needs, is what the model lacks.
 """
 
 from dataclasses import dataclass
