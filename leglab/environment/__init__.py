@@ -5,8 +5,7 @@ dm_control is loaded with the first environment. All of them come with
 `pip install ".[rl]"` in a clone of leglab.
 """
 
-from leglab.environment.loading import load, load_gymnasium, make_batch
-from leglab.environment.registration import register
+from leglab.environment.loading import load, load_gymnasium, make_batch, register
 from leglab.environment.rewards import REWARDS, Transition
 
 __all__ = ["REWARDS", "Transition", "load", "load_gymnasium", "make_batch"]

@@ -8,7 +8,7 @@ specimen and noise, and has the bits of the same episode alone; only its steps a
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -500,10 +500,3 @@ class ManyMachines(NominalMachine):
                 one = self._one.setpoint
                 return None if one is None else np.tile(one, (1, self._count))
         return super().find(name)
-
-
-def episodes_of(base: Episode, randomize: Any, count: int) -> list[Episodes]:
-    """Sequences of episodes for machines: machine i has that of the seed of `base` plus i."""
-    seed = base.settings.seed
-    bases = [replace(base, settings=replace(base.settings, seed=seed + i)) for i in range(count)]
-    return [Episodes(each, randomize) for each in bases]

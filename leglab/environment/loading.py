@@ -1,6 +1,6 @@
 """Makes environments from names."""
 
-import importlib
+import importlib.util
 import math
 import os
 import sys
@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab.base.errors import LeglabError, ModelError, SettingsError
+from leglab.base.scenario import scenario_names
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.environment.episodes import Draw, Episode, Episodes
-from leglab.environment.rewards import Reward, chosen_reward
+from leglab.environment.rewards import REWARDS, Reward
 from leglab.machine.display import has_display
 from leglab.runs.preparation import Preparation, RunSettings
 
@@ -163,6 +165,8 @@ def _plan(
     if not all(0 <= ahead < math.inf for ahead in preview):
         told = f"preview {tuple(preview)} s is not allowed, all must be "
         raise SettingsError(told, given=tuple(preview), allowed=">= 0")
+    if not callable(reward) and reward not in REWARDS:
+        raise SettingsError.unknown("reward", reward, REWARDS)
     timing = {} if control_period is None else {"control_period": control_period}
     settings = RunSettings(
         scenario=scenario,
@@ -186,7 +190,7 @@ def _plan(
             "residual_scale": residual_scale if action == "residual" else None,
             "cylinders": _cylinders(preparation) if action == "torque" else None,
             "normalize": normalize,
-            "reward": chosen_reward(reward),
+            "reward": reward if callable(reward) else REWARDS[reward],
             "preview": tuple(preview),
             "error_limit": error_limit,
         },
@@ -239,11 +243,14 @@ def make_batch(
         told = f"threads {threads} is not allowed, must be "
         raise SettingsError(told, given=threads, allowed="1 or more")
     _require("dm_control.mujoco", "gymnasium")
-    from leglab.environment.batch import Batch, episodes_of
+    from leglab.environment.batch import Batch
     from leglab.environment.vector_env import LegVectorEnv
 
     plan = _plan(scenario, **settings)
-    episodes = episodes_of(plan.base, randomize, num_envs)
+    own, episodes = plan.base.settings, []
+    for i in range(num_envs):
+        base = replace(plan.base, settings=replace(own, seed=own.seed + i))
+        episodes.append(Episodes(base, randomize))
     batch = Batch(plan.preparation, episodes, length=plan.length, threads=threads, **plan.task)
     return LegVectorEnv(batch, autoreset=autoreset)
 
@@ -283,6 +290,21 @@ def load_gymnasium(
         width=width,
         height=height,
     )
+
+
+def register() -> None:
+    """Registers one environment a scenario, where Gymnasium is installed."""
+    if importlib.util.find_spec("gymnasium") is None:
+        return
+    import gymnasium
+
+    for scenario in scenario_names():
+        gymnasium.register(
+            id=f"leglab/{scenario.title().replace('_', '')}-v0",
+            entry_point="leglab.environment.loading:load_gymnasium",
+            vector_entry_point="leglab.environment.loading:make_batch",
+            kwargs={"scenario": scenario},
+        )
 
 
 def _choose_renderer() -> None:

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import SettingsError
 from leglab.control import ReferencePoint
 
 # Joint errors [rad] with full reward, and with a tenth of it.
@@ -72,16 +71,3 @@ def smooth_tracking(transition: Transition) -> Any:
 
 
 REWARDS: dict[str, Reward] = {"tracking": tracking, "smooth_tracking": smooth_tracking}
-
-
-def chosen_reward(reward: str | Reward) -> Reward:
-    """Returns a reward by name, or the function itself.
-
-    Raises:
-        SettingsError: If there is none of this name.
-    """
-    if callable(reward):
-        return reward
-    if reward not in REWARDS:
-        raise SettingsError.unknown("reward", reward, REWARDS)
-    return REWARDS[reward]

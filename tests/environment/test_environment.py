@@ -21,7 +21,6 @@ import leglab.environment
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import scenario_names
-from leglab.environment.registration import environment_id
 from leglab.machine.cylinder import Cylinder
 
 KNEE = {"model": "knee_bench", "duration": 0.2}
@@ -431,7 +430,8 @@ def test_a_real_window_follows_an_episode(screen):
 
 
 def test_every_scenario_is_registered():
-    assert {environment_id(name) for name in scenario_names()} <= set(gymnasium.registry)
+    names = {name.title().replace("_", "") for name in scenario_names()}
+    assert {f"leglab/{name}-v0" for name in names} <= set(gymnasium.registry)
 
 
 @pytest.mark.parametrize(
