@@ -23,12 +23,9 @@ from leglab.data.metadata import to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,
     JOINT_STATE,
-    JOINT_STATE_DEFINITION,
     OWN_PACKAGE,
     STRING,
-    STRING_DEFINITION,
     TRANSFORMS,
-    TRANSFORMS_DEFINITION,
     header,
     own_definition,
     scalar_kind,
@@ -167,7 +164,7 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Sce
     with Writer(stream) as writer:
         writer.add_metadata(METADATA_NAME, {"metadata": to_json(metadata)})
         writer.add_metadata("units", units)
-        joint_state = writer.register_msgdef(JOINT_STATE, JOINT_STATE_DEFINITION)
+        joint_state = writer.register_msgdef(JOINT_STATE, DEFINITIONS[JOINT_STATE])
         kinds = {name: scalar_kind(name) for name in rest}
         used = dict.fromkeys(kinds.values())
         schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in used}
@@ -240,8 +237,8 @@ def _own_schemas(
 
 def _write_description(scene: Scene, stamp: int, writer: Writer) -> Callable[[int, int], None]:
     """Writes the URDF; returns what writes the poses of a row, where there are any."""
-    text = writer.register_msgdef(STRING, STRING_DEFINITION)
-    placed = writer.register_msgdef(TRANSFORMS, TRANSFORMS_DEFINITION)
+    text = writer.register_msgdef(STRING, DEFINITIONS[STRING])
+    placed = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
     writer.write_message(_DESCRIPTION, text, {"data": scene.urdf}, stamp, stamp, 0)
     frames = [
         (scene.links[parent], link)

@@ -17,36 +17,6 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # Of messages that hold several columns of one joint.
 OWN_PACKAGE = "leglab_msgs/msg/"
 
-_HEADER = f"""{"=" * 80}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{"=" * 80}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-JOINT_STATE_DEFINITION = f"""std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-{_HEADER}"""
-FLOAT64_DEFINITION = "float64 data\n"
-STRING_DEFINITION = "string data\n"
-_PARTS = {
-    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
-    "geometry_msgs/Transform transform\n",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
-    "geometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-}
-TRANSFORMS_DEFINITION = (
-    "geometry_msgs/TransformStamped[] transforms\n"
-    + "".join(f"{'=' * 80}\nMSG: {name}\n{fields}" for name, fields in _PARTS.items())
-    + _HEADER
-)
 # The field of messages that hold one number.
 _SCALARS = {
     FLOAT64: "data",
@@ -54,19 +24,45 @@ _SCALARS = {
     FLUID_PRESSURE: "fluid_pressure",
     TEMPERATURE: "temperature",
 }
-_MEASURED = "std_msgs/Header header\nfloat64 {}\nfloat64 variance\n" + _HEADER
-DEFINITIONS = {kind: _MEASURED.format(_SCALARS[kind]) for kind in (FLUID_PRESSURE, TEMPERATURE)}
-DEFINITIONS[FLOAT64] = FLOAT64_DEFINITION
-"""Of the messages that `scalar_message` makes."""
+_PLACED = {
+    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
+    "geometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+}
+_STAMPED = {
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+}
+
+
+def _within(parts: Mapping[str, str]) -> str:
+    """Definitions of messages that are fields of others."""
+    return "".join(f"{'=' * 80}\nMSG: {name}\n{fields}" for name, fields in parts.items())
+
+
+_HEADER = _within(_STAMPED)
+DEFINITIONS = {
+    JOINT_STATE: "std_msgs/Header header\nstring[] name\nfloat64[] position\n"
+    f"float64[] velocity\nfloat64[] effort\n{_HEADER}",
+    STRING: "string data\n",
+    FLOAT64: "float64 data\n",
+    TRANSFORMS: f"geometry_msgs/TransformStamped[] transforms\n{_within(_PLACED)}{_HEADER}",
+    **{
+        kind: f"std_msgs/Header header\nfloat64 {_SCALARS[kind]}\nfloat64 variance\n{_HEADER}"
+        for kind in (FLUID_PRESSURE, TEMPERATURE)
+    },
+}
+"""Of the messages that are written."""
 
 _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
-
-SUPPORTED = (JOINT_STATE, *_SCALARS, *_ARRAYS)
 
 
 def supported(kind: str) -> bool:
     """Returns whether messages of a type hold numbers that `numbers` returns."""
-    return kind in SUPPORTED or kind.startswith(OWN_PACKAGE)
+    return kind in (JOINT_STATE, *_SCALARS, *_ARRAYS) or kind.startswith(OWN_PACKAGE)
 
 
 def own_definition(fields: Mapping[str, str]) -> str:
@@ -152,7 +148,7 @@ def scalar_message(kind: str, value: float, stamp: int) -> dict[str, Any]:
     """Returns a message with one number.
 
     Args:
-        kind: A key of `DEFINITIONS`.
+        kind: From `scalar_kind`.
         value: The number.
         stamp: The time [ns], for messages with a header.
     """

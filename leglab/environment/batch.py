@@ -25,14 +25,14 @@ from leglab.control import (
     ReferencePoint,
     make_controller,
 )
-from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import CONTROLLERS, diagnostics_of
 from leglab.control.feedforward.adaptive import FeedforwardTeam
 from leglab.control.torque import TorqueLoop
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.observations import flat_scale, observation_scales
-from leglab.environment.rewards import Reward, Transition
+from leglab.environment.plan import Plan, checked_action
+from leglab.environment.rewards import Transition
 from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
 from leglab.machine.simulation import SPEED_LIMIT, Simulation
 from leglab.runs.loop import Loop
@@ -60,16 +60,8 @@ class Batch:
     Arrays have a row a machine and change with the next step.
 
     Args:
-        preparation: Of the runs.
+        plan: Settings.
         episodes: Draws what differs between episodes, one a machine.
-        length: Of an episode [s].
-        residual_scale: Command that an action of 1 adds to the controller's; None without a
-            controller.
-        cylinders: Data sheets, where an action is a torque; None where it is a valve command.
-        reward: Of a transition.
-        preview: Times ahead of now at which the observation shows the reference [s].
-        error_limit: True error of a joint beyond which an episode terminates [rad].
-        normalize: Whether observations are scaled to about one.
         threads: That step machines; None for one a core.
 
     Attributes:
@@ -88,30 +80,14 @@ class Batch:
         LeglabError: A setting does not fit, or the model gives its sensors faults of their own.
     """
 
-    def __init__(
-        self,
-        preparation: Preparation,
-        episodes: Sequence[Episodes],
-        *,
-        length: float,
-        residual_scale: float | None,
-        cylinders: NominalCylinders | None,
-        reward: Reward,
-        preview: Sequence[float],
-        error_limit: float,
-        normalize: bool,
-        threads: int | None,
-    ) -> None:
-        self._preparation, self._scale, self._reward = preparation, residual_scale, reward
-        self._error_limit = error_limit
+    def __init__(self, plan: Plan, episodes: Sequence[Episodes], *, threads: int | None) -> None:
+        self._plan, self._scale, preparation = plan, plan.residual_scale, plan.preparation
         self._machines = [BatchMachine(preparation.machine(), each) for each in episodes]
         for machine in self._machines:  # their outputs are not looked at
             machine.simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         sensors, nominal = preparation.sensors, preparation.nominal
-        self.period = sensors.control_period
+        self.period = plan.period
         self.count, self.joints = len(self._machines), nominal.joints
-        self._last = round(length / self.period)
-        self._preview = np.array([round(ahead / self.period) for ahead in preview], dtype=np.int64)
         shape = self.count, len(self.joints)
         self.position, self.velocity = np.zeros(shape), np.zeros(shape)
         self.true_position, self.true_velocity = np.zeros(shape), np.zeros(shape)
@@ -128,16 +104,16 @@ class Batch:
         threads = threads or len(os.sched_getaffinity(0))
         self._begin_controller(preparation, threads)
         self.torque_limit: np.ndarray | None = None
-        if cylinders is not None:
-            self.torque_limit = TorqueLoop(cylinders, self.period).limit
-            all_joints = np.tile(np.arange(len(cylinders.stroke)), self.count)
-            self._torque = TorqueLoop(cylinders.joints(all_joints), self.period)
+        if plan.cylinders is not None:
+            self.torque_limit = TorqueLoop(plan.cylinders, self.period).limit
+            all_joints = np.tile(np.arange(len(plan.cylinders.stroke)), self.count)
+            self._torque = TorqueLoop(plan.cylinders.joints(all_joints), self.period)
         sizes = self._sizes(hydraulic)
         self._raw = np.zeros((self.count, sum(sizes.values())), dtype=np.float32)
         self.observation = self._raw
         self.limits = np.full(self._raw.shape[1], np.inf, dtype=np.float32)
         self._offset: np.ndarray | None = None
-        if normalize:
+        if plan.normalize:
             scales = observation_scales(preparation)
             self._offset, self._unit, self.limits = flat_scale(scales, sizes)
         slots = [nominal.slots(name) for name in ("pressure_a", "pressure_b")]
@@ -160,7 +136,7 @@ class Batch:
             half=nominal.half,
             pressures=np.concatenate(slots).astype(np.int64),
             supply=nominal.supply_slot if hydraulic else -1,
-            preview=self._preview,
+            preview=plan.ahead,
             out={
                 "position": self.position,
                 "velocity": self.velocity,
@@ -220,15 +196,7 @@ class Batch:
         Raises:
             LeglabError: The action has another shape, or is not finite.
         """
-        values = np.asarray(action, dtype=float)
-        if values.shape != self.command.shape:
-            allowed = str(self.command.shape)
-            told = f"action has shape {values.shape}, allowed is "
-            raise SettingsError(told, given=values.shape, allowed=allowed)
-        if not np.isfinite(values).all():
-            machine = int(np.argmin(np.isfinite(values).all(axis=1)))
-            told = f"action of machine {machine} is not finite; allowed: "
-            raise SettingsError(told, given=values[machine], allowed="numbers in [-1, 1]")
+        values = checked_action(action, self.command.shape)
         rests = self.terminated | self.truncated
         moves = ~rests
         if rests.any():
@@ -251,11 +219,13 @@ class Batch:
         self.error = self.true_position - self.reference.position
         np.copyto(
             self.terminated,
-            self.diverged | (np.abs(self.error).max(axis=1) > self._error_limit),
+            self.diverged | (np.abs(self.error).max(axis=1) > self._plan.error_limit),
             where=moves,
         )
-        np.copyto(self.truncated, ~self.terminated & (self.steps >= self._last), where=moves)
-        reward = np.asarray(self._reward(self.transition()), dtype=float)
+        np.copyto(
+            self.truncated, ~self.terminated & (self.steps >= self._plan.periods), where=moves
+        )
+        reward = np.asarray(self._plan.reward(self.transition()), dtype=float)
         if reward.shape != (self.count,):
             told = f"the reward of a batch has shape {reward.shape}, allowed is "
             raise SettingsError(told, given=reward.shape, allowed=f"({self.count},)")
@@ -282,15 +252,8 @@ class Batch:
         else:
             if machine.loop is not None:
                 machine.loop.close()
-            machine.loop = Loop(
-                episode.settings,
-                preparation=self._preparation,
-                scenario=episode.scenario(),
-                simulation=machine.simulation,
-                controlled=self._scale is not None and self._shared is None,
-                pressures=True,
-                ahead=int(self._preview.max(initial=0)),
-            )
+            controlled = self._scale is not None and self._shared is None
+            machine.loop = self._plan.loop(episode, machine.simulation, controlled=controlled)
             machine.episode = episode
         loop = machine.loop
         sampled = loop.machine
@@ -456,7 +419,7 @@ class Batch:
             found |= {"pressure_a": hydraulic, "pressure_b": hydraulic, "supply_pressure": 1}
         wanted = ("reference_position", "reference_velocity", "reference_acceleration")
         found |= dict.fromkeys(wanted, joints)
-        found |= {"reference_preview": len(self._preview) * joints, "previous_command": joints}
+        found |= {"reference_preview": len(self._plan.ahead) * joints, "previous_command": joints}
         if self._scale is not None:
             found["controller_command"] = joints
         if self._feedforward:

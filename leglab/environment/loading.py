@@ -7,25 +7,21 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import LeglabError, ModelError, SettingsError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.scenario import scenario_names
-from leglab.control.backstepping.data import NominalCylinders
-from leglab.environment.episodes import Draw, Episode, Episodes
-from leglab.environment.rewards import REWARDS, Reward
+from leglab.environment.episodes import Draw, Episodes
+from leglab.environment.plan import PREVIEW, made_plan
+from leglab.environment.rewards import Reward
 from leglab.machine.display import has_display
-from leglab.runs.preparation import Preparation, RunSettings
 
 if TYPE_CHECKING:
     import gymnasium
     from dm_control.rl import control
 
     from leglab.environment.vector_env import LegVectorEnv
-
-ACTIONS = ("valve", "residual", "torque")
-PREVIEW = (0.02, 0.05, 0.1)
 
 
 def load(
@@ -100,114 +96,18 @@ def load(
     from leglab.environment.physics import LegPhysics
     from leglab.environment.task import TrackingTask
 
-    plan = _plan(**settings)
+    plan = made_plan(**settings)
     simulation = plan.preparation.machine(visual=True)
-    task = TrackingTask(
-        plan.preparation,
-        simulation,
-        Episodes(plan.base, randomize),
-        **plan.task,
-        flat=flat_observation,
-    )
-    period = plan.preparation.sensors.control_period
+    episodes = Episodes(plan.base, randomize)
     return control.Environment(
         LegPhysics.of(simulation),
-        task,
+        TrackingTask(plan, simulation, episodes, flat=flat_observation),
         # Half a period short: the limit is a quotient of floats.
-        time_limit=(round(plan.length / period) - 0.5) * period,
-        control_timestep=period,
+        time_limit=(plan.periods - 0.5) * plan.period,
+        control_timestep=plan.period,
         flat_observation=flat_observation,
         legacy_step=False,
     )
-
-
-class _Plan(NamedTuple):
-    """Checked settings of an environment: the episode to vary, its length [s], and the task's."""
-
-    preparation: Preparation
-    base: Episode
-    length: float
-    task: dict[str, Any]
-
-
-def _plan(
-    scenario: str,
-    *,
-    model: str = "leg",
-    action: str = "valve",
-    controller: str | None = None,
-    controller_config: Mapping[str, Any] | None = None,
-    residual_scale: float = 0.2,
-    reward: str | Reward = "tracking",
-    onset: float | None = None,
-    duration: float | None = None,
-    control_period: float | None = None,
-    sensors: Mapping[str, Any] | None = None,
-    reference_config: Mapping[str, Any] | None = None,
-    preview: Sequence[float] = PREVIEW,
-    error_limit: float = math.inf,
-    normalize: bool = True,
-    **run: Any,
-) -> _Plan:
-    """Checks settings, as of `load`; `run` are those of a run that pass through."""
-    if action not in ACTIONS:
-        told = f"action {action!r} is not allowed; choose one of "
-        raise SettingsError(told, given=action, allowed=ACTIONS)
-    if action != "residual" and (controller is not None or controller_config):
-        told = f"a controller acts with action='residual' only; here it is {action!r}"
-        raise SettingsError(told, given=action, allowed=("residual",))
-    if not 0 < residual_scale <= 2:
-        told = f"residual_scale {residual_scale!r} is outside "
-        raise SettingsError(told, given=residual_scale, allowed="(0, 2]")
-    if not error_limit > 0:
-        told = f"error_limit {error_limit!r} rad is not allowed, must be "
-        raise SettingsError(told, given=error_limit, allowed="> 0")
-    if not all(0 <= ahead < math.inf for ahead in preview):
-        told = f"preview {tuple(preview)} s is not allowed, all must be "
-        raise SettingsError(told, given=tuple(preview), allowed=">= 0")
-    if not callable(reward) and reward not in REWARDS:
-        raise SettingsError.unknown("reward", reward, REWARDS)
-    timing = {} if control_period is None else {"control_period": control_period}
-    settings = RunSettings(
-        scenario=scenario,
-        controller=controller or "static_feedforward",
-        model=model,
-        duration=duration,
-        reference_config=reference_config or {},
-        controller_config=controller_config or {},
-        sensors={**(sensors or {}), **timing},
-        **run,
-    )
-    length = Episode(settings=settings, onset=onset).scenario().duration
-    # A scenario that is drawn has no duration of its own here.
-    base = Episode(settings=replace(settings, duration=length), onset=onset)
-    preparation = Preparation(settings)
-    return _Plan(
-        preparation=preparation,
-        base=base,
-        length=length,
-        task={
-            "residual_scale": residual_scale if action == "residual" else None,
-            "cylinders": _cylinders(preparation) if action == "torque" else None,
-            "normalize": normalize,
-            "reward": reward if callable(reward) else REWARDS[reward],
-            "preview": tuple(preview),
-            "error_limit": error_limit,
-        },
-    )
-
-
-def _cylinders(preparation: Preparation) -> NominalCylinders:
-    """Data sheets for torque actions; refuses a machine with other drives."""
-    if preparation.nominal.native:
-        name = next(iter(preparation.nominal.native))
-        raise ModelError(
-            f"action 'torque' needs cylinders, and actuator {name!r} is none; allowed: 'valve', "
-            "which is the torque of a motor, and 'residual'",
-            given=name,
-            allowed=("valve", "residual"),
-        )
-    return preparation.controller_setup.machine.cylinders
 
 
 def make_batch(
@@ -246,13 +146,12 @@ def make_batch(
     from leglab.environment.batch import Batch
     from leglab.environment.vector_env import LegVectorEnv
 
-    plan = _plan(scenario, **settings)
+    plan = made_plan(scenario, **settings)
     own, episodes = plan.base.settings, []
     for i in range(num_envs):
         base = replace(plan.base, settings=replace(own, seed=own.seed + i))
         episodes.append(Episodes(base, randomize))
-    batch = Batch(plan.preparation, episodes, length=plan.length, threads=threads, **plan.task)
-    return LegVectorEnv(batch, autoreset=autoreset)
+    return LegVectorEnv(Batch(plan, episodes, threads=threads), autoreset=autoreset)
 
 
 def load_gymnasium(

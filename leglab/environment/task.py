@@ -7,33 +7,26 @@ import numpy as np
 from dm_control.rl.control import FLAT_OBSERVATION_KEY, Task
 from dm_env import specs
 
-from leglab.base.errors import SettingsError, SimulationError
+from leglab.base.errors import SimulationError
 from leglab.base.scenario import Scenario
-from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.torque import TorqueLoop
 from leglab.environment.episodes import Episode, Episodes
 from leglab.environment.observations import observation_scales
 from leglab.environment.physics import LegPhysics
-from leglab.environment.rewards import Reward, Transition
+from leglab.environment.plan import Plan, checked_action
+from leglab.environment.rewards import Transition
 from leglab.machine.simulation import Simulation
 from leglab.runs.loop import Loop
-from leglab.runs.preparation import Preparation, reference_joints
+from leglab.runs.preparation import reference_joints
 
 
 class TrackingTask(Task):
     """Valve commands, or corrections of a controller's, against the tracking error.
 
     Args:
-        preparation: Of the runs.
+        plan: Settings.
         simulation: The machine, which the physics shares.
         episodes: Draws what differs between episodes.
-        residual_scale: Valve command that an action of 1 adds to the controller's; None without a
-            controller.
-        cylinders: Data sheets, where an action is a torque; None where it is a valve command.
-        reward: Of a transition.
-        preview: Times ahead of now at which the observation shows the reference [s].
-        error_limit: True error of a joint [rad] beyond which an episode terminates.
-        normalize: Whether observations are scaled to about one.
         flat: Whether the environment makes one array of an observation.
 
     Attributes:
@@ -43,28 +36,15 @@ class TrackingTask(Task):
     """
 
     def __init__(
-        self,
-        preparation: Preparation,
-        simulation: Simulation,
-        episodes: Episodes,
-        *,
-        residual_scale: float | None,
-        cylinders: NominalCylinders | None,
-        reward: Reward,
-        preview: tuple[float, ...],
-        error_limit: float,
-        normalize: bool,
-        flat: bool,
+        self, plan: Plan, simulation: Simulation, episodes: Episodes, *, flat: bool
     ) -> None:
-        self._preparation, self._simulation, self._episodes = preparation, simulation, episodes
-        self._scale, self._reward, self._error_limit = residual_scale, reward, error_limit
+        self._plan, self._simulation, self._episodes = plan, simulation, episodes
         self._flat = flat
-        self._scales = observation_scales(preparation) if normalize else None
-        period = preparation.sensors.control_period
-        self._torque = None if cylinders is None else TorqueLoop(cylinders, period)
+        self._scales = observation_scales(plan.preparation) if plan.normalize else None
+        sheets = plan.cylinders
+        self._torque = None if sheets is None else TorqueLoop(sheets, plan.period)
         self.torque_limit = None if self._torque is None else self._torque.limit
-        self._preview = np.array([round(ahead / period) for ahead in preview], dtype=np.intp)
-        self._joints = reference_joints(preparation.nominal)
+        self._joints = reference_joints(plan.preparation.nominal)
         self._zero = np.zeros(len(self._joints))
         self._command = self._previous = self._action = self._zero
         self.episode: Episode | None = None
@@ -99,8 +79,9 @@ class TrackingTask(Task):
         Raises:
             LeglabError: If the action has another shape or is not finite.
         """
-        self._action = _checked_action(action, len(self._joints))
-        wish = self._action if self._scale is None else self._wish + self._scale * self._action
+        self._action = checked_action(action, self._zero.shape).clip(-1.0, 1.0)
+        scale = self._plan.residual_scale
+        wish = self._action if scale is None else self._wish + scale * self._action
         if self._torque is not None:
             wish = self._torque.of(self._action * self._torque.limit, self._period.measurement)
         self._previous = self._command
@@ -124,14 +105,14 @@ class TrackingTask(Task):
         """Reward of the step; 0 where the simulation blew up."""
         if self.diverged:
             return 0.0
-        return float(self._reward(self.transition()))
+        return float(self._plan.reward(self.transition()))
 
     def get_termination(self, physics: LegPhysics) -> float | None:
         """Discount 0 where the simulation blew up or an error is beyond the limit."""
         if self.diverged:
             return 0.0
         error = self._simulation.position() - self._period.reference.position
-        return 0.0 if np.abs(error).max() > self._error_limit else None
+        return 0.0 if np.abs(error).max() > self._plan.error_limit else None
 
     def transition(self) -> Transition:
         """Transition of the last step."""
@@ -176,15 +157,8 @@ class TrackingTask(Task):
         else:
             if self.episode is not None:
                 self._loop.close()
-            self._loop: Loop = Loop(
-                episode.settings,
-                preparation=self._preparation,
-                scenario=episode.scenario(),
-                simulation=self._simulation,
-                controlled=self._scale is not None,
-                pressures=True,
-                ahead=int(self._preview.max(initial=0)),
-            )
+            controlled = self._plan.residual_scale is not None
+            self._loop: Loop = self._plan.loop(episode, self._simulation, controlled=controlled)
             self.episode = episode
         self.diverged = False
         if self._torque is not None:
@@ -206,7 +180,7 @@ class TrackingTask(Task):
             reference_position=point.position.copy(),
             reference_velocity=point.velocity.copy(),
             reference_acceleration=point.acceleration.copy(),
-            reference_preview=self._loop.reference_ahead(self._preview),
+            reference_preview=self._loop.reference_ahead(self._plan.ahead),
             previous_command=self._command.copy(),
         )
         if period.command is not None:
@@ -243,14 +217,3 @@ def _flat_spec(named: Mapping[str, specs.Array]) -> Mapping[str, specs.Array]:
     kind = next(iter(named.values())).dtype
     spec = specs.BoundedArray(low.shape, kind, low, high, name=FLAT_OBSERVATION_KEY)
     return collections.OrderedDict({FLAT_OBSERVATION_KEY: spec})
-
-
-def _checked_action(action: np.ndarray, joints: int) -> np.ndarray:
-    values = np.asarray(action, dtype=float)
-    if values.shape != (joints,):
-        told = f"action has shape {values.shape}, allowed is "
-        raise SettingsError(told, given=values.shape, allowed=f"({joints},)")
-    if not np.isfinite(values).all():
-        told = f"action {values.tolist()} is not finite; allowed: "
-        raise SettingsError(told, given=values, allowed="numbers in [-1, 1]")
-    return values.clip(-1.0, 1.0)

@@ -97,11 +97,20 @@ def test_mutated_bags(bag, changes):
     read_or_refuse(path)
 
 
-@settings(max_examples=40, deadline=None)
+@pytest.mark.parametrize(
+    ("suffix", "start"),
+    [
+        ("mcap", b"\x89MCAP0\r\n"),
+        ("csv", b""),
+        ("mat", b""),
+        ("mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
+    ],
+)
+@settings(max_examples=60, deadline=None)
 @given(content=st.binary(max_size=300))
-def test_any_bytes_as_a_bag(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "any.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n" + content)
+def test_any_bytes(tmp_path_factory, suffix, start, content):
+    path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
+    path.write_bytes(start + content)
     read_or_refuse(path)
 
 
@@ -136,14 +145,6 @@ def test_any_table_as_csv(tmp_path_factory, header, rows, end):
 def test_mutated_csv(tmp_path_factory, changes):
     path = tmp_path_factory.getbasetemp() / "mutated.csv"
     path.write_bytes(mutate(b"time,a,b\n0,1,2\n0.1,1.5,nan\n0.2,,3e5\n", changes))
-    read_or_refuse(path)
-
-
-@settings(max_examples=60, deadline=None)
-@given(content=st.binary(max_size=60))
-def test_any_bytes_as_csv(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "bytes.csv"
-    path.write_bytes(content)
     read_or_refuse(path)
 
 

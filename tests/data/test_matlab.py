@@ -119,13 +119,3 @@ def test_mutated_files(tmp_path_factory, compressed, changes):
     whole = whole_file(path, compressed)
     path.write_bytes(mutate(whole[:128], []) + mutate(whole[128:], changes))
     read_or_refuse(path)
-
-
-@settings(max_examples=60, deadline=None)
-@given(content=st.binary(max_size=200))
-def test_any_bytes(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "any.mat"
-    path.write_bytes(content)
-    read_or_refuse(path)
-    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + content)
-    read_or_refuse(path)

@@ -13,19 +13,11 @@ from mcap_ros2.writer import Writer
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.data.ros_messages import (
-    FLOAT64,
-    FLOAT64_DEFINITION,
-    JOINT_STATE,
-    JOINT_STATE_DEFINITION,
-)
+from leglab.data.ros_messages import DEFINITIONS as OURS
+from leglab.data.ros_messages import FLOAT64, JOINT_STATE
 
-HEADER = JOINT_STATE_DEFINITION[JOINT_STATE_DEFINITION.index("=" * 80) :]
 DEFINITIONS = {
-    JOINT_STATE: JOINT_STATE_DEFINITION,
-    FLOAT64: FLOAT64_DEFINITION,
-    "sensor_msgs/msg/FluidPressure": "std_msgs/Header header\nfloat64 fluid_pressure\n"
-    "float64 variance\n" + HEADER,
+    **{kind: OURS[kind] for kind in (JOINT_STATE, FLOAT64, "sensor_msgs/msg/FluidPressure")},
     "std_msgs/msg/Float64MultiArray": "float64[] data\n",
     "std_msgs/msg/String": "string data\n",
 }
