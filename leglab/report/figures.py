@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
+from tsdownsample import MinMaxDownsampler
 
 from leglab.base.errors import RecordingError
 from leglab.base.output import write_atomically
@@ -48,7 +49,6 @@ _SUBDIVISIONS = (1.0, 2.0, 5.0)
 # A line of more samples is drawn through the smallest and the largest of as many pieces: some ten
 # of them a pixel of the widest panel.
 _PIECES = 10_000
-_AT_ONCE = 1000  # of them that are looked at together
 
 
 def tracking_figure(
@@ -123,34 +123,21 @@ def pressure_figure(
     joints = _joints_with_pressures(recording)
     if not joints:
         raise RecordingError("no pressures to draw: no column ends in '_pressure_a'")
-    supply = "supply_pressure" in recording
-    names = [f"{joint}_pressure_{side}" for joint in joints for side in "ab"]
-    names += ["supply_pressure"] * supply
+    looks = [("{}_pressure_a", BLUE, "A, cap side"), ("{}_pressure_b", ORANGE, "B, rod side")]
+    supply = [("supply_pressure", LIGHT_GREY, "supply")] * ("supply_pressure" in recording)
+    names = [name.format(joint) for joint in joints for name, *_ in looks + supply]
     highest = max(float(np.nanmax(recording[name], initial=_BAR)) for name in names) / _BAR
     with style():
         figure, panels = add_panels(len(joints), heights=(1.25,))
         for joint, (axes,) in zip(joints, panels, strict=True):
-            if supply:
-                _draw(
-                    axes,
-                    recording.time,
-                    recording["supply_pressure"],
-                    scale=1 / _BAR,
-                    color=LIGHT_GREY,
-                )
-            _draw(
-                axes, recording.time, recording[f"{joint}_pressure_a"], scale=1 / _BAR, color=BLUE
-            )
-            _draw(
-                axes, recording.time, recording[f"{joint}_pressure_b"], scale=1 / _BAR, color=ORANGE
-            )
+            for name, color, _ in supply + looks:
+                values = recording[name.format(joint)]
+                _draw(axes, recording.time, values, scale=1 / _BAR, color=color)
             axes.set_title(readable(joint), fontweight="bold")
             axes.set_ylabel("pressure [bar]")
             axes.set_ylim(0, 1.05 * highest)
             _finish(axes, phases)
-        lines = [_line("A, cap side", BLUE), _line("B, rod side", ORANGE)]
-        if supply:
-            lines.append(_line("supply", LIGHT_GREY))
+        lines = [_line(label, color) for _, color, label in looks + supply]
         add_head(figure, title, lines, phases=phases)
     return figure
 
@@ -304,8 +291,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
     looks = itertools.cycle(itertools.product(_DASHES, SERIES))
     lines = []
     with style():
-        figure, (panel,) = add_panels(1, heights=(3.0,))
-        (axes,) = panel
+        figure, ((axes,),) = add_panels(1, heights=(3.0,))
         for controller, (dashes, color) in zip(controllers, looks, strict=False):
             time, errors = _stack([r for r in results if r["metrics"]["controller"] == controller])
             axes.plot(time, errors.mean(axis=0), color=color, linestyle=dashes, linewidth=1.4)
@@ -313,11 +299,9 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
                 low, high = errors.min(axis=0), errors.max(axis=0)
                 axes.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
             lines.append(Line2D([], [], color=color, linestyle=dashes, label=controller))
-        changes = results[0]["changes"]
-        unit = unit_of_results(results)
-        for change in changes:
-            axes.axvline(change, color=VERMILION, linewidth=1.0, zorder=1)
-        if changes:
+        if changes := results[0]["changes"]:
+            for change in changes:
+                axes.axvline(change, color=VERMILION, linewidth=1.0, zorder=1)
             axes.axvspan(changes[0], changes[-1], color=VERMILION, alpha=0.12, linewidth=0)
             lines.append(_line("change of the machine", VERMILION, 1.0))
         axes.set_xlim(0, max(result["time"][-1] for result in results))
@@ -326,7 +310,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter("")
         axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10]))
-        axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [{unit}]")
+        axes.set_ylabel(f"RMS error over {results[0]['window']:g} s [{unit_of_results(results)}]")
         add_head(figure, title, lines, columns=_LEGEND_COLUMNS)
     return figure
 
@@ -352,21 +336,10 @@ def outline(values: np.ndarray) -> np.ndarray:
         Increasing row numbers: all where n is at most twice the number of pieces; else the first
         and the last, and of each piece its smallest and its largest value.
     """
-    count = len(values)
-    if count <= 2 * _PIECES:
-        return np.arange(count)
-    size = -(-count // _PIECES)
-    starts = np.arange(0, count, size)
-    low, high = np.empty((2, len(starts)), dtype=np.int64)
-    for first in range(0, len(starts), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        piece = values[first * size : (first + _AT_ONCE) * size]
-        pieces = np.full((len(starts[part]), size), np.nan)
-        pieces.reshape(-1)[: len(piece)] = piece
-        missing = np.isnan(pieces)
-        low[part] = np.where(missing, np.inf, pieces).argmin(axis=1)
-        high[part] = np.where(missing, -np.inf, pieces).argmax(axis=1)
-    return np.unique(np.concatenate([[0, count - 1], starts + low, starts + high]))
+    if len(values) <= 2 * _PIECES:
+        return np.arange(len(values))
+    rows = MinMaxDownsampler().downsample(np.ascontiguousarray(values), n_out=2 * _PIECES)
+    return np.union1d(rows.astype(np.int64), [0, len(values) - 1])
 
 
 def _ends(marked: np.ndarray) -> np.ndarray:

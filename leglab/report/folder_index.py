@@ -4,7 +4,8 @@ import html
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,10 +13,9 @@ from typing import Any, Literal
 
 from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes, read_json
-from leglab.base.output import write_atomically
 from leglab.report.comparison.words import closest, seeds
 from leglab.report.page.outcome import outcome
-from leglab.report.page.shell import asset, file_link, render
+from leglab.report.page.shell import asset, file_link, render, write_page
 from leglab.runs.comparison import SUMMARY, read_comparison
 from leglab.runs.folder import read_metrics
 
@@ -83,9 +83,7 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
     if path.exists() and _OURS.encode() not in read_bytes(path):
         raise FileError(f"{str(path)!r} is no index of leglab: it is left as it is", given=path)
     entries = _find_entries(folder, path.parent)
-    text = _page(entries, folder.resolve().name)
-    write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
-    return entries, path
+    return entries, write_page(_page(entries, folder.resolve().name), path)
 
 
 def _page(entries: list[Entry], name: str) -> str:
@@ -122,59 +120,59 @@ def _find_entries(folder: Path, base: Path) -> list[Entry]:
 
 
 def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator[Entry]:
+    """What one folder holds, of the files in it."""
     name = "." if place == folder else place.relative_to(folder).as_posix()
 
-    def entry(kind: str, mark: str, link: str, **told: Any) -> Entry:
-        target = file_link(place / link, base) if link else ""
-        return Entry(name=name, link=target, kind=kind, written=_written(place / mark), **told)
+    def entry(
+        kind: str, mark: str, links: tuple[str, ...], read: Callable[[Path, set[str]], dict]
+    ) -> Entry:
+        try:
+            told = read(place, files)
+        except LeglabError as error:
+            told = {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
+        except (ArithmeticError, LookupError, TypeError, ValueError):
+            told = {"state": "broken", "told": f"{kind}.json does not have the form of a {kind}"}
+        best = next((file_link(place / link, base) for link in links if link in files), "")
+        return Entry(name=name, link=best, kind=kind, written=_written(place / mark), **told)
 
     if SUMMARY in files:
-        link = "report.html" if "report.html" in files else SUMMARY
-        yield entry("comparison", SUMMARY, link, **_comparison(place, files))
+        yield entry("comparison", SUMMARY, ("report.html", SUMMARY), _comparison)
         return
     if "diagnosis.json" in files:
-        link = "diagnosis.html" if "diagnosis.html" in files else "diagnosis.json"
-        yield entry("diagnosis", "diagnosis.json", link, **_diagnosis(place, files))
+        links = ("diagnosis.html", "diagnosis.json")
+        yield entry("diagnosis", "diagnosis.json", links, _diagnosis)
     if "sweep.json" in files:
-        link = "report.html" if "report.html" in files else "sweep.json"
-        yield entry("sweep", "dataset.json", link, **_sweep(place / "sweep.json"))
+        yield entry("sweep", "dataset.json", ("report.html", "sweep.json"), _sweep)
         return
-    present = [f for f in _RUN_FILES if f in files]
     if "run.json" in files or "metrics.json" in files or place.name.endswith(".partial"):
-        best = ("report.html", "tracking.png", "metrics.json", *_RUN_FILES)
-        link = next((f for f in best if f in files), "")
-        yield entry("run", present[0] if present else ".", link, **_run(place, files))
+        mark = next((f for f in _RUN_FILES if f in files), ".")
+        yield entry("run", mark, ("report.html", "tracking.png", *_RUN_FILES), _run)
     elif "report.html" in files:
-        yield entry("report", "report.html", "report.html", told=_headline(place / "report.html"))
+        yield entry("report", "report.html", ("report.html",), _headline)
 
 
 def _run(place: Path, files: set[str]) -> dict[str, Any]:
     if place.name.endswith(".partial"):
-        return {"state": "broken", "told": "was not written to its end"}
+        raise LeglabError("was not written to its end")
     missing = [name for name in _RUN_FILES if name not in files]
     if missing:
-        return {"state": "broken", "told": f"has no {' and no '.join(missing)}"}
-    try:
-        metrics = read_metrics(place)
-    except LeglabError as error:
-        return {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
+        raise LeglabError(f"has no {' and no '.join(missing)}")
+    metrics = read_metrics(place)
     first, last = metrics.phases[0], metrics.phases[-1]
-    told = {
-        "scenario": metrics.scenario,
-        "controller": metrics.controller,
-        "model": metrics.model,
-        "seed": metrics.seed,
+    state, told = "whole", ""
+    if not metrics.completed:
+        reason = metrics.failure or "no reason was stored"
+        state, told = "stopped", f"stopped at {metrics.duration:.2f} s: {reason}"
+    elif last is not first:
+        told = outcome(metrics.adaptation, metrics.error_unit())
+    return {
+        **{name: getattr(metrics, name) for name in ("scenario", "controller", "model", "seed")},
         "before": _milli(metrics.adaptation.before_rad),
         "after": _milli(last.rms_rad) if last.name != "before" else None,
         "end": _milli(metrics.adaptation.end_rad),
+        "state": state,
+        "told": told,
     }
-    if metrics.completed:
-        return {
-            **told,
-            "told": outcome(metrics.adaptation, metrics.error_unit()) if last is not first else "",
-        }
-    reason = metrics.failure or "no reason was stored"
-    return {**told, "state": "stopped", "told": f"stopped at {metrics.duration:.2f} s: {reason}"}
 
 
 def _milli(errors: Mapping[str, float] | None) -> float | None:
@@ -183,41 +181,29 @@ def _milli(errors: Mapping[str, float] | None) -> float | None:
 
 
 def _comparison(place: Path, files: set[str]) -> dict[str, Any]:
-    try:
-        content = read_comparison(place)
-    except LeglabError as error:
-        return {"state": "broken", "told": str(error).removeprefix(f"{place}{os.sep}")}
+    content = read_comparison(place)
     told = "; ".join(f"{name}: {closest(content, name)}" for name in content["scenarios"])
-    if "report.html" not in files:
-        told += "; it has no page: leglab report writes one"
+    page = "" if "report.html" in files else "; it has no page: leglab report writes one"
     return {
         "scenario": ", ".join(map(str, content["scenarios"])),
         "controller": ", ".join(map(str, content["controllers"])),
         "model": str(content["model"]),
-        "told": f"{seeds(content)}; {told}",
+        "told": f"{seeds(content)}; {told}{page}",
     }
 
 
-def _sweep(path: Path) -> dict[str, Any]:
-    content = _content(path)
-    try:
-        axes = ", ".join(map(str, content["axes"]))
-        return {"told": f"{int(content['runs']):,} runs over {axes or 'nothing'}"}
-    except (ArithmeticError, LookupError, TypeError, ValueError):
-        return {"state": "broken", "told": f"{path.name} does not have the form of a sweep"}
+def _sweep(place: Path, _: set[str]) -> dict[str, Any]:
+    content = _content(place / "sweep.json")
+    axes = ", ".join(map(str, content["axes"]))
+    return {"told": f"{int(content['runs']):,} runs over {axes or 'nothing'}"}
 
 
 def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:
     content = _content(place / "diagnosis.json")
-    try:
-        verdict = str(content["verdict"]).replace("_", " ")
-        effects = [f"{effect['name']} at {effect['element']}" for effect in content["effects"]]
-    except (LookupError, TypeError):
-        return {"state": "broken", "told": "diagnosis.json does not have the form of a diagnosis"}
+    effects = [f"{effect['name']} at {effect['element']}" for effect in content["effects"]]
+    verdict = str(content["verdict"]).replace("_", " ")
     told = f"{verdict}: {', '.join(effects)}" if effects else verdict
-    if "diagnosis.html" not in files:
-        told += "; it has no page"
-    return {"told": told}
+    return {"told": told + "; it has no page" * ("diagnosis.html" not in files)}
 
 
 def _content(path: Path) -> Any:
@@ -227,13 +213,12 @@ def _content(path: Path) -> Any:
         return None
 
 
-def _headline(path: Path) -> str:
-    try:
-        head = read_bytes(path, _HEAD_LENGTH).decode(errors="replace")
-    except LeglabError:
-        return ""
-    found = re.search(r"<h1[^>]*>([^<]*)</h1>", head)
-    return html.unescape(found.group(1)).strip() if found else ""
+def _headline(place: Path, _: set[str]) -> dict[str, Any]:
+    with suppress(LeglabError):
+        head = read_bytes(place / "report.html", _HEAD_LENGTH).decode(errors="replace")
+        if found := re.search(r"<h1[^>]*>([^<]*)</h1>", head):
+            return {"told": html.unescape(found.group(1)).strip()}
+    return {}
 
 
 def _written(path: Path) -> str:

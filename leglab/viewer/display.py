@@ -63,14 +63,11 @@ class Display:
             for key in spec.keys:
                 key.ctrl = np.zeros(0)
 
-        def load(short: bool) -> mujoco.MjModel:
-            edit = partial(add_sliders, short=short)
-            return load_model(model, timestep=simulation.model.opt.timestep, edit=edit)
-
+        load = partial(load_model, model, timestep=simulation.model.opt.timestep)
         try:
-            self.model = load(short=True)
+            self.model = load(edit=partial(add_sliders, short=True))
         except LeglabError:  # another plugin of the model refers to an actuator by its name
-            self.model = load(short=False)
+            self.model = load(edit=partial(add_sliders, short=False))
         self.data = mujoco.MjData(self.model)
         self._ghost = mujoco.MjData(self.model)
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
@@ -149,28 +146,25 @@ class Display:
         command = np.array([moment.command[worst] for moment in moments])
         feedforward = np.array([moment.feedforward[worst] for moment in moments])
         joint = self._session.joints[worst].replace("_", " ")
-        title, lines = f"command of {joint}", {"command": (ages, command)}
+        title, lines = f"command of {joint}", {"command": command}
         if np.isfinite(feedforward).all():
             title += ", dashed: feed-forward"
-            lines["feed-forward"] = ages, feedforward
+            lines["feed-forward"] = feedforward
         sizes = zip(_SHARE, (viewport.width, viewport.height), _LEAST, strict=True)
         width, height = (min(max(round(share * size), least), size) for share, size, least in sizes)
         # On the right: knees bend to the left, as seen by the camera of every machine.
         left, bottom = viewport.left + viewport.width - width, viewport.bottom
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
-        error_figure = _figure(
-            f"RMS error [{self._session.unit}], last 10 s", {"error": (ages, tracking)}
-        )
-        return [(upper, error_figure), (lower, _figure(title, lines))]
+        above = f"RMS error [{self._session.unit}], last 10 s", {"error": tracking}
+        return [(upper, _figure(ages, *above)), (lower, _figure(ages, title, lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
         """Two columns: what is shown, and its values."""
         session = self._session
         rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
         rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
-        for what, words in session.named().items():
-            rows[what] = words
+        rows |= session.named()
         for name, slider in session.sliders.items():
             rows[name.replace("_", " ")] = f"{slider.present():.3g} {slider.unit}"
         recent = list(session.moments)[-round(session.window / session.period) :]
@@ -190,7 +184,8 @@ def short_label(name: str) -> str:
     return short if len(short) <= LABEL else f"{short[: LABEL - 1]}~"
 
 
-def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujoco.MjvFigure:
+def _figure(ages: np.ndarray, title: str, lines: dict[str, np.ndarray]) -> mujoco.MjvFigure:
+    """Lines over the last moments; all but the first are dashed."""
     figure = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.title = title
@@ -198,18 +193,15 @@ def _figure(title: str, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> mujo
     figure.figurergba[:] = (0.1, 0.1, 0.1, 0.6)
     figure.gridsize[:] = (3, 4)
     figure.range[0] = (-HISTORY, 0.0)
-    values = np.concatenate([y for _, y in lines.values()])
-    low, high = min(0.0, float(values.min())), max(float(values.max()), 1e-3)
-    figure.range[1] = (low, high)
-    # The first lines are drawn over the others: dashes, through whose gaps one sees those.
-    pieces = [
-        (name, x[i:][: _DASH + 1], y[i:][: _DASH + 1])
-        for name, (x, y) in list(lines.items())[1:]
-        for i in range(0, len(x), 2 * _DASH)
-    ]
-    pieces += [(name, x, y) for name, (x, y) in list(lines.items())[:1]]
-    for i, (name, x, y) in enumerate(pieces):
+    values = np.concatenate(list(lines.values()))
+    figure.range[1] = (min(0.0, float(values.min())), max(float(values.max()), 1e-3))
+    # What comes first is drawn over the others: dashes, through whose gaps one sees those.
+    whole, *dashed = lines
+    starts = range(0, len(ages), 2 * _DASH)
+    pieces = [(name, slice(i, i + _DASH + 1)) for name in dashed for i in starts]
+    for i, (name, part) in enumerate([*pieces, (whole, slice(None))]):
+        points = np.column_stack([ages[part], lines[name][part]])
         figure.linergb[i] = _COLOURS[name]
-        figure.linepnt[i] = len(x)
-        figure.linedata[i, : 2 * len(x)] = np.column_stack([x, y]).ravel()
+        figure.linepnt[i] = len(points)
+        figure.linedata[i, : points.size] = points.ravel()
     return figure

@@ -9,7 +9,6 @@ import numpy as np
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.scenario import ParameterChange, Scenario
 from leglab.base.units import error_unit
-from leglab.machine.changes import Bodies
 from leglab.machine.plugin import without_warnings
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
@@ -22,19 +21,12 @@ HISTORY = 10.0
 
 
 class Moment(NamedTuple):
-    """One control period, as the figures show it.
+    """One control period, as the figures show it; arrays (joints,)."""
 
-    Attributes:
-        time: [s].
-        error: True tracking error [rad]. Shape (joints,).
-        command: Commands in [-1, 1]. Shape (joints,).
-        feedforward: Feed-forward part of them, NaN where the controller has none. Shape (joints,).
-    """
-
-    time: float
-    error: np.ndarray
-    command: np.ndarray
-    feedforward: np.ndarray
+    time: float  # s
+    error: np.ndarray  # true tracking error [rad or m]
+    command: np.ndarray  # in [-1, 1]
+    feedforward: np.ndarray  # part of the command, NaN where the controller has none
 
 
 class Session:
@@ -69,7 +61,7 @@ class Session:
         self.simulation, self.scenario, self.period = loop.simulation, loop.scenario, loop.period
         self.joints = self.simulation.joints
         self.unit = error_unit(self.simulation.slides[joint] for joint in self.joints)
-        self.sliders = {s.name: s for s in sliders(self.simulation, Bodies(self.simulation.model))}
+        self.sliders = {slider.name: slider for slider in sliders(self.simulation)}
         self.moments: deque[Moment] = deque(maxlen=round(HISTORY / self.period))
         self._begin()
 
@@ -93,7 +85,7 @@ class Session:
         self.moments.clear()
         self._faults = self.scenario.changes
         self._moved: dict[str, ParameterChange] = {}
-        self.values = {name: slider.initial for name, slider in self.sliders.items()}
+        self.values = {name: slider.change.value for name, slider in self.sliders.items()}
         self.point = self._loop.reference_now()
 
     def step(self) -> None:
@@ -121,7 +113,7 @@ class Session:
         if value == self.values[name]:
             return
         self.values[name] = value
-        self._moved[name] = slider.change(value, self.time)
+        self._moved[name] = replace(slider.change, value=value, start=self.time)
         self._follow()
 
     @property

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from leglab.base.scenario import ParameterChange
 from leglab.machine.changes import ADDED_MASS, Bodies
@@ -21,8 +22,7 @@ class Slider:
         unit: Unit of its value.
         lowest: Smallest value.
         highest: Largest value.
-        initial: Value of the unchanged machine.
-        change: Makes the change that a value stands for, from a time [s] on.
+        change: What it changes, with the value of the unchanged machine.
         present: Reads from the machine what the slider and the scenario make together.
     """
 
@@ -31,30 +31,27 @@ class Slider:
     unit: str
     lowest: float
     highest: float
-    initial: float
-    change: Callable[[float, float], ParameterChange]
+    change: ParameterChange
     present: Callable[[], float]
 
 
-def sliders(simulation: Simulation, bodies: Bodies) -> tuple[Slider, ...]:
+def sliders(simulation: Simulation) -> tuple[Slider, ...]:
     """The sliders of a machine: of cylinders seal_wear and oil_temperature, of all payload."""
-    loaded = _LOADED if _LOADED in bodies.elements else bodies.elements[-1]
+    bodies = Bodies(simulation.model).elements
+    loaded = _LOADED if _LOADED in bodies else bodies[-1]
     masses, body = simulation.model.body_mass, simulation.model.body(loaded).id
     unloaded = float(masses[body])
 
     def load() -> float:
         return float(masses[body]) - unloaded
 
-    mass = _change(ADDED_MASS.name, loaded, "set")
-    payload = Slider("payload", "payload kg", f"kg on {loaded}", 0.0, 30.0, 0.0, mass, load)
-    return (*_oil(simulation), payload) if simulation.cylinders else (payload,)
-
-
-def _oil(simulation: Simulation) -> tuple[Slider, Slider]:
-    """Wear of the piston seals and temperature of the oil."""
-    warm = simulation.parameter(simulation.cylinders[0], "oil_temperature")
-    leakage, oil = simulation.slots("internal_leakage"), simulation.slots("oil_temperature")
+    change = partial(ParameterChange, start=0.0)
+    mass = change(parameter=ADDED_MASS.name, element=loaded, kind="set", value=0.0)
+    payload = Slider("payload", "payload kg", f"kg on {loaded}", 0.0, 30.0, mass, load)
+    if not simulation.cylinders:
+        return (payload,)
     state = simulation.data.plugin_state
+    leakage, oil = simulation.slots("internal_leakage"), simulation.slots("oil_temperature")
     healthy = state[leakage].copy()
 
     def wear() -> float:
@@ -63,15 +60,11 @@ def _oil(simulation: Simulation) -> tuple[Slider, Slider]:
     def warmth() -> float:
         return float(state[oil].mean())
 
-    leak = _change("internal_leakage", "*", "scale")
-    heat = _change("oil_temperature", "*", "set")
+    warm = simulation.parameter(simulation.cylinders[0], "oil_temperature")
+    leak = change(parameter="internal_leakage", kind="scale", value=1.0)
+    heat = change(parameter="oil_temperature", kind="set", value=warm)
     return (
-        Slider("seal_wear", "seal leak x", "x leakage", 1.0, 50.0, 1.0, leak, wear),
-        Slider("oil_temperature", "oil degC", "deg C", -10.0, 120.0, warm, heat, warmth),
-    )
-
-
-def _change(parameter: str, element: str, kind: str) -> Callable[[float, float], ParameterChange]:
-    return lambda value, start: ParameterChange(
-        parameter=parameter, element=element, kind=kind, value=value, start=start
+        Slider("seal_wear", "seal leak x", "x leakage", 1.0, 50.0, leak, wear),
+        Slider("oil_temperature", "oil degC", "deg C", -10.0, 120.0, heat, warmth),
+        payload,
     )

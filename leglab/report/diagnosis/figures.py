@@ -15,15 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from leglab.diagnosis.balance.regions import equally_filled
 from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
-from leglab.report.diagnosis.words import (
-    after_words,
-    finite_rms,
-    in_order,
-    joint_of,
-    main_channels,
-    set_words,
-    start,
-)
+from leglab.report.diagnosis import words
 from leglab.report.figures import add_head
 from leglab.report.page.wording import number, printable, readable, shortened
 from leglab.report.style import BLACK, BLUE, DARK_GREY, GRID, LIGHT_GREY, ORANGE, VERMILION, style
@@ -93,7 +85,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     Windows are judged by the first channel's error at the end, of the model as it was; where
     another is the worst one afterwards, that one is shown as well.
     """
-    channels = main_channels(result)
+    channels = words.main_channels(result)
     held = set(result.gap.held_out) or {r.name for r in result.recordings}
     windows = _windows(result, channels, held)
     if not windows:
@@ -127,7 +119,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
     return CaptionedFigure(
         name="overlay",
         figure=figure,
-        caption=f"Simulations of {length:.3g} s from {start(result)}, driven by the measured "
+        caption=f"Simulations of {length:.3g} s from {words.start(result)}, driven by the measured "
         f"command, in recordings{kept}; positions from where the window starts. Points are means "
         f"over {number(1e3 * length / windows[0][channels[0]].bins, 2)} ms: what changes faster is "
         "apart from the first point on. Worst and median "
@@ -160,7 +152,7 @@ def _lay_out(figure: Figure, title: str, result: Diagnosis) -> None:
     lines = [
         Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
         Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
-        Line2D([], [], **_BEFORE_AFTER[1], label=f"simulated, {after_words(result)}"),
+        Line2D([], [], **_BEFORE_AFTER[1], label=f"simulated, {words.after_words(result)}"),
     ]
     add_head(figure, title, lines, **_LEGEND)
     figure.tight_layout(rect=(0, 0, 1, 1 - 0.52 / figure.get_figheight()))
@@ -191,7 +183,7 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
     )  # fmt: skip
     _tick(axes, 4, 4)
     if first:
-        kind = window.channel.removeprefix(f"{joint_of(window.channel)}_") or window.channel
+        kind = window.channel.removeprefix(f"{words.joint_of(window.channel)}_") or window.channel
         axes.set_ylabel(f"{readable(short(kind, 14))} [{unit}]")
     return (
         f"{window.channel} in {window.recording} at {window.time[0]:.1f} s: {number(ends[0])} "
@@ -268,7 +260,7 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Replay error of every recording before, recalibrated and after; None without any."""
-    rows = [r for r in in_order(result) if math.isfinite(r.before) and math.isfinite(r.after)]
+    rows = [r for r in words.in_order(result) if math.isfinite(r.before) and math.isfinite(r.after)]
     rows = rows[:_MOST_RECORDINGS]
     if not rows:
         return None
@@ -336,7 +328,7 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     if rivals is None:
         return None
     count = len(rivals.names)
-    labels = [f"{short(set_words(n), 40)}  {i}" for i, n in enumerate(rivals.names, start=1)]
+    labels = [f"{short(words.set_words(n), 40)}  {i}" for i, n in enumerate(rivals.names, start=1)]
     left = 0.08 * max(map(len, labels)) + 0.2
     height, above = 0.36 * count, 0.75
     share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)
@@ -439,7 +431,7 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
         for trace in result.traces
         if trace.channel.endswith("_position")
     }
-    held = {r.name: r.held_out for r in in_order(result)}
+    held = {r.name: r.held_out for r in words.in_order(result)}
     pictures = []
     for i, traces in enumerate(chosen, start=1):
         name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', traces[0].channel)[:40].strip('_')}"
@@ -450,7 +442,7 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
 
 
 def _gain(traces: Sequence[ResidualTrace]) -> float:
-    before, after = map(finite_rms, _errors(traces))
+    before, after = map(words.finite_rms, _errors(traces))
     return before / after if after > 0.0 else math.inf
 
 
@@ -499,7 +491,7 @@ def _over_time(
 ) -> CaptionedFigure:
     """Errors over time, a row a recording, in the order of `held`, which says what was kept."""
     factor, unit = shown_unit(traces[0].unit)
-    worst = sorted(traces, key=lambda t: (not held.get(t.recording), -finite_rms([t.before])))
+    worst = sorted(traces, key=lambda t: (not held.get(t.recording), -words.finite_rms([t.before])))
     places = {name: i for i, name in enumerate(held)}
     shown = sorted(worst[:_MOST_ROWS], key=lambda t: places.get(t.recording, len(places)))
     before, after = (factor * np.concatenate(errors) for errors in _errors(shown))
@@ -579,7 +571,7 @@ def _finish(
     unit: str,
 ) -> str:
     """Writes the titles of the figure and of the axes before and after; returns its alt text."""
-    before, after = (f"{number(finite_rms([values]))} {unit}" for values in errors)
+    before, after = (f"{number(words.finite_rms([values]))} {unit}" for values in errors)
     (_, high), (_, low) = (axes.get_ylim() for axes in pair)
     finer = f", scale {number(high / low, 2)} times finer" if high > low else ""
     pair[0].set_title(f"before: {before} RMS", color=VERMILION, fontsize=9)

@@ -5,20 +5,8 @@ from pathlib import Path
 
 from leglab.base.output import cannot_write, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
+from leglab.report.diagnosis import words
 from leglab.report.diagnosis.figures import CaptionedFigure, pictures
-from leglab.report.diagnosis.words import (
-    after_start,
-    facts,
-    headline,
-    improved_words,
-    in_order,
-    noise_words,
-    parameter_numbers,
-    parameter_words,
-    percent,
-    sections,
-    uncertain,
-)
 from leglab.report.figures import png
 from leglab.report.page import shell
 from leglab.report.page.shell import Table, inlined, render
@@ -75,9 +63,9 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         kind="diagnosis",
         model=model,
         verdict=_KINDS[result.verdict],
-        headline=headline(result),
-        facts=[(term, text.splitlines()) for term, text in facts(result)],
-        sections=sections(result, model),
+        headline=words.headline(result),
+        facts=[(term, text.splitlines()) for term, text in words.facts(result)],
+        sections=words.sections(result, model),
         tables=(
             _effects_table(result),
             _remaining_table(result),
@@ -87,7 +75,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             _untestable_table(result),
         ),
         improved=result.model,
-        improved_words=improved_words(result),
+        improved_words=words.improved_words(result),
         first=[figure for figure in figures if figure["name"] in _FIRST],
         figures=[figure for figure in figures if figure["name"] not in _FIRST],
     )
@@ -97,10 +85,10 @@ def _effects_table(result: Diagnosis) -> Table:
     rows = []
     for effect, smaller in result.all_effects:
         first = [f"{readable(effect.name)}{' (smaller)' * smaller}", effect.element]
-        last = [percent(effect.confidence), percent(effect.contribution)]
+        last = [words.percent(effect.confidence), words.percent(effect.contribution)]
         for parameter in effect.estimates:
-            value, ends, nominal, unit = parameter_numbers(parameter)
-            name = f"{readable(parameter.name)}{', uncertain' * uncertain(parameter)}"
+            value, ends, nominal, unit = words.parameter_numbers(parameter)
+            name = f"{readable(parameter.name)}{', uncertain' * words.uncertain(parameter)}"
             rows.append([*first, name, unit, value, ends, nominal, *last])
             first = last = ["", ""]
         if not effect.estimates:
@@ -118,8 +106,8 @@ def _remaining_table(result: Diagnosis) -> Table:
         factor, unit = shown_unit(one.unit)
         errors = [one.before, one.after, *([] if one.learned is None else [one.learned])]
         values = [f"{number(factor * v)} {unit}" for v in errors]
-        rows.append([readable(one.channel), *values, noise_words(one)])
-    caption = f"What is left {after_start(result)}, RMS over the held-out recordings"
+        rows.append([readable(one.channel), *values, words.noise_words(one)])
+    caption = f"What is left {words.after_start(result)}, RMS over the held-out recordings"
     told = any(one.learned is not None for one in result.remaining)
     learned = ("with what was learned",) if told else ()
     head = ("measured", "before", "after", *learned, "sensor noise")
@@ -133,7 +121,7 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
     errors = [[name, number(b), number(a)] for name, b, a in calibration.recordings]
     departed = []
     for effect, element, estimate in calibration.estimates[:_MOST_DEPARTED]:
-        value, _, nominal = parameter_words(estimate)
+        value, _, nominal = words.parameter_words(estimate)
         departed.append([readable(effect), element, readable(estimate.name), value, nominal])
     return (
         Table(
@@ -152,7 +140,7 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
 
 def _gap_table(result: Diagnosis) -> Table:
     rows = []
-    for r in in_order(result):
+    for r in words.in_order(result):
         errors = map(number, (r.before, r.baseline, r.after))
         rows.append([r.name, "held out" if r.held_out else "fitted", *errors])
     caption = f"{result.gap.metric} (noise alone gives {number(result.gap.noise_floor)})"
@@ -163,7 +151,7 @@ def _gap_table(result: Diagnosis) -> Table:
 def _nuisance_table(result: Diagnosis) -> Table:
     rows = []
     for nuisance in result.nuisances:
-        value, ends, nominal, unit = parameter_numbers(nuisance)
+        value, ends, nominal, unit = words.parameter_numbers(nuisance)
         rows.append([readable(nuisance.name), unit, value, ends, nominal])
     head = ("parameter", "unit", "refitted", "tolerance, 95 %", result.nominal_words)
     caption = "Parameters refitted within their tolerance"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.units import shared_unit
-from leglab.report.page.wording import log_ticks, printable, shortened
+from leglab.report.page.wording import capital, log_ticks, printable, shortened
 from leglab.report.run.words import change_words
 from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
@@ -35,10 +35,7 @@ _PLAIN = {"by_joint": True, "labelled": False, "scale": "linear", "ticks": None,
 class _Quantity:
     """A plot of one quantity with a choice of joints."""
 
-    name: str
-    title: str
-    axis: str
-    unit: str
+    heading: tuple[str, str, str, str]  # name, title, label of the axis, unit
     caption: str
     curves: tuple[tuple[str, str], ...]  # endings of columns, with names; all but the first dashed
     factor: float = 1.0  # to the shown unit
@@ -83,48 +80,35 @@ def _quantities(runs: Sequence[ReportedRun]) -> tuple[_Quantity, ...]:
     whole = unit.replace("mrad", "rad").replace("mm", "m")
     valves = all(run.recording.actuators_are_valves for run in runs)
     asked = "spool's travel" if valves else "range of the actuator's control"
+    angle = "angle" if whole == "rad" else "position"
+    command = "Valve command" if valves else "Command"
     quantities = (
         _Quantity(
-            name="deviation",
-            title="Tracking error",
-            axis=f"error [{unit}]",
-            unit=unit,
+            heading=("deviation", "Tracking error", f"error [{unit}]", unit),
             caption=f"Position less reference{measured}.",
             curves=((f"{position} error", ""),),
             factor=_MILLI,
         ),
         _Quantity(
-            name="angle",
-            title="Angle and reference" if whole == "rad" else "Position and reference",
-            axis=f"{'angle' if whole == 'rad' else 'position'} [{whole}]",
-            unit=whole,
+            heading=("angle", f"{capital(angle)} and reference", f"{angle} [{whole}]", whole),
             caption=f"The broad grey line is the reference; positions{positions}.",
             curves=((position, ""),),
             shared="reference",
         ),
         _Quantity(
-            name="command",
-            title="Valve command" if valves else "Command",
-            axis="command [1]",
-            unit="",
+            heading=("command", command, "command [1]", ""),
             caption=f"Share of the {asked} that was asked for; the part of the feed-forward "
             "is dashed.",
             curves=(("command", ""), ("feedforward", "feed-forward")),
         ),
         _Quantity(
-            name="pressure",
-            title="Chamber pressures",
-            axis="pressure [bar]",
-            unit="bar",
+            heading=("pressure", "Chamber pressures", "pressure [bar]", "bar"),
             caption="Chamber A is the cap side (solid), B the rod side (dashed).",
             curves=(("pressure_a", "A"), ("pressure_b", "B")),
             factor=1 / _BAR,
         ),
         _Quantity(
-            name="temperature",
-            title="Oil temperature",
-            axis="temperature [°C]",
-            unit="°C",
+            heading=("temperature", "Oil temperature", "temperature [°C]", "°C"),
             caption="Temperature of the oil in the cylinder.",
             curves=(("oil_temperature", ""),),
         ),
@@ -136,22 +120,18 @@ def _quantities(runs: Sequence[ReportedRun]) -> tuple[_Quantity, ...]:
 
 def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
     """Changes of the machine, those at one time under one label."""
-    marks: dict[tuple[float, float], list[str]] = {}
+    marks: dict[tuple[float, float], dict[str, None]] = {}
     for run in runs:
         for change in run.configuration.changes:
-            words = marks.setdefault((change.start, change.start + change.ramp_duration), [])
-            text = change_words(change)
-            if text not in words:
-                words.append(text)
-    labels = {}
-    for span, words in marks.items():
-        text = words[0] if len(words) == 1 else f"{len(words)} changes"
-        labels[span] = text if len(text) < 48 else "change of the machine"
-    return [
-        {"start": start, "end": stop, "label": _text(label), "late": start >= 0.5 * end}
-        for (start, stop), label in labels.items()
-        if start > 0
-    ]
+            if change.start > 0:
+                span = (change.start, change.start + change.ramp_duration)
+                marks.setdefault(span, {})[change_words(change)] = None
+    found = []
+    for (start, stop), words in marks.items():
+        text = next(iter(words)) if len(words) == 1 else f"{len(words)} changes"
+        label = _text(text if len(text) < 48 else "change of the machine")
+        found.append({"start": start, "end": stop, "label": label, "late": start >= 0.5 * end})
+    return found
 
 
 def _error_plot(runs: Sequence[ReportedRun], count: int) -> dict[str, Any] | None:
@@ -190,8 +170,8 @@ def _joint_plot(
     by_joint = [_joint_traces(quantity, runs, joint, count) for joint in joints]
     if not any(by_joint):
         return None
-    heading = {n: getattr(quantity, n) for n in ("name", "title", "axis", "unit", "caption")}
-    return {**heading, **_PLAIN, "traces": by_joint}
+    heading = zip(("name", "title", "axis", "unit"), quantity.heading, strict=True)
+    return {**dict(heading), "caption": quantity.caption, **_PLAIN, "traces": by_joint}
 
 
 def _joint_traces(
@@ -226,16 +206,12 @@ def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.
         position = recording[f"{joint}_{ending.removesuffix(' error')}"]
         values = position - recording[f"{joint}_reference"]
     elif ending == "command":
-        found = recording.command_of(joint)
-        if found is None:
-            return np.empty(0), np.empty(0)
-        values = found
+        values = recording.command_of(joint)
     else:
         names = [f"{joint}_{ending}", f"{joint}_valve_{ending}"]
-        name = next((name for name in names if name in recording), None)
-        if name is None:
-            return np.empty(0), np.empty(0)
-        values = recording[name]
+        values = next((recording[name] for name in names if name in recording), None)
+    if values is None:
+        return np.empty(0), np.empty(0)
     finite = np.isfinite(values)
     return recording.time[finite], values[finite]
 

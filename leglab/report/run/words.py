@@ -128,11 +128,11 @@ def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
         )
     run = runs[0]
     joints = f"{len(run.joints)} driven joint{'s' * (len(run.joints) != 1)}"
-    text = (
+    return (
         f"Scenario {run.metrics.scenario} on the model {run.metrics.model} with {joints}; "
-        f"reference {run.setting('reference')}, {run.planned:g} s, seed {run.metrics.seed}."
+        f"reference {run.setting('reference')}, {run.planned:g} s, seed {run.metrics.seed}.",
+        *(_change(change) for change in run.configuration.changes),
     )
-    return (text, *(_change(change) for change in run.configuration.changes))
 
 
 def _controllers(runs: Sequence[ReportedRun]) -> Section:
@@ -231,16 +231,17 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 def _against(run: ReportedRun, first: ReportedRun) -> str:
     """How closely a run follows, beside the first one."""
     ratio = first.error / run.error if run.error > 0 else math.inf
-    both = f"{milli(run.error, run.unit)} against {milli(first.error, first.unit)}"
-    figures = f"{both} RMS error {run.judged_over}"
     if abs(ratio - 1.0) < _ALIKE:
-        how = f"about as closely as {first.label}"
+        how = "about as closely as"
     elif ratio >= _CLEARLY:
-        how = f"{number(ratio, 2)} times as closely as {first.label}"
+        how = f"{number(ratio, 2)} times as closely as"
+    elif ratio > 1:
+        how = f"{number(100.0 * (ratio - 1.0), 2)} % more closely than"
     else:
-        more = f"{number(100.0 * abs(ratio - 1.0), 2)} %" if ratio > 1 else ""
-        how = f"{f'{more} more' if ratio > 1 else 'less'} closely than {first.label}"
-    return f"{run.label} follows the reference {how}: {figures}."
+        how = "less closely than"
+    both = f"{milli(run.error, run.unit)} against {milli(first.error, first.unit)}"
+    told = f"{run.label} follows the reference {how} {first.label}"
+    return f"{told}: {both} RMS error {run.judged_over}."
 
 
 def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
@@ -249,13 +250,11 @@ def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
     judged = [run for run in runs if run.metrics.adaptation.recovered is not None]
     for run in sorted(judged, key=lambda run: -(run.metrics.adaptation.recovered or 0.0)):
         told.setdefault(share(run.metrics.adaptation), []).append(run.label)
-    if not told:
-        return []
-    phrases = [
+    phrases = tuple(
         f"{listed(tuple(who))} {'win' if len(who) > 1 else 'wins'} back {much}"
         for much, who in told.items()
-    ]
-    return [f"Of the accuracy that the change costs, {listed(tuple(phrases))}."]
+    )
+    return [f"Of the accuracy that the change costs, {listed(phrases)}."] if told else []
 
 
 def _choice(runs: Sequence[ReportedRun]) -> list[str]:
@@ -286,6 +285,4 @@ def _saturation(run: ReportedRun) -> float:
     """Share of the time that at least one command was at its limit."""
     found = [run.recording.command_of(joint) for joint in run.joints]
     commands = [values for values in found if values is not None]
-    if not commands:
-        return 0.0
-    return float(np.mean((np.abs(commands) >= _LIMIT).any(axis=0)))
+    return float(np.mean((np.abs(commands) >= _LIMIT).any(axis=0))) if commands else 0.0
