@@ -14,8 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
-from leglab.data.files import LeftOut, first_line
-from leglab.data.metadata import check_notes
+from leglab.data.files import LeftOut, check_notes, first_line
 from leglab.data.ros_messages import header_stamp, numbers, supported
 
 # Our metadata record, with JSON under the key "metadata".

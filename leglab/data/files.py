@@ -1,6 +1,10 @@
-"""What can go wrong as a file is read."""
+"""What all formats share: columns that cannot be read, and metadata as JSON text."""
 
-from leglab.base.errors import LeglabError
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from leglab.base.errors import LeglabError, RecordingError
 
 
 class LeftOut(dict[str, str]):
@@ -28,3 +32,24 @@ class LeftOut(dict[str, str]):
 def first_line(error: Exception) -> str:
     """Returns the first line of an error's message, or its type where there is no message."""
     return next(iter(str(error).splitlines()), "") or type(error).__name__
+
+
+def to_json(metadata: Mapping[str, Any]) -> str:
+    """Returns metadata as JSON with sorted keys.
+
+    Raises:
+        ValueError: A number is not finite, which JSON cannot hold.
+    """
+    return json.dumps(dict(metadata), allow_nan=False, sort_keys=True)
+
+
+def check_notes(metadata: Mapping[str, Any]) -> None:
+    """Checks that the notes to which reading appends are lists.
+
+    Raises:
+        RecordingError: "alignment" or "repairs" is something else.
+    """
+    for key in ("alignment", "repairs"):
+        if not isinstance(metadata.get(key, []), list):
+            told = f"metadata {key!r} is {metadata[key]!r}, allowed is "
+            raise RecordingError(told, given=metadata[key], allowed="a list")

@@ -18,9 +18,8 @@ from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
-from leglab.data.files import LeftOut, first_line
+from leglab.data.files import LeftOut, check_notes, first_line, to_json
 from leglab.data.matlab_check import checked
-from leglab.data.metadata import check_notes, to_json
 
 _VARIABLE = "recording"
 _NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.

@@ -18,8 +18,7 @@ from leglab.base.units import unit_of
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import LeftOut
-from leglab.data.metadata import to_json
+from leglab.data.files import LeftOut, to_json
 from leglab.data.ros_messages import (
     DEFINITIONS,
     JOINT_STATE,

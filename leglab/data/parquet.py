@@ -17,8 +17,7 @@ from leglab.base.input import parse_json
 from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
 from leglab.data.columns import to_arrays
-from leglab.data.files import LeftOut, first_line
-from leglab.data.metadata import check_notes, to_json
+from leglab.data.files import LeftOut, check_notes, first_line, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 

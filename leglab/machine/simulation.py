@@ -121,7 +121,10 @@ class Simulation:
         self.centre, self.half = np.zeros(count), np.ones(count)
         for i, drive in natives.items():
             self.centre[i], self.half[i] = drive.centre, drive.half
-        self._joint_ids = self._driven_joints(moments)
+        still = [name for name, row in zip(self.actuators, moments, strict=True) if not row.any()]
+        if still:
+            raise ModelError(f"actuator {still[0]!r} moves no joint", given=still[0])
+        self._joint_ids = model.dof_jntid[np.abs(moments).argmax(axis=1)]
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
         for i, joint in enumerate(self.joints):
             if joint in self.joints[:i]:
@@ -394,11 +397,3 @@ class Simulation:
         """Name of the supply that a cylinder draws from; empty where its pressure is its own."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
-
-    def _driven_joints(self, moments: np.ndarray) -> np.ndarray:
-        """Joint that each actuator moves most, (actuators,)."""
-        moments = np.abs(moments)
-        for name, row in zip(self.actuators, moments, strict=True):
-            if not row.any():
-                raise ModelError(f"actuator {name!r} moves no joint", given=name)
-        return self.model.dof_jntid[moments.argmax(axis=1)]
