@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import results
-from benchmarks.specimens import window_rms
+from benchmarks.specimens import specimen, window_rms
 from leglab import RunSettings
 from leglab.base.fault_names import FaultTrend
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
@@ -52,7 +52,7 @@ def followed(case: tuple[str, int]) -> dict[str, Any]:
     else:
         (scenario, severity, duration), element = SOUND[label], None  # type: ignore[assignment]
     ramped = scenario not in ("cold_start", "nominal")
-    settings = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
+    settings = specimen(seed, scenario="nominal", controller=BANK)
     changes = get_scenario(scenario, duration=duration, severity=severity, element=element).changes
     if ramped:
         # The ramp is cut where the run ends: the machine is then on its way, from its own values.

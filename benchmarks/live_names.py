@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
-from benchmarks.specimens import window_rms
+from benchmarks.specimens import changed_at, specimen, window_rms
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
 from leglab.base.fault_names import ALL, UNKNOWN, FaultEvent
-from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
+from leglab.base.scenario import scenario_per_joint
 from leglab.runs.clock import adaptation
 from leglab.runs.fault_simulation import FAULTS, kind
 from leglab.runs.loop import Loop
@@ -91,19 +91,12 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
     }
     base = calibrated = twin = None
     for label, (controller, config) in plans.items():
-        settings = RunSettings(
-            scenario="nominal",
-            controller=controller,
-            controller_config=config,
-            tolerance=0.1,
-            seed=seed,
-            vary=True,
+        settings = specimen(
+            seed, scenario="nominal", controller=controller, controller_config=config
         )
         preparation = Preparation(settings)
         joint = None if element == ALL else element
-        whole = get_scenario(fault, duration=DURATION, severity=size, element=joint)
-        changes = tuple(replace(c, start=change) for c in whole.changes)
-        scenario = Scenario(name=fault, duration=DURATION, changes=changes)
+        scenario = changed_at(change, fault, DURATION, severity=size, element=joint)
         try:
             loop = Loop(settings, preparation=preparation, scenario=scenario)
         except LeglabError:
@@ -164,10 +157,7 @@ def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
     """What is said where nothing breaks."""
     label, seed = task
     settings, duration = PEACE[label]
-    run = RunSettings(
-        controller=BANK, duration=duration, tolerance=0.1, seed=seed, vary=True, **settings
-    )
-    loop = Loop(run)
+    loop = Loop(specimen(seed, controller=BANK, duration=duration, **settings))
     history = loop.run()
     assert not history.failure, history.failure
     events = loop.controller.events  # type: ignore[union-attr]
@@ -178,27 +168,24 @@ def back_again(task: tuple[str, float, float, int]) -> dict[str, Any]:
     """What is said of a fault that comes and is repaired, as of a payload up and down."""
     fault, size, healthy, seed = task
     duration = GOES + 8.0
-    there = get_scenario(fault, duration=duration, severity=size).changes
-    whole = get_scenario(fault, duration=duration, severity=healthy).changes
-    gone = [
-        replace(whole_one, start=GOES)
-        if one.kind == "set"
-        else replace(one, start=GOES, value=1.0 / one.value)
-        for one, whole_one in zip(there, whole, strict=True)
+    comes = changed_at(COMES, fault, duration, severity=size)
+    whole = changed_at(GOES, fault, duration, severity=healthy)
+    goes = [
+        sound if broken.kind == "set" else replace(broken, start=GOES, value=1.0 / broken.value)
+        for broken, sound in zip(comes.changes, whole.changes, strict=True)
     ]
-    changes = (*(replace(change, start=COMES) for change in there), *gone)
-    run = RunSettings(scenario="nominal", controller=BANK, tolerance=0.1, seed=seed, vary=True)
-    loop = Loop(run, scenario=Scenario(name=fault, duration=duration, changes=changes))
+    run = specimen(seed, scenario="nominal", controller=BANK)
+    loop = Loop(run, scenario=replace(comes, changes=(*comes.changes, *goes)))
     history = loop.run()
     assert not history.failure, history.failure
     found: dict[str, Any] = {"fault": fault, "seed": seed}
     found |= {"comes": None, "goes": None, "besides": []}
     for event in loop.controller.events:  # type: ignore[union-attr]
         name = event.names[-1]
-        goes = name.onset > 0.5 * (COMES + GOES)
-        right = name.fault == fault if not goes else name.undoes is not None
+        later = name.onset > 0.5 * (COMES + GOES)
+        right = name.fault == fault if not later else name.undoes is not None
         if event.withdrawn is None and right and name.onset > COMES - 0.5:
-            when, start = ("goes", GOES) if goes else ("comes", COMES)
+            when, start = ("goes", GOES) if later else ("comes", COMES)
             found[when] = [name.time - start, name.size]
         else:
             found["besides"].append(f"{name.fault} {name.element}")
@@ -210,27 +197,22 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
     label, fault, size, seed = task
     rng = np.random.default_rng([seed, list(ELSEWHERE).index(label)])
     change = round(CHANGE + STRIDE * rng.random(), 3)
-    whole = get_scenario(fault, duration=DURATION, severity=size)
-    changes = tuple(replace(c, start=change) for c in whole.changes)
+    scenario = changed_at(change, fault, DURATION, severity=size)
     if label == "another fault 5 s before":
         name, element, other, earlier = OTHER
-        first = get_scenario(name, duration=DURATION, severity=other, element=element).changes
-        changes = tuple(replace(c, start=change) for c in first) + tuple(
-            replace(c, start=change + earlier) for c in changes
-        )
+        first = changed_at(change, name, DURATION, severity=other, element=element)
         change += earlier
-    scenario = Scenario(name=fault, duration=DURATION, changes=changes)
+        scenario = changed_at(change, fault, DURATION, severity=size)
+        scenario = replace(scenario, changes=first.changes + scenario.changes)
     found: dict[str, Any] = {"label": label, "fault": fault, "seed": seed}
     base = None
     for controller in (FROZEN, BEFORE, BANK):
         config = {"stop_time": change} if controller == FROZEN else {}
-        settings = RunSettings(
+        settings = specimen(
+            seed,
             **{"scenario": "nominal", "reference": "walking_stride", **ELSEWHERE[label]},
             controller=controller,
             controller_config=config,
-            tolerance=0.1,
-            seed=seed,
-            vary=True,
         )
         told = replace(scenario, reference=settings.reference or scenario.reference)
         loop = Loop(settings, scenario=told)
@@ -387,18 +369,23 @@ def t90_cells(found: list[dict[str, Any]], label: str) -> list[str]:
     ]
 
 
+def _groups(found: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    return {
+        "all cylinders": [c for c in found if c["element"] == ALL],
+        "one cylinder": [c for c in found if c["element"] != ALL],
+        "damage x2 and more": [c for c in found if c["frozen_mrad"][3] > 2 * c["before_mrad"]],
+        "together": found,
+    }
+
+
 def _by_fault(found: list[dict[str, Any]]) -> str:
     head = ["fault", "cases", "frozen, mrad"]
     for label in (BEFORE, BANK):
         head += [f"`{label}` .3-.6", "1.2-2.4", "t90 median", "worst", "never"]
-    kinds = list(dict.fromkeys(case["fault"] for case in found))
-    groups = [(kind, [c for c in found if c["fault"] == kind]) for kind in kinds]
-    groups.append(("all cylinders", [c for c in found if c["element"] == ALL]))
-    groups.append(("one cylinder", [c for c in found if c["element"] != ALL]))
-    hurt = [c for c in found if c["frozen_mrad"][3] > 2 * c["before_mrad"]]
-    groups += [("damage x2 and more", hurt), ("together", found)]
+    kinds = dict.fromkeys(case["fault"] for case in found)
+    groups = {kind: [c for c in found if c["fault"] == kind] for kind in kinds}
     rows = []
-    for name, group in groups:
+    for name, group in {**groups, **_groups(found)}.items():
         frozen = np.median([case["frozen_mrad"][3] for case in group])
         row = [name, str(len(group)), results.number(float(frozen), 2)]
         for label in (BEFORE, BANK):
@@ -417,32 +404,15 @@ def _names(found: list[dict[str, Any]]) -> str:
     head = ["named", "of", "by, s", "said", "fault right, % of all", "element right", "of said"]
     head += ["among those told", "both of said", "claims of 0.9 right"]
     rows = []
-    whole = {
-        "all cylinders": [c for c in found if c["element"] == ALL],
-        "one cylinder": [c for c in found if c["element"] != ALL],
-        "damage x2 and more": [c for c in found if c["frozen_mrad"][3] > 2 * c["before_mrad"]],
-        "together": found,
-    }
-    for name, group in whole.items():
+    for name, group in _groups(found).items():
         for limit in TOLD:
             told = [case[BANK][f"{limit:g}"] for case in group]
             said = [t for t in told if t["said"]]
             sure = [t for t in said if t["confidence"] >= 0.9]
-            both = [t["fault"] and t["element"] for t in said]
-            rows.append(
-                [
-                    name,
-                    str(len(told)),
-                    f"{limit:g}",
-                    _percent([t["said"] for t in told]),
-                    _percent([t["fault"] for t in told]),
-                    _percent([t["element"] for t in told]),
-                    _percent([t["fault"] for t in said]),
-                    _percent([t["among"] for t in said]),
-                    _percent(both),
-                    _percent([t["fault"] and t["element"] for t in sure]),
-                ]
-            )
+            row = [_percent([t[key] for t in told]) for key in ("said", "fault", "element")]
+            row += [_percent([t[key] for t in said]) for key in ("fault", "among")]
+            row += [_percent([t["fault"] and t["element"] for t in own]) for own in (said, sure)]
+            rows.append([name, str(len(told)), f"{limit:g}", *row])
     return results.table(head, rows)
 
 

@@ -6,8 +6,7 @@ from typing import Any
 from joblib import Parallel, delayed
 
 from benchmarks import results
-from benchmarks.specimens import window_rms
-from leglab import RunSettings
+from benchmarks.specimens import specimen, window_rms
 from leglab.runs.loop import Loop
 
 CONTROLLERS = ("static_feedforward", "adrc", "ilc", "bsnn_arx")
@@ -31,18 +30,8 @@ PARTS = ((-2.4, 0.0), (0.0, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 8.0))
 def judged(task: tuple[str, str, str, str]) -> tuple[str, list[float]]:
     """The task in words, and RMS errors [mrad] of its run in each part."""
     model, reference, scenario, controller = task
-    loop = Loop(
-        RunSettings(
-            scenario=scenario,
-            controller=controller,
-            model=model,
-            reference=reference,
-            seed=SEED,
-            tolerance=0.1,
-            vary=True,
-            duration=20,
-        )
-    )
+    settings = {"scenario": scenario, "controller": controller, "duration": 20}
+    loop = Loop(specimen(SEED, model=model, reference=reference, **settings))
     history, change = loop.run(), min(loop.scenario.breakpoints)
     assert not history.failure, history.failure
     after = history.time - change

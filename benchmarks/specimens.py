@@ -1,11 +1,13 @@
 """The machines of the published tables: specimens off the drawing, their phases and their times."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from leglab import Run, RunSettings, run_scenario
 from leglab.base.scale import rms
+from leglab.base.scenario import Scenario, get_scenario
 
 # Standard deviation of the logarithm of every parameter about the drawing.
 TOLERANCE = 0.1
@@ -32,3 +34,10 @@ def window_rms(error: np.ndarray, time: np.ndarray, start: float, end: float) ->
 def first_change(run: Run) -> float:
     """When the machine begins to change [s]."""
     return run.scenario.breakpoints[0]
+
+
+def changed_at(time: float, name: str, duration: float, **options: Any) -> Scenario:
+    """The scenario of this name and these options with all of its changes at a time [s]."""
+    whole = get_scenario(name, duration=duration, **options)
+    changes = tuple(replace(change, start=time) for change in whole.changes)
+    return Scenario(name=name, duration=duration, changes=changes)

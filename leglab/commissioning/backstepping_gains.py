@@ -98,15 +98,11 @@ def _point(
     area, stiffness = model.data.area, float((model.data.area * weight).sum())
     by_force = np.array([weight[0], -weight[1]])
     by_sum = area[::-1] / stiffness
-    step = 1e-6  # m, of phi
-    per_sum = np.zeros(2)
-    scale = 1e3  # Pa
-    for chamber in range(2):
-        change = np.zeros((2, 1))
-        change[chamber] = scale
-        total = weight[::-1] * change
-        pressures = by_sum * total.sum(axis=0)
-        per_sum[chamber] = (spool(pressures) - spool(-pressures)) / (2 * scale)
+    step, scale = 1e-6, 1e3  # m, of phi; Pa
+    per_sum = []
+    for other in weight[::-1]:
+        pressures = by_sum * (other * scale)
+        per_sum.append((spool(pressures) - spool(-pressures)) / (2 * scale))
     return OperatingPoint(
         a=sampled.A,
         b=sampled.B[:, :1],
@@ -114,7 +110,7 @@ def _point(
         c=sampled.C,
         spool_per_speed=(spool(0.0, 1e-5) - spool(0.0, -1e-5)) / 2e-5,
         spool_per_force=(spool(step * by_force) - spool(-step * by_force)) / (2 * step),
-        spool_per_sum=per_sum,
+        spool_per_sum=np.array(per_sum),
     )
 
 

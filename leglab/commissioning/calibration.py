@@ -132,11 +132,9 @@ def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
             states.append(cylinder.steady_state(0.0, force))
         except LeglabError as error:
             raise error.at(f"actuator {actuator!r} cannot hold its joint") from error
+    pressures = np.array([(state.pressure_a, state.pressure_b) for state in states])
+    simulation.set_pressures(*pressures.T)
     spools = np.array([state.spool for state in states])
-    simulation.set_pressures(
-        np.array([state.pressure_a for state in states]),
-        np.array([state.pressure_b for state in states]),
-    )
     simulation.data.plugin_state[simulation.slots("spool_position")] = spools
     bias = simulation.data.plugin_state[simulation.slots("null_bias")]
     for name, control in zip(simulation.cylinders, spools - bias, strict=True):

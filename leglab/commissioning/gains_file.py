@@ -84,10 +84,8 @@ class GainsFile:
         entry = tomllib.loads(self.path.read_text()).get(str(model))
         if entry is None or any(entry[name] != getattr(sensors, name) for name in self.timing):
             return None
-        joints = entry["joints"]
-        if any(name not in joints for name in simulation.joints):
-            return None
-        return [joints[name] for name in simulation.joints]
+        rows = [entry["joints"].get(name) for name in simulation.joints]
+        return None if None in rows else rows
 
 
 @dataclass(frozen=True, kw_only=True)

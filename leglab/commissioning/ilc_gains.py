@@ -50,28 +50,19 @@ def closed_loops(
     return np.array([response / (1 + response * feedback) for response in responses])
 
 
-def tuned_filter(
+def _tuned_filter(
     simulation: Simulation,
     joint: int,
     sensors: SensorConfiguration,
     gains: tuple[float, float],
     speed_per_command: float,
 ) -> tuple[float, float]:
-    """Finds the lead d with the greatest cutoff at which |Q (1 - L G)| stays below 0.7 everywhere.
+    """Cutoff [rad/s] and lead d [s]: the greatest cutoff at which |Q (1 - L G)| < 0.7 everywhere.
 
     Everywhere: at every frequency, pose and piston speed, with the other joints free and held.
     That is the condition for errors that shrink from stride to stride without growing first
-    (Bristow, Tharayil and Alleyne 2006, monotonic convergence in the frequency domain).
-
-    Args:
-        simulation: The nominal machine; its positions are changed.
-        joint: Index of the joint.
-        sensors: Sensors and timing.
-        gains: Of `pd` [1/rad], [s/rad].
-        speed_per_command: b_0 [rad/s].
-
-    Returns:
-        Cutoff [rad/s] and lead [s]; the least cutoff that is tried where none suffices.
+    (Bristow, Tharayil and Alleyne 2006, monotonic convergence in the frequency domain). The least
+    cutoff that is tried where none suffices.
     """
     frequency = np.geomspace(0.1, 2 * _CUTOFFS[-1], 1500)
     loops = closed_loops(simulation, joint, sensors, gains, frequency)
@@ -100,7 +91,7 @@ def _rows(model: str, simulation: Simulation, sensors: SensorConfiguration) -> l
     rows = []
     for joint, speed in enumerate(speeds.tolist()):
         simulation.reset()
-        cutoff, lead = tuned_filter(simulation, joint, sensors, gains[joint], speed)
+        cutoff, lead = _tuned_filter(simulation, joint, sensors, gains[joint], speed)
         rows.append({"cutoff": cutoff, "lead": lead, "speed_per_command": speed})
     return rows
 

@@ -103,13 +103,10 @@ class DisturbanceRejection:
 
         e' does not move where the order is 1.
         """
-        size = len(self._state)
-        a, b = np.empty((size, size)), np.empty(size)
-        ones = np.ones_like(self._rate)
-        for column in range(size):
-            state = np.outer(np.eye(size)[column], ones)
-            a[:, column] = self._next(state, 0 * ones)[:, joint]
-        b[:] = self._next(np.zeros((size, len(ones))), ones)[:, joint]
+        unit, ones = np.eye(len(self._state)), np.ones_like(self._rate)
+        columns = [self._next(np.outer(state, ones), 0 * ones)[:, joint] for state in unit]
+        a = np.stack(columns, axis=1)
+        b = self._next(np.zeros_like(self._state), ones)[:, joint]
         return LinearLaw(a, b, a[3], float(b[3]))
 
     def _next(self, state: np.ndarray, measured: np.ndarray) -> np.ndarray:

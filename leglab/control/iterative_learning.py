@@ -101,18 +101,11 @@ class IterativeLearning:
         self._part = stride / period - self._count  # of a period that the stride is longer
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
+        # A sample is sought that lies between two: the filters shift by the rest.
+        shift = -self._part * period
+        tuning = np.stack([filters.cutoff, filters.lead, filters.speed_per_command, crossover])
         kernels = [
-            _kernels(
-                cutoff=float(filters.cutoff[j]),
-                lead=float(filters.lead[j]),
-                speed_per_command=float(filters.speed_per_command[j]),
-                crossover=float(crossover[j]),
-                period=period,
-                half=half,
-                # A sample is sought that lies between two: the filters shift by the rest.
-                shift=-self._part * period,
-            )
-            for j in range(self._joints)
+            _kernels(*joint, period=period, half=half, shift=shift) for joint in tuning.T.tolist()
         ]
         sign = np.asarray(direction, dtype=float)
         self._smoothing = np.array([kernel[0] for kernel in kernels]).T
@@ -173,11 +166,11 @@ class IterativeLearning:
 
 
 def _kernels(
-    *,
     cutoff: float,
     lead: float,
     speed_per_command: float,
     crossover: float,
+    *,
     period: float,
     half: int,
     shift: float,

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,7 +22,6 @@ IDEAL: Mapping[str, float] = {
     **dict.fromkeys(("sigma_0", "sigma_1", "viscous", "coulomb", "static"), 0.0),
     **dict.fromkeys(("stop_stiffness", "stop_damping"), 0.0),
 }
-_ENERGIES = CONTINUOUS_STATES[7:]
 
 
 def constant(value: float) -> Callable[[float], float]:
@@ -66,62 +64,24 @@ class Trace:
     """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units.
 
     Attributes:
-        time: At which positions, pressures, spool and energies hold.
-        velocity_time: At which `velocity` and `force` hold: MuJoCo's velocity lags half a step.
-        position: Of the piston.
-        velocity: Of the piston.
-        pressure_a: Cap side, gauge.
-        pressure_b: Rod side, gauge.
-        spool: Relative position.
-        force: Of the piston on the mass.
-        energies: Integrals since the start by name [J], plus "kinetic".
+        time: Of the states.
+        lag: By which velocity and force are older: half a step in MuJoCo.
+        states: By the names of the continuous model, and `force`, of the piston on the mass.
     """
 
     time: np.ndarray
-    velocity_time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    pressure_a: np.ndarray
-    pressure_b: np.ndarray
-    spool: np.ndarray
-    force: np.ndarray
-    energies: Mapping[str, np.ndarray]
+    lag: float = 0.0
+    states: Mapping[str, np.ndarray]
 
-    @classmethod
-    def of(
-        cls,
-        experiment: Experiment,
-        time: np.ndarray,
-        states: Mapping[str, np.ndarray],
-        force: np.ndarray,
-        lag: float = 0.0,
-    ) -> "Trace":
-        """The trace of states by the names of the continuous model; velocities lag by `lag` [s]."""
-        kinetic = 0.5 * experiment.mass * (states["velocity"] ** 2 - experiment.velocity**2)
-        return cls(
-            time=time,
-            velocity_time=time - lag,
-            spool=states["spool_position"],
-            force=force,
-            energies={**{name: states[name] for name in _ENERGIES}, "kinetic": kinetic},
-            **{n: states[n] for n in ("position", "velocity", "pressure_a", "pressure_b")},
-        )
-
-
-class Core:
-    """Functions of the C++ core, called by themselves."""
-
-    name = "core"
-
-    def native(self, **parameters: float) -> Any:
-        """The core's cylinder; `parameters` beside its size are nominal where not given."""
-        return Cylinder({**CYLINDER, **parameters}).native
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.states[name]
 
 
 class Continuous:
     """The continuous model under scipy's stiff Radau solver."""
 
-    name = "continuous"
+    def __str__(self) -> str:
+        return "continuous"
 
     def run(self, experiment: Experiment) -> Trace:
         """Integrates in steps of at most a fiftieth of the duration."""
@@ -153,13 +113,14 @@ class Continuous:
             t_eval=time,
             max_step=e.duration / 50,
         )
-        y = dict(zip(CONTINUOUS_STATES, solution.y, strict=True))
+        states = dict(zip(CONTINUOUS_STATES, solution.y, strict=True))
         if blocked:
-            force = cylinder.area_a * y["pressure_a"] - cylinder.area_b * y["pressure_b"]
+            pressures = states["pressure_a"], states["pressure_b"]
+            force = cylinder.area_a * pressures[0] - cylinder.area_b * pressures[1]
         else:
             rows = zip(time, solution.y.T, strict=True)
             force = np.array([e.mass * rate(t, row)[1] + e.load(t) for t, row in rows])
-        return Trace.of(e, time, y, force)
+        return Trace(time=time, states={**states, "force": force})
 
 
 def slide_model(
@@ -220,7 +181,9 @@ class Engine:
 
     def __init__(self, timestep: float) -> None:
         self.timestep = timestep
-        self.name = f"MuJoCo {timestep * 1e3:g} ms"
+
+    def __str__(self) -> str:
+        return f"MuJoCo {self.timestep * 1e3:g} ms"
 
     def run(self, experiment: Experiment) -> Trace:
         """Steps to the end of the experiment."""
@@ -232,7 +195,7 @@ class Engine:
         state[at["pressure_a"]], state[at["pressure_b"]] = e.pressures
         if e.ideal_spool:
             state[at["spool_position"]] = state[at["play_output"]] = e.command(0.0)
-        names = ("pressure_a", "pressure_b", "spool_position", *_ENERGIES)
+        names = ("pressure_a", "pressure_b", "spool_position", *CONTINUOUS_STATES[7:])
         columns = [at[name] for name in names]
         count = round(e.duration / h)
         rows = np.empty((count, 3 + len(columns)))
@@ -243,7 +206,7 @@ class Engine:
             rows[i, :3] = data.qpos[0], data.qvel[0], data.actuator_force[0]
             rows[i, 3:] = state[columns]
         states = dict(zip(("position", "velocity", "force", *names), rows.T, strict=True))
-        return Trace.of(e, h * np.arange(1, count + 1), states, states["force"], lag=0.5 * h)
+        return Trace(time=h * np.arange(1, count + 1), lag=0.5 * h, states=states)
 
 
 Solver = Continuous | Engine
