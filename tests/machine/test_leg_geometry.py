@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from leglab.machine.simulation import load_model
 from leglab.models import generate_meshes
 from leglab.models.linkage import JOINTS, cylinders, lever_rows, place, sample_poses
-from leglab.models.swap import FOLDER, load_with_motors
+from leglab.models.swap import FOLDER
 
 POSES = ("home", "stand", "swing", "squat")
 # Extending the cylinder turns the joint this way (leg.xml, header comment).
@@ -24,25 +25,14 @@ SHORTEST_LEVER = {
 }
 
 
-def load(name: str) -> mujoco.MjModel:
-    """Loads a model with its plugins where the library is there, else with motors."""
-    try:
-        from leglab.machine import plugin
-
-        plugin.load_plugin()
-    except (ImportError, OSError):
-        return load_with_motors(name)
-    return mujoco.MjModel.from_xml_path(str(FOLDER / f"{name}.xml"))
-
-
 @pytest.fixture(scope="module")
 def leg() -> mujoco.MjModel:
-    return load("leg")
+    return load_model("leg")
 
 
 @pytest.fixture(scope="module")
 def rail() -> mujoco.MjModel:
-    return load("leg_rail")
+    return load_model("leg_rail")
 
 
 def full_range(model: mujoco.MjModel) -> np.ndarray:
@@ -52,7 +42,7 @@ def full_range(model: mujoco.MjModel) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["leg", "leg_rail", "leg_motor"])
 def test_joints_actuators_and_step(name):
-    model = load(name)
+    model = load_model(name)
     expected = (["rail"] if name == "leg_rail" else []) + list(JOINTS)
     assert [model.joint(i).name for i in range(model.njnt)] == expected
     assert [model.actuator(i).name for i in range(model.nu)] == [f"{j}_valve" for j in JOINTS]
@@ -188,7 +178,7 @@ def test_rail_keyframes_put_the_foot_flat(rail, pose):
 
 @pytest.mark.parametrize("name", ["leg_rail", "leg_motor"])
 def test_variants_share_the_leg(leg, name):
-    other = load(name)
+    other = load_model(name)
     for i in range(leg.nbody):
         body, twin = leg.body(i), other.body(leg.body(i).name)
         for field in ("mass", "inertia", "ipos", "iquat", "quat"):
