@@ -17,6 +17,7 @@ from rigs import (
 )
 from rigs.agreement import open_loop_error
 from tests.helpers.patched_models import reloaded_error
+from tests.helpers.unpleasant import of_kinds
 
 RIGS = {r.model.stem: r for r in (MOTOR_ARM, SERVO_ARM, GANTRY, SERVO_JOINT)}
 KINDS = ("multisine", "fast", "slow", "stairs")
@@ -55,10 +56,7 @@ TWO = {
 
 
 def verdict(rig, hidden, seconds=4.0):
-    recordings = {
-        kind: record_linkage(rig, kind, Hidden(**hidden), seed=seed, seconds=seconds)
-        for seed, kind in enumerate(KINDS)
-    }
+    recordings = of_kinds(rig, Hidden(**hidden), KINDS, seconds=seconds)
     return diagnose(rig.model, recordings, held_out=("multisine",))
 
 

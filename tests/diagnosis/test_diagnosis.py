@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -25,9 +24,8 @@ from leglab.diagnosis.verdict.experiment import excitations, propose
 from leglab.diagnosis.verdict.output import write_diagnosis
 from leglab.diagnosis.verdict.verdict import diagnose
 from tests.helpers.patched_models import reloaded_error
+from tests.helpers.unpleasant import BENCH, of_bench
 
-FOLDER = Path(__file__).parents[1] / "data" / "diagnosis"
-NAMES = ("multisine", "slow", "walk")
 # Few effects keep the tests short; those of valve, seals, mechanics and sensing are among them.
 EFFECTS = ("valve_deadband", "valve_bias", "internal_leakage", "payload", "command_delay")
 DEADBAND = ("valve_deadband", "knee_valve")
@@ -35,24 +33,24 @@ DELAY = ("command_delay", "knee_valve")
 TRUE_LAP = 0.065  # truth.toml of d2
 
 
-def recordings(case):
-    return {name: data.read(FOLDER / f"{case}_{name}.parquet") for name in NAMES}
+def diagnosed(case, effects=EFFECTS, threads=1):
+    settings = DiagnosisSettings(effects=effects, threads=threads)
+    return diagnose("knee_bench", of_bench(case), held_out=("walk",), settings=settings)
+
+
+def problem_of(recordings, threads=1, **settings):
+    settings = DiagnosisSettings(effects=EFFECTS, threads=threads, **settings)
+    return set_up("knee_bench", recordings, ("walk",), settings)
 
 
 @pytest.fixture(scope="module")
 def deadband():
-    return diagnose(
-        "knee_bench",
-        recordings("d2"),
-        held_out=("walk",),
-        settings=DiagnosisSettings(effects=EFFECTS, threads=1),
-    )
+    return diagnosed("d2")
 
 
 @pytest.fixture(scope="module")
 def problem():
-    settings = DiagnosisSettings(effects=EFFECTS, threads=1)
-    return set_up("knee_bench", recordings("nominal"), ("walk",), settings)
+    return problem_of(of_bench("nominal"))
 
 
 def test_hidden_deadband_is_named_with_its_size(deadband):
@@ -95,22 +93,12 @@ def test_improved_model_runs_and_replays_as_the_fit(deadband, tmp_path):
 
 
 def test_same_seed_same_verdict(deadband):
-    again, _ = diagnose(
-        "knee_bench",
-        recordings("d2"),
-        held_out=("walk",),
-        settings=DiagnosisSettings(effects=EFFECTS, threads=2),
-    )
+    again, _ = diagnosed("d2", threads=2)
     assert again.to_json() == deadband[0].to_json()
 
 
 def test_nothing_is_missing_on_the_nominal_bench():
-    result, _ = diagnose(
-        "knee_bench",
-        recordings("nominal"),
-        held_out=("walk",),
-        settings=DiagnosisSettings(effects=EFFECTS, threads=1),
-    )
+    result, _ = diagnosed("nominal")
     assert result.verdict == "nothing_missing"
     assert result.effects == ()
     assert result.gap.after < 1.2
@@ -118,14 +106,7 @@ def test_nothing_is_missing_on_the_nominal_bench():
 
 @pytest.mark.slow("a second whole diagnosis")
 def test_an_effect_that_the_library_lacks_is_not_called_for_sure():
-    result, _ = diagnose(
-        "knee_bench",
-        recordings("d2"),
-        held_out=("walk",),
-        settings=DiagnosisSettings(
-            effects=("payload", "entrained_air", "command_delay"), threads=1
-        ),
-    )
+    result, _ = diagnosed("d2", ("payload", "entrained_air", "command_delay"))
     assert result.verdict == "unexplained"
     assert all(e.confidence < 0.5 for e in result.effects)
 
@@ -157,8 +138,7 @@ def test_every_effect_at_its_nominal_values_changes_nothing():
 
 def test_thresholds_can_be_varied(problem):
     shorter = replace(Thresholds(), window=0.2, robust_limit=1e9)
-    settings = DiagnosisSettings(effects=EFFECTS, threads=1, thresholds=shorter)
-    other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
+    other = problem_of(of_bench("nominal"), thresholds=shorter)
     assert (problem.replay.samples, other.replay.samples) == (300, 200)
     squares = np.mean(other.residual(Hypothesis()) ** 2, axis=1)
     np.testing.assert_array_equal(other.window_cost(Hypothesis()), squares)
@@ -177,42 +157,41 @@ def test_windows_before_an_onset_replay_without_the_effect(problem):
 
 
 def test_threads_do_not_change_a_bit(problem):
-    settings = DiagnosisSettings(effects=EFFECTS, threads=2)
-    other = set_up("knee_bench", recordings("nominal"), ("walk",), settings)
+    other = problem_of(of_bench("nominal"), threads=2)
     hypothesis = Hypothesis({DELAY: np.array([0.0035])})
     np.testing.assert_array_equal(problem.residual(hypothesis), other.residual(hypothesis))
 
 
 def test_held_out_recording_lies_within_the_others():
     machine = Machine("knee_bench")
-    assert held_out_choice(recordings("nominal"), machine) in (("multisine",), ("slow",))
+    assert held_out_choice(of_bench("nominal"), machine) in (("multisine",), ("slow",))
 
 
 def test_a_single_recording_keeps_its_end_for_the_judgement():
-    whole = {"walk.parquet": recordings("nominal")["walk"]}
+    whole = {"walk.parquet": of_bench("nominal")["walk"]}
     parts, held = split_held_out("knee_bench", whole, [])
     assert held == ("walk.parquet (end)",)
     assert sum(len(r) for r in parts.values()) == len(whole["walk.parquet"])
 
 
 def test_recordings_of_another_machine_list_both_sides():
-    stranger = {"a": recordings("nominal")["walk"].select(["knee_position"])}
+    stranger = {"a": of_bench("nominal")["walk"].select(["knee_position"])}
     with pytest.raises(LeglabError, match=r"knee_valve_command.*the recording has knee_position"):
         set_up("knee_bench", stranger, (), DiagnosisSettings())
 
 
 def test_unknown_held_out_recording_is_an_error():
     with pytest.raises(LeglabError, match="unknown recording 'trot'"):
-        split_held_out("knee_bench", recordings("nominal"), ["trot"])
+        split_held_out("knee_bench", of_bench("nominal"), ["trot"])
 
 
 def test_gaps_leave_out_windows_only(problem):
-    broken = recordings("nominal")
+    broken = of_bench("nominal")
     walk = broken["walk"]
     position = walk["knee_position"].copy()
     position[1000:1050] = np.nan
     broken["walk"] = walk.with_columns({"knee_position": position})
-    other = set_up("knee_bench", broken, ("walk",), DiagnosisSettings(effects=EFFECTS, threads=1))
+    other = problem_of(broken)
     lost = problem.replay.windows - other.replay.windows
     assert 1 <= lost <= 3
     assert other.window_cost(Hypothesis()).mean() < 1.3
@@ -243,7 +222,7 @@ def test_proposed_experiment_separates_the_rivals_better_than_another(problem):
 
 def test_degrees_and_bars_are_refused_with_a_hint():
     machine = Machine("knee_bench")
-    walk = recordings("nominal")["walk"]
+    walk = of_bench("nominal")["walk"]
     degrees = walk.with_columns({"knee_position": np.rad2deg(walk["knee_position"])})
     with pytest.raises(LeglabError, match=r"'knee_position' covers .* is it in degrees\?"):
         admit(machine, {"walk": degrees})
@@ -254,7 +233,7 @@ def test_degrees_and_bars_are_refused_with_a_hint():
 
 def test_saturation_and_gaps_are_noted():
     machine = Machine("knee_bench")
-    walk = recordings("nominal")["walk"]
+    walk = of_bench("nominal")["walk"]
     assert admit(machine, {"walk": walk}).notes == ()
     pressure = np.minimum(walk["knee_pressure_a"], np.quantile(walk["knee_pressure_a"], 0.9))
     position = walk["knee_position"].copy()
@@ -266,13 +245,13 @@ def test_saturation_and_gaps_are_noted():
 
 
 def test_too_short_recordings_are_refused():
-    short = {n: r.between(0.0, 0.25) for n, r in recordings("nominal").items()}
+    short = {n: r.between(0.0, 0.25) for n, r in of_bench("nominal").items()}
     with pytest.raises(LeglabError, match="no window of 0.3 s fits"):
         set_up("knee_bench", short, (), DiagnosisSettings())
 
 
 def test_a_column_map_renames_and_converts(tmp_path):
-    walk = recordings("nominal")["walk"]
+    walk = of_bench("nominal")["walk"]
     others = {name: walk[name] for name in walk.columns if name != "knee_position"}
     other = Recording(time=walk.time, columns={**others, "enc": np.rad2deg(walk["knee_position"])})
     data.write(other, tmp_path / "a.parquet")
@@ -287,7 +266,7 @@ def test_a_column_map_renames_and_converts(tmp_path):
 
 
 def test_command_line_writes_verdict_and_model(tmp_path, capsys):
-    files = [str(FOLDER / f"d2_{name}.parquet") for name in NAMES]
+    files = [str(BENCH / f"d2_{name}.parquet") for name in of_bench()]
     options = ["--held-out", "d2_walk", "--out", str(tmp_path / "out"), "--effect", "valve_bias"]
     main(["diagnose", "knee_bench", *files, *options, "--effect", "valve_deadband"])
     shown = capsys.readouterr().out
@@ -300,7 +279,7 @@ def test_command_line_writes_verdict_and_model(tmp_path, capsys):
 
 def test_without_pressures_a_late_command_and_a_late_sensor_are_one():
     settings = DiagnosisSettings(effects=("command_delay", "sensor_delay", "payload"), threads=1)
-    whole = recordings("nominal")
+    whole = of_bench("nominal")
     blind = {
         name: log.select([c for c in log.columns if "_pressure_" not in c])
         for name, log in whole.items()

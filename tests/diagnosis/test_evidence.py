@@ -15,7 +15,8 @@ from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.search.settle import Fitter
 from leglab.diagnosis.thresholds import BESIDE, FINE, SPREADS, WIDER
-from rigs import PENDULUM, Truth, record
+from rigs import PENDULUM, Truth
+from tests.helpers.unpleasant import of_kinds
 
 EFFECTS = ("force_offset", "viscous_friction", "payload", "armature", "encoder_offset")
 
@@ -23,11 +24,7 @@ EFFECTS = ("force_offset", "viscous_friction", "payload", "armature", "encoder_o
 @cache
 def evidence():
     """Of two recordings of a pendulum that has twice its friction, in a dozen windows."""
-    truth = Truth(viscous_factor=2.0)
-    logs = {
-        kind: record(PENDULUM, kind, truth, seed=i, seconds=2.0)
-        for i, kind in enumerate(("multisine", "fast"))
-    }
+    logs = of_kinds(PENDULUM, Truth(viscous_factor=2.0), ("multisine", "fast"), seconds=2.0)
     problem = set_up(PENDULUM.model, logs, (), DiagnosisSettings(effects=EFFECTS, threads=1))
     at = Errors(problem, Unknowns.of(problem.library), thinned(problem.fitted, 12))
     fitter = Fitter(at, Priors())

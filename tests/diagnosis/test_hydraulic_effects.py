@@ -44,12 +44,15 @@ def healthy():
     return record
 
 
+def problem_of(recordings, *effects):
+    settings = DiagnosisSettings(effects=effects or None, threads=1)
+    return set_up("knee_bench", recordings, (), settings)
+
+
 def replayed(recordings, key, values):
     """Mean square of the whitened errors without and with an effect at its true values."""
-    settings = DiagnosisSettings(effects=(key[0],), threads=1)
-    problem = set_up("knee_bench", recordings, (), settings)
     truth = Hypothesis({key: np.array(values)})
-    problem = problem.about(truth)
+    problem = problem_of(recordings, key[0]).about(truth)
     return (float(problem.window_cost(h).mean()) for h in (Hypothesis(), truth))
 
 
@@ -89,9 +92,7 @@ def test_friction_alike_in_both_directions_of_a_joint_is_that_of_its_cylinder(
 ):
     recordings = healthy(lambda plant: None)
     joint, seal = ("asymmetric_friction", "knee"), (simple, VALVE)
-    effects = joint[0], "viscous_friction", "coulomb_friction"
-    settings = DiagnosisSettings(effects=effects, threads=1)
-    problem = set_up("knee_bench", recordings, (), settings)
+    problem = problem_of(recordings, joint[0], "viscous_friction", "coulomb_friction")
     library = problem.library
     factor = library.as_simpler((joint, first), (seal, 0))
     both = np.zeros(4)
@@ -214,8 +215,7 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
         plant.tuning[VALVE, "play"] = 5e-4
 
     recordings = {"multisine": healthy(worn)["multisine"]}
-    settings = DiagnosisSettings(effects=("backlash",), threads=1)
-    problem = set_up("knee_bench", recordings, (), settings)
+    problem = problem_of(recordings, "backlash")
     key = "backlash", VALVE
     change = problem.library.change({key: np.array([5e-4])}, problem.replay.machine)
     moments = [at for _, at, _ in problem.replay.along(change, problem.fitted)]
@@ -239,7 +239,7 @@ def test_a_piston_is_found_on_the_flank_that_it_presses(healthy):
 def test_a_play_passes_the_forces_of_its_piston_on(healthy):
     """Along the measured motion, and where dry friction rests: a flank's first step is none."""
     recordings = {"steps": healthy(lambda plant: None)["steps"]}
-    problem = set_up("knee_bench", recordings, (), DiagnosisSettings(threads=1))
+    problem = problem_of(recordings)
     key = "backlash", VALVE
     tight, loose = (
         problem.replay.lacking(problem.library.change(h, problem.replay.machine), None)

@@ -1,13 +1,12 @@
 """improved.xml carries what was found, sensor and command faults included, and is read back."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from leglab import RunSettings, data, run_scenario
+from leglab import RunSettings, run_scenario
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import Machine
@@ -16,11 +15,10 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.sensors import EncoderFaults, PressureFaults
-from rigs import PENDULUM, Truth, record
+from rigs import PENDULUM, Truth
 from tests.helpers.patched_models import reloaded_error
+from tests.helpers.unpleasant import of_bench, of_kinds
 
-FOLDER = Path(__file__).parents[1] / "data" / "diagnosis"
-NAMES = ("multisine", "slow", "walk")
 FAULTS = {
     ("command_delay", "knee_valve"): np.array([0.0063]),
     ("encoder_offset", "knee"): np.array([0.03]),
@@ -32,14 +30,10 @@ FAULTS = {
 OFFSET = 0.05
 
 
-def recordings():
-    return {name: data.read(FOLDER / f"nominal_{name}.parquet") for name in NAMES}
-
-
 @pytest.fixture(scope="module")
 def problem():
     settings = DiagnosisSettings(effects=tuple(name for name, _ in FAULTS), threads=1)
-    return set_up("knee_bench", recordings(), ("walk",), settings)
+    return set_up("knee_bench", of_bench("nominal"), ("walk",), settings)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +41,7 @@ def shifted():
     """Verdict on recordings whose encoder has slipped."""
     slipped = {
         name: recording.with_columns({"knee_position": recording["knee_position"] + OFFSET})
-        for name, recording in recordings().items()
+        for name, recording in of_bench("nominal").items()
     }
     settings = DiagnosisSettings(effects=("encoder_offset", "valve_bias"), threads=1)
     return slipped, *diagnose("knee_bench", slipped, held_out=("walk",), settings=settings)
@@ -69,7 +63,7 @@ def test_a_patched_model_is_patched_once_more(problem, tmp_path):
     twice.mkdir()
     path = write_model(problem, Hypothesis(FAULTS), once)
     settings = DiagnosisSettings(effects=tuple(name for name, _ in FAULTS), threads=1)
-    again = set_up(path, recordings(), ("walk",), settings)
+    again = set_up(path, of_bench("nominal"), ("walk",), settings)
     # Whole samples: two linear interpolations are not one.
     whole = Hypothesis({**FAULTS, ("command_delay", "knee_valve"): np.array([0.006])})
     assert reloaded_error(again, whole, write_model(again, whole, twice)) < 0.05
@@ -171,10 +165,8 @@ def test_a_late_encoder_shows_what_was_between_samples():
 @pytest.mark.slow("whole diagnosis of a bench")
 def test_a_single_cause_without_a_name_is_doubted_and_learned():
     """A machine that is as its model but for one torque is no machine that differs everywhere."""
-    logs = {
-        kind: record(PENDULUM, kind, Truth(ripple=(0.4, 1.1, 0.5)), seed=i, seconds=4.0)
-        for i, kind in enumerate(("multisine", "fast", "slow"))
-    }
+    truth, kinds = Truth(ripple=(0.4, 1.1, 0.5)), ("multisine", "fast", "slow")
+    logs = of_kinds(PENDULUM, truth, kinds, seconds=4.0)
     known = ("viscous_friction", "coulomb_friction", "force_offset")
     settings = DiagnosisSettings(effects=known, threads=1)
     result, found = diagnose(PENDULUM.model, logs, held_out=("slow",), settings=settings)

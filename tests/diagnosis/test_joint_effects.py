@@ -186,14 +186,7 @@ def test_what_is_written_moves_as_what_was_fitted(machines):
         if change.corrections:
             continue  # a sensor fault leaves the motion alone
         wanted = replay(machine, change)
-        spec = machine.spec()
-        spec.option.timestep = machine.timestep
-        for _, edit in change.edits:
-            edit(spec)
-        for plugin in spec.plugins:
-            for (owner, key), value in change.parameters.items():
-                if owner == plugin.name:
-                    plugin.config = {**plugin.config, key: repr(value)}
+        spec = patched(machine, change)
         effect.write(spec, machine, element, values)
         model = mujoco.MjModel.from_xml_string(compiled_xml(spec))
         bare = Change(machine)
@@ -202,6 +195,19 @@ def test_what_is_written_moves_as_what_was_fitted(machines):
         where = f"{effect.name} of {element} on {name}"
         # MuJoCo writes some attributes with six digits.
         np.testing.assert_allclose(moved, wanted, atol=1e-5, err_msg=where)
+
+
+def patched(machine, change):
+    """The model with a change's edits and plugin parameters."""
+    spec = machine.spec()
+    spec.option.timestep = machine.timestep
+    for _, edit in change.edits:
+        edit(spec)
+    for plugin in spec.plugins:
+        for (owner, key), value in change.parameters.items():
+            if owner == plugin.name:
+                plugin.config = {**plugin.config, key: repr(value)}
+    return spec
 
 
 def compiled_xml(spec):
@@ -235,13 +241,7 @@ def test_command_faults_compose_on_one_actuator_and_with_a_play(machines):
     effects["backlash"].apply(change, "hinge", {"width": 0.05, "motor_inertia": 0.02})
     effects["command_deadband"].apply(change, "drive", {"dead_band": 0.2})
     effects["command_hysteresis"].apply(change, "drive", {"hysteresis": 0.3})
-    spec = machine.spec()
-    for _, edit in change.edits:
-        edit(spec)
-    for plugin in spec.plugins:
-        for (owner, key), value in change.parameters.items():
-            if owner == plugin.name:
-                plugin.config = {**plugin.config, key: repr(value)}
+    spec = patched(machine, change)
     effects["command_deadband"].write(spec, machine, "drive", {"dead_band": 0.2})
     effects["command_hysteresis"].write(spec, machine, "drive", {"hysteresis": 0.3})
     paths = [p for p in spec.plugins if p.plugin_name == "leglab.command_path"]

@@ -168,19 +168,10 @@ def test_nothing_is_missing_of_a_machine_within_its_tolerances(number):
 
 
 def outcome(kind, hidden, named, **fields):
-    given = {
-        "alternatives": ((),) if named else (),
-        "verdict": "named",
-        "confidence": (1.0,) if named else (),
-        "onsets": (),
-        "before": 2.0,
-        "after": 1.0,
-        "seconds": 1.0,
-    }
-    one = given | fields
-    return Outcome(
-        kind=kind, number=0, hidden=hidden, severities=(), named=named, covered=(), **one
-    )
+    given = {"alternatives": ((),), "confidence": (1.0,)} if named else {}
+    given = {"alternatives": (), "confidence": (), "verdict": "named", "onsets": ()} | given
+    given |= {"severities": (), "covered": (), "before": 2.0, "after": 1.0, "seconds": 1.0}
+    return Outcome(kind=kind, number=0, hidden=hidden, named=named, **given | fields)
 
 
 @pytest.mark.parametrize(
@@ -373,16 +364,13 @@ def test_a_wrong_name_given_with_confidence_is_no_doubt(confidence, said, honest
 
 
 def test_a_wrong_name_of_a_single_fault_counts_as_wrong():
-    rows = {
-        r[0]: r[1]
-        for r in scores([outcome("single", ("a",), ("b",), confidence=(0.2,), verdict="partial")])
-    }
+    seen = [
+        outcome(kind, hidden, ("b",), confidence=(0.2,), verdict="partial")
+        for kind, hidden in (("single", ("a",)), ("null", ()))
+    ]
+    rows = {row[0]: row[1] for row in scores(seen)}
     assert rows["single effect named first"] == "0 (0%)"
     assert rows["single effect named or in a set of 3"] == "0 (0%)"
-    rows = {
-        r[0]: r[1]
-        for r in scores([outcome("null", (), ("b",), confidence=(0.2,), verdict="partial")])
-    }
     assert rows["false alarms where nothing is hidden"] == "1 (100%)"
 
 

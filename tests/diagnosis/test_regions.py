@@ -7,7 +7,8 @@ from leglab.diagnosis.balance.regions import EVERYWHERE, worst_region
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import traces
-from rigs import MOTOR_ARM, Hidden, record_linkage
+from rigs import MOTOR_ARM, Hidden
+from tests.helpers.unpleasant import of_kinds
 
 RNG = np.random.default_rng(3)
 POSITION = RNG.uniform(-1.0, 1.0, 4000)
@@ -44,25 +45,20 @@ def test_a_smooth_slope_does_not_repeat():
     assert "repeating" not in worst_region(NOISE + POSITION**3 - POSITION, STATES)
 
 
+def problem_of(hidden):
+    recordings = of_kinds(MOTOR_ARM, hidden, ("multisine", "fast"), seconds=3.0)
+    return set_up(MOTOR_ARM.model, recordings, ("multisine",), DiagnosisSettings())
+
+
 def test_joints_of_a_right_model_are_off_by_noise():
     """Whatever the others do: their start states are uncertain together."""
-    recordings = {
-        kind: record_linkage(MOTOR_ARM, kind, Hidden(), seed=seed, seconds=3.0)
-        for seed, kind in enumerate(("multisine", "fast"))
-    }
-    problem = set_up(MOTOR_ARM.model, recordings, ("multisine",), DiagnosisSettings())
-    where = isolate(problem)
+    where = isolate(problem_of(Hidden()))
     assert len(where) == 2
     assert all(0.5 < w.level < 1.5 for w in where)
 
 
 def test_a_machine_without_pressures_has_a_place_joint_by_joint():
-    hidden = Hidden(quadratic=(0.0, 0.4))
-    recordings = {
-        kind: record_linkage(MOTOR_ARM, kind, hidden, seed=seed, seconds=3.0)
-        for seed, kind in enumerate(("multisine", "fast"))
-    }
-    problem = set_up(MOTOR_ARM.model, recordings, ("multisine",), DiagnosisSettings())
+    problem = problem_of(Hidden(quadratic=(0.0, 0.4)))
     where = isolate(problem)
     assert [w.residual for w in where] == ["motion", "motion"]
     assert where[0].element == "elbow"

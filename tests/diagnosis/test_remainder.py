@@ -27,9 +27,10 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
-from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record, record_linkage
+from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record
 from rigs.bench import FaultyBench, references
 from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
+from tests.helpers.unpleasant import of_kinds
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 # Effects that would name a ripple: the vocabulary is open here.
@@ -38,7 +39,7 @@ SETTINGS = DiagnosisSettings(excluded=EXCLUDED)
 
 
 def pendulum(truth, seconds=5.0):
-    return {k: record(PENDULUM, k, truth, seed=i, seconds=seconds) for i, k in enumerate(KINDS)}
+    return of_kinds(PENDULUM, truth, KINDS, seconds=seconds)
 
 
 # --- Forms, on balances made up here.
@@ -273,9 +274,7 @@ def test_a_part_is_the_same_in_python_and_in_a_model():
 @pytest.fixture(scope="module")
 def rippled():
     truth = Hidden(ripple=(0.4, 0.585, 1.0), viscous=(0.0, 0.0))
-    recordings = {
-        k: record_linkage(SERVO_JOINT, k, truth, seed=i, seconds=5.0) for i, k in enumerate(KINDS)
-    }
+    recordings = of_kinds(SERVO_JOINT, truth, KINDS, seconds=5.0)
     return improve(
         SERVO_JOINT.model, recordings, held_out=("fast",), effects=False, settings=SETTINGS
     )
@@ -326,10 +325,7 @@ def test_what_was_learned_is_not_learned_again(rippled, tmp_path):
     _, better = rippled
     path = better.write(tmp_path)
     truth = Hidden(ripple=(0.4, 0.585, 1.0))
-    recordings = {
-        k: record_linkage(SERVO_JOINT, k, truth, seed=10 + i, seconds=4.0)
-        for i, k in enumerate(KINDS)
-    }
+    recordings = of_kinds(SERVO_JOINT, truth, KINDS, seconds=4.0, first=10)
     result, again = improve(path, recordings, held_out=("slow",), effects=False, settings=SETTINGS)
     assert result.remainder is None
     assert again is None

@@ -8,19 +8,13 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.verdict.verdict import diagnose
 from rigs import PENDULUM, SLIDE_AXIS, Truth, record
 from rigs.agreement import open_loop_error
+from tests.helpers.unpleasant import of_kinds
 
 KINDS = ("multisine", "fast", "slow", "stairs")
 
 
-def recordings(rig, truth, seconds=6.0):
-    return {
-        kind: record(rig, kind, truth, seed=seed, seconds=seconds)
-        for seed, kind in enumerate(KINDS)
-    }
-
-
-def verdict(rig, truth, held_out):
-    return diagnose(rig.model, recordings(rig, truth), held_out=(held_out,))
+def verdict(rig, truth, held_out="multisine"):
+    return diagnose(rig.model, of_kinds(rig, truth, KINDS, seconds=6.0), held_out=(held_out,))
 
 
 def values(result):
@@ -30,14 +24,14 @@ def values(result):
 @pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_the_independent_simulator_agrees_with_the_nominal_models(rig):
     """Free of leglab altogether: the recorded command drives the bare model along the recording."""
-    quiet = recordings(rig, Truth(), seconds=1.0)["fast"]
+    quiet = record(rig, "fast", Truth(), seed=1, seconds=1.0)
     # MuJoCo's friction loss yields a little where the slide turns round.
     assert open_loop_error(rig.model, quiet, (rig.joint,), ("drive",)) < 1e-3 * rig.reach
 
 
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
-    result, found = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05), "multisine")
+    result, found = verdict(SLIDE_AXIS, Truth(forward=8.0, viscous_factor=1.05))
     assert result.verdict == "named"
     assert [effect.name for effect in result.effects] == ["asymmetric_friction"]
     assert "force_offset" not in result.effects[0].indistinguishable_from
@@ -53,14 +47,14 @@ def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
 
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_a_force_offset_of_the_same_axis_is_no_friction():
-    result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0), "multisine")
+    result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0))
     assert [effect.name for effect in result.effects] == ["force_offset"]
     assert values(result)["force"] == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_load_dependent_friction_of_a_pendulum_is_named():
-    result, _ = verdict(PENDULUM, Truth(gear_loss=0.15), "multisine")
+    result, _ = verdict(PENDULUM, Truth(gear_loss=0.15))
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
     assert values(result)["actuator"] == pytest.approx(0.15, rel=0.05)
     assert values(result)["bias"] == pytest.approx(0.0, abs=0.01)
@@ -69,7 +63,7 @@ def test_load_dependent_friction_of_a_pendulum_is_named():
 
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_backlash_of_a_pendulum_is_named():
-    result, _ = verdict(PENDULUM, Truth(play=0.03), "multisine")
+    result, _ = verdict(PENDULUM, Truth(play=0.03))
     assert [effect.name for effect in result.effects] == ["backlash"]
     assert values(result)["width"] == pytest.approx(0.03, rel=0.05)
     assert result.gap.closed_fraction > 0.9
@@ -80,7 +74,7 @@ def test_backlash_of_a_pendulum_is_named():
 )
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 def test_a_soft_gear_of_a_pendulum_is_named():
-    result, _ = verdict(PENDULUM, Truth(soft=(60.0, 0.3)), "multisine")
+    result, _ = verdict(PENDULUM, Truth(soft=(60.0, 0.3)))
     assert result.effects[0].name == "joint_flexibility"
     found = values(result)
     assert found["compliance"] == pytest.approx(1.0 / 60.0, rel=0.3)
@@ -91,13 +85,10 @@ def test_a_soft_gear_of_a_pendulum_is_named():
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 @pytest.mark.parametrize(
     ("rig", "size", "period", "second"),
-    [
-        (SLIDE_AXIS, 2.0, 0.031, 0.0),
-        (PENDULUM, 0.2, 0.9, 0.35),
-    ],
+    [(SLIDE_AXIS, 2.0, 0.031, 0.0), (PENDULUM, 0.2, 0.9, 0.35)],
 )
 def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, size, period, second):
-    result, _ = verdict(rig, Truth(ripple=(size, period, 0.7), second=second), "multisine")
+    result, _ = verdict(rig, Truth(ripple=(size, period, 0.7), second=second))
     assert [effect.name for effect in result.effects] == ["cogging"]
     found = values(result)
     assert found["period"] == pytest.approx(period, rel=0.03)
@@ -110,7 +101,7 @@ def test_a_force_that_repeats_with_the_position_is_named_with_its_period(rig, si
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
 @pytest.mark.parametrize("rig", [SLIDE_AXIS, PENDULUM])
 def test_a_good_machine_within_its_tolerance_lacks_nothing(rig):
-    result, _ = verdict(rig, Truth(viscous_factor=1.05), "multisine")
+    result, _ = verdict(rig, Truth(viscous_factor=1.05))
     assert result.verdict == "nothing_missing"
     assert result.effects == ()
 

@@ -10,9 +10,10 @@ from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.verdict import diagnose
-from rigs import PENDULUM, Truth, record
+from rigs import PENDULUM, Truth
 from rigs.rough_bench import exact_specimen, references
 from rigs.rough_bench import record as record_bench
+from tests.helpers.unpleasant import of_kinds
 
 # Of this regime `test_diagnosis_verdicts.py` has smaller ones.
 pytestmark = pytest.mark.slow("whole diagnoses of a rough rig")
@@ -34,11 +35,7 @@ HELD_OUT = "multisine"
 
 
 def recordings(kinds, seed, **fault):
-    truth = Truth(**ROUGH, **fault)
-    return {
-        kind: record(ROUGH_RIG, kind, truth, seed=seed + i, seconds=4.0)
-        for i, kind in enumerate(kinds)
-    }
+    return of_kinds(ROUGH_RIG, Truth(**ROUGH, **fault), kinds, seconds=4.0, first=seed)
 
 
 @pytest.fixture(scope="module")
@@ -198,15 +195,18 @@ def test_no_model_is_written_where_only_fitted_recordings_gain(ill, unlearned, m
     assert improve.improved_model(found) is None
 
 
-def test_seals_of_another_law_are_no_friction_by_direction():
-    """They creep where the model's bristles hold: a friction of the joint had stood in for that."""
-    seals = exact_specimen(3).changed(friction_law=1.0, tanh_speed=0.001, viscous=1400.0)
-    bench = replace(seals, position_noise=6e-5, pressure_noise=5e4)
+def of_exact_bench(**laws):
+    """Verdict on the bench of an exact specimen with other laws."""
+    bench = replace(exact_specimen(3).changed(**laws), position_noise=6e-5, pressure_noise=5e4)
     rng = np.random.default_rng(22)
     recorded = record_bench(bench, None, references(rng, 6.0), rng)
     settings = DiagnosisSettings(threads=1)
-    result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
-    (thick,) = result.effects
+    return diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)[0]
+
+
+def test_seals_of_another_law_are_no_friction_by_direction():
+    """They creep where the model's bristles hold: a friction of the joint had stood in for that."""
+    (thick,) = of_exact_bench(friction_law=1.0, tanh_speed=0.001, viscous=1400.0).effects
     assert thick.name == "viscous_friction"
     # Cold oil does nearly the same.
     assert set(thick.indistinguishable_from) <= {"oil_viscosity"}
@@ -214,12 +214,6 @@ def test_seals_of_another_law_are_no_friction_by_direction():
 
 def test_edges_ground_apart_and_a_return_line_under_pressure_are_no_fault_of_sensors():
     """They set the level of both pressures, of which offsets of their sensors had been made."""
-    bench = exact_specimen(3).changed(
-        lap_pa=0.018, lap_at=0.022, lap_pb=0.0185, lap_bt=0.0215, tank_pressure=1.5e5
-    )
-    bench = replace(bench, position_noise=6e-5, pressure_noise=5e4)
-    rng = np.random.default_rng(22)
-    recorded = record_bench(bench, None, references(rng, 6.0), rng)
-    settings = DiagnosisSettings(threads=1)
-    result, _ = diagnose("knee_bench", recorded, held_out=(HELD_OUT,), settings=settings)
+    laps = {"lap_pa": 0.018, "lap_at": 0.022, "lap_pb": 0.0185, "lap_bt": 0.0215}
+    result = of_exact_bench(**laps, tank_pressure=1.5e5)
     assert (result.verdict, result.effects) == ("nothing_missing", ())

@@ -1,7 +1,5 @@
 """Whole recordings simulated in closed loop: what the loop must add is what the model lacks."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,22 +7,18 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.diagnosis.verdict.whole import _gains, follow, whole_recording
-from rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth, record, record_linkage
+from rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth
+from tests.helpers.unpleasant import of_kinds, thinned
 
 OFFSET = ("force_offset", "axis")
 ENCODER = ("encoder_offset", "axis")
 
 
 def problem_of(rig, truth, *, lost=None, **settings):
-    recordings = {
-        kind: record(rig, kind, truth, seed=seed, seconds=6.0)
-        for seed, kind in enumerate(("multisine", "slow"))
-    }
+    recordings = of_kinds(rig, truth, ("multisine", "slow"), seconds=6.0)
     if lost is not None:
         one = recordings["multisine"]
-        kept = (one.time < lost[0]) | (one.time > lost[1])
-        columns = {name: samples[kept] for name, samples in one.columns.items()}
-        recordings["multisine"] = replace(one, time=one.time[kept], columns=columns)
+        recordings["multisine"] = thinned(one, (one.time < lost[0]) | (one.time > lost[1]))
     return set_up(rig.model, recordings, ("multisine",), DiagnosisSettings(**settings))
 
 
@@ -89,7 +83,7 @@ def test_it_begins_after_an_onset(pushed):
 )
 def test_the_loop_leads_where_commands_set_forces_and_not_where_they_set_positions(rig, lead):
     if rig is SERVO_JOINT:
-        recordings = {"fast": record_linkage(rig, "fast", Hidden(), seed=0, seconds=6.0)}
+        recordings = of_kinds(rig, Hidden(), ("fast",), seconds=6.0)
         problem = set_up(rig.model, recordings, (), DiagnosisSettings())
     else:
         problem = problem_of(rig, Truth())
@@ -105,10 +99,8 @@ def test_the_loop_leads_where_commands_set_forces_and_not_where_they_set_positio
 
 
 def test_one_effect_alone_may_be_asked_for():
-    recordings = {
-        kind: record(SLIDE_AXIS, kind, Truth(forward=8.0, offset=2.0), seed=seed, seconds=4.0)
-        for seed, kind in enumerate(("multisine", "fast", "slow"))
-    }
+    truth, kinds = Truth(forward=8.0, offset=2.0), ("multisine", "fast", "slow")
+    recordings = of_kinds(SLIDE_AXIS, truth, kinds, seconds=4.0)
     settings = DiagnosisSettings(effects=("force_offset",))
     result, _ = diagnose(SLIDE_AXIS.model, recordings, held_out=("multisine",), settings=settings)
     assert {e.name for e in (*result.effects, *result.smaller)} <= {"force_offset"}

@@ -17,7 +17,7 @@ from leglab import data
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.recordings import read_recordings
 from leglab.diagnosis.verdict.verdict import diagnose
-from rigs import PENDULUM, SLIDE_AXIS, Truth, record
+from rigs import PENDULUM, SLIDE_AXIS, Hidden, Truth, record, record_linkage
 from rigs.simulator import Rig
 
 KINDS = ("multisine", "fast", "slow", "stairs")
@@ -134,9 +134,15 @@ def wrapped_wheel_of(turn: float) -> dict[str, Recording]:
     return {n: wrapped(r, "hinge_position", turn) for n, r in wheel().items()}
 
 
-def of_bench() -> dict[str, Recording]:
-    """Recordings of the hydraulic bench with a hidden deadband."""
-    return {n: data.read(BENCH / f"d2_{n}.parquet") for n in ("multisine", "slow", "walk")}
+def of_bench(case="d2") -> dict[str, Recording]:
+    """Recordings of the hydraulic bench: "nominal", or "d2" with a hidden deadband."""
+    return {n: data.read(BENCH / f"{case}_{n}.parquet") for n in ("multisine", "slow", "walk")}
+
+
+def of_kinds(rig, truth, kinds, *, seconds: float, first: int = 0) -> dict[str, Recording]:
+    """Recordings of a rig or linkage by kind of motion, each with a seed of its own."""
+    of = record_linkage if isinstance(truth, Hidden) else record
+    return {k: of(rig, k, truth, seed=first + i, seconds=seconds) for i, k in enumerate(kinds)}
 
 
 def on_axis(what: str, recordings: Mapping[str, Recording], held_out="multisine") -> Spoiled:
