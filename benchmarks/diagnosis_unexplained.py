@@ -80,11 +80,19 @@ class Case:
     recordings: Mapping[str, Recording]  #: By name
     held: str  #: The recording that no fit sees
     hidden: str  #: What is hidden, in words
-    left_out: tuple[str, ...]  #: Effects that are not looked for
     joint: str  #: That is followed
     drive: str  #: Of the joint
     loop: tuple[float, float]  #: Command by error and by its rate
-    unit: tuple[float, str]  #: Of the joint, with the factor from SI
+    left_out: tuple[str, ...] = ()  #: Effects that are not looked for
+    unit: tuple[float, str] = (1e3, "mrad")  #: Of the joint, with the factor from SI
+
+
+# Model, the joint that is followed, its drive, and the loop that corrects it.
+_PENDULUM = {"model": str(PENDULUM.model), "joint": "hinge", "drive": "drive", "loop": (1.0, 0.1)}
+# A positive command bends the knee back.
+_KNEE = {"model": "knee_bench", "joint": "knee", "drive": "knee_valve", "loop": (-0.5, 0.0)}
+# 3.3 rad/s, well damped, of 95 kg.
+_EMPS = {"model": str(EMPS_MODEL), "joint": "slide", "drive": "drive", "loop": (2100.0, 1300.0)}
 
 
 def known(name: str) -> str:
@@ -107,7 +115,7 @@ def case(name: str) -> Case:
         logs = read_recordings(sorted(shared_data("rough_bench/e0").glob("*.parquet")))
         logs, (held, *_) = split_held_out("knee_bench", logs, [])
         hidden = "its own laws and parameters, no fault; no healthy recordings"
-        return _knee(logs, held, hidden, ())
+        return Case(recordings=logs, held=held, hidden=hidden, **_KNEE)
     if name == "torque":
         rng, plant = np.random.default_rng(7), FaultyBench()
         motions = references(rng, duration=8.0)
@@ -117,58 +125,28 @@ def case(name: str) -> Case:
         logs = {name: plant.record(motion, rng) for name, motion in motions.items()}
         logs, (held, *_) = split_held_out("knee_bench", logs, [])
         hidden = f"{force:.1f} N m every {period:.2f} rad, not looked for"
-        return _knee(logs, held, hidden, EXCLUDED)
+        return Case(recordings=logs, held=held, hidden=hidden, left_out=EXCLUDED, **_KNEE)
     if name == "EMPS":
         return Case(
-            model=str(EMPS_MODEL),
             recordings=emps(),
             held=EMPS_HELD_OUT,
             hidden="a measured axis; friction by direction not looked for",
             left_out=("asymmetric_friction",),
-            joint="slide",
-            drive="drive",
-            loop=(2100.0, 1300.0),  # 3.3 rad/s, well damped, of 95 kg
             unit=(1e3, "mm"),
+            **_EMPS,
         )
     if name == "ripple":
         ripple = drawn(1.8, 0.15, 1.0)
         kinds = enumerate(("multisine", "fast", "slow", "stairs"))
         logs = {k: record(PENDULUM, k, Truth(ripple=ripple), seed=i) for i, k in kinds}
         hidden = f"{ripple[0]:.2f} N m every {ripple[1]:.2f} rad, not looked for"
-        return _pendulum(logs, hidden, EXCLUDED)
+        return Case(recordings=logs, held="slow", hidden=hidden, left_out=EXCLUDED, **_PENDULUM)
     logs = {
         kind: record(PENDULUM, kind, Truth(), seed=i, seconds=4.0)
         for i, kind in enumerate(("multisine", "fast", "slow"))
     }
-    return _pendulum(logs, "nothing: a pendulum as its model", ())
-
-
-def _pendulum(logs: Mapping[str, Recording], hidden: str, left_out: tuple[str, ...]) -> Case:
-    return Case(
-        model=str(PENDULUM.model),
-        recordings=logs,
-        held="slow",
-        hidden=hidden,
-        left_out=left_out,
-        joint="hinge",
-        drive="drive",
-        loop=(1.0, 0.1),
-        unit=(1e3, "mrad"),
-    )
-
-
-def _knee(logs: Mapping[str, Recording], held: str, hidden: str, left_out: tuple[str, ...]) -> Case:
-    return Case(
-        model="knee_bench",
-        recordings=logs,
-        held=held,
-        hidden=hidden,
-        left_out=left_out,
-        joint="knee",
-        drive="knee_valve",
-        loop=(-0.5, 0.0),  # a positive command bends the knee back
-        unit=(1e3, "mrad"),
-    )
+    hidden = "nothing: a pendulum as its model"
+    return Case(recordings=logs, held="slow", hidden=hidden, **_PENDULUM)
 
 
 CASES = ("e0", "torque", "ripple", "EMPS", "nothing")

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_coeffs
 
-from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
 from leglab.base.scale import deviation
 from leglab.diagnosis.intake.series import UniformSeries, common_period, readings_change
@@ -36,19 +35,9 @@ def channels(
 ) -> tuple[Channel, ...]:
     """Measured outputs that all recordings share: positions, then chamber pressures.
 
-    Raises:
-        RecordingError: A joint's position or an actuator's command is missing; lists both sides.
+    `admit` has seen to it that none lacks a position or a command.
     """
     shared = set.intersection(*(set(r.columns) for r in recordings.values()))
-    missing = [column for column in machine.columns if column not in shared]
-    if missing:
-        raise RecordingError(
-            f"the recordings have no column {', '.join(map(repr, missing))}: the model needs "
-            f"{', '.join(machine.columns)}; all recordings have {', '.join(sorted(shared))}. "
-            "Measured under other names? Give --columns FILE, a column map",
-            given=sorted(shared),
-            allowed=machine.columns,
-        )
     period = common_period(recordings, thresholds)
     position = _filter(thresholds.position_filter, period)
     pressure = _filter(thresholds.pressure_filter, period)

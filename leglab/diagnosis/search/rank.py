@@ -50,10 +50,6 @@ class Compared:
             self._made.pop(next(iter(self._made)))
         return made
 
-    def own(self, fit: Fit, kappa: float) -> Evidence:
-        """At the point of a fit, with its own pattern of errors and weights."""
-        return self.evidence(fit, fit.spread, fit, kappa)
-
     def score(self, fit: Fit, at: Fit, spread: Spread, by: Fit, kappa: float) -> Score:
         """Of a set at the point of a fit; other arguments as of `evidence`."""
         key = fit.members, at.columns, spread, by, kappa

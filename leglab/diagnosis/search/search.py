@@ -124,8 +124,9 @@ def search(
     compared, erring = Compared(fitter), fits[0]
     unexplained = fitter.rms(errors)
 
-    def needed(fit: Fit, there: Evidence) -> bool:
-        """Whether no other fitted set does as well there without some of the members."""
+    def needed(fit: Fit, there: Evidence | None = None) -> bool:
+        """Whether no other fitted set does as well there, or at its own fit, with fewer members."""
+        there = there or compared.evidence(fit, fit.spread, fit, kappa)
         less = without_idle(there, there.score([(q, None) for q in fit.members]), 0.0)
         names = u.names(less.unknowns)
         return names == fit.keys or all(names != f.keys for f in fits)
@@ -162,8 +163,7 @@ def search(
         ]
         most = thresholds.HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
-        fresh = (f for f in open_ if f not in ended)
-        begun = next((f for f in fresh if needed(f, compared.own(f, kappa))), None)
+        begun = next((f for f in open_ if f not in ended and needed(f)), None)
         if begun is not None:
             # From where it is, or from where what leaves least is: whichever leaves less.
             where = [begun, *([least_left.fit] if least_left.fit.finished else [])]
