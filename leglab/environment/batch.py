@@ -30,7 +30,7 @@ from leglab.control.feedforward.adaptive import FeedforwardTeam
 from leglab.control.torque import TorqueLoop
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
-from leglab.environment.observations import flat_scale, observation_scales
+from leglab.environment.observations import Scale, flat_scale, observation_scales
 from leglab.environment.plan import Plan, checked_action
 from leglab.environment.rewards import Transition
 from leglab.machine.sensors import loop_timing, velocity_filter_coefficient
@@ -112,10 +112,10 @@ class Batch:
         self._raw = np.zeros((self.count, sum(sizes.values())), dtype=np.float32)
         self.observation = self._raw
         self.limits = np.full(self._raw.shape[1], np.inf, dtype=np.float32)
-        self._offset: np.ndarray | None = None
+        self._scaled: Scale | None = None
         if plan.normalize:
-            scales = observation_scales(preparation)
-            self._offset, self._unit, self.limits = flat_scale(scales, sizes)
+            self._scaled = flat_scale(observation_scales(preparation), sizes)
+            self.limits = np.asarray(self._scaled.limit)
         slots = [nominal.slots(name) for name in ("pressure_a", "pressure_b")]
         timing = loop_timing(sensors, nominal.model.opt.timestep)
         gain = velocity_filter_coefficient(self.period, sensors.velocity_cutoff) / self.period
@@ -406,10 +406,8 @@ class Batch:
             else:  # where a simulation blew up, the last observation stays
                 columns[fine] = part[fine]
             start += joints
-        if self._offset is not None:
-            self.observation = ((self._raw - self._offset) / self._unit).clip(
-                -self.limits, self.limits
-            )
+        if self._scaled is not None:
+            self.observation = self._scaled(self._raw)
 
     def _sizes(self, hydraulic: int) -> dict[str, int]:
         """Numbers of each part of an observation, in their order."""

@@ -21,12 +21,12 @@ class Scale:
     Attributes:
         offset: In the unit of the part, float32, (size,) or () for all alike.
         unit: Value above the offset that becomes 1, as offset.
-        limit: [1].
+        limit: [1], as offset.
     """
 
     offset: np.ndarray
     unit: np.ndarray
-    limit: float
+    limit: np.ndarray | float
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Scales values in SI units, (..., size); float32, in which a batch reckons as well."""
@@ -68,15 +68,16 @@ def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
     }
 
 
-def flat_scale(scales: Mapping[str, Scale], sizes: Mapping[str, int]) -> tuple[np.ndarray, ...]:
-    """Offsets, units and limits of an observation that is one array, float32, (size,) each.
+def flat_scale(scales: Mapping[str, Scale], sizes: Mapping[str, int]) -> Scale:
+    """The scale of an observation that is one array.
 
     Args:
         scales: By part.
         sizes: Numbers of each part, in the order of the observation.
     """
-    rows = []
-    for name, size in sizes.items():
-        scale = scales[name]
-        rows.append([np.resize(v, size) for v in (scale.offset, scale.unit, scale.limit)])
-    return tuple(np.concatenate(part).astype(np.float32) for part in zip(*rows, strict=True))
+
+    def joined(field: str) -> np.ndarray:
+        rows = [np.resize(getattr(scales[name], field), size) for name, size in sizes.items()]
+        return np.concatenate(rows).astype(np.float32)
+
+    return Scale(offset=joined("offset"), unit=joined("unit"), limit=joined("limit"))

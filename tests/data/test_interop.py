@@ -73,28 +73,19 @@ def example(rows=200):
     )
 
 
+@pytest.mark.parametrize("suffix", ["parquet", "mat", "npz"])
 @settings(max_examples=60, deadline=None)
-@given(recording=recordings())
-def test_matlab_keeps_every_bit(recording, tmp_path_factory):
-    path = tmp_path_factory.getbasetemp() / "any.mat"
-    data.write(recording, path)
-    read = data.read(path, repair=False)
-    assert bits(read) == bits(recording)
-    assert list(read.columns) == list(recording.columns)
-    assert dict(read.metadata) == dict(recording.metadata)
-
-
-@settings(max_examples=60, deadline=None)
-@given(recording=recordings(metadata=st.just({})))
-def test_time_series_keeps_every_bit(recording, tmp_path_factory):
-    path = tmp_path_factory.getbasetemp() / "any.npz"
-    data.write(recording, path)
-    for read in (
-        data.read(path, repair=False),
-        data.from_time_series(data.to_time_series(recording)),
-    ):
+@given(drawn=st.data())
+def test_every_bit_survives(suffix, drawn, tmp_path_factory):
+    recording = drawn.draw(recordings(metadata=st.just({}) if suffix == "npz" else METADATA))
+    path = data.write(recording, tmp_path_factory.getbasetemp() / f"any.{suffix}")
+    found = [data.read(path, repair=False)]
+    if suffix == "npz":
+        found.append(data.from_time_series(data.to_time_series(recording)))
+    for read in found:
         assert bits(read) == bits(recording)
         assert list(read.columns) == list(recording.columns)
+        assert dict(read.metadata) == dict(recording.metadata)
 
 
 ONE_LINE = st.text(st.sampled_from("abXY12"), min_size=1, max_size=4)
