@@ -69,6 +69,7 @@ class Problem:
         self.u_test, self.y_test = (
             (s - c) / r for s, (c, r) in zip(self.raw_test, pairs, strict=True)
         )
+        self.learned = self.regressors(self.u, self.y), self.y[LAGS:]
 
     def regressors(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Rows for t = 3 .. n-1."""
@@ -106,7 +107,7 @@ class Problem:
 
 
 def numpy_rls(problem: Problem) -> Result:
-    rows, targets = problem.regressors(problem.u, problem.y), problem.y[LAGS:]
+    rows, targets = problem.learned
 
     def learn() -> np.ndarray:
         theta, gain = np.zeros(rows.shape[1]), INITIAL_GAIN * np.eye(rows.shape[1])
@@ -121,12 +122,12 @@ def numpy_rls(problem: Problem) -> Result:
 
 
 def scipy_batch(problem: Problem) -> Result:
-    rows, targets = problem.regressors(problem.u, problem.y), problem.y[LAGS:]
+    rows, targets = problem.learned
     return problem.linear(*best_time(lambda: scipy.linalg.lstsq(rows, targets)[0], len(rows)))
 
 
 def padasip_filter(problem: Problem, make: Callable[[int], object]) -> Result:
-    rows, targets = problem.regressors(problem.u, problem.y), problem.y[LAGS:]
+    rows, targets = problem.learned
 
     def learn() -> np.ndarray:
         adaptive = make(rows.shape[1])
@@ -141,7 +142,7 @@ def river_regression(problem: Problem) -> Result:
     """Bayesian linear regression: with the prior 1/F(0) it is RLS without forgetting."""
     from river.linear_model import BayesianLinearRegression
 
-    rows, targets = problem.regressors(problem.u, problem.y), problem.y[LAGS:]
+    rows, targets = problem.learned
     names = [f"x{i}" for i in range(rows.shape[1])]
     samples = [dict(zip(names, row, strict=True)) for row in rows.tolist()]
 
@@ -252,15 +253,14 @@ def compare(problem: Problem, linear: Callable, full: Callable) -> dict[str, Res
     filters, frols = (
         f"{name} {metadata.version(name.lower())}" for name in ("padasip", "SysIdentPy")
     )
-    found = {}
+    models = {"ARX + constant": linear, "deployed": full}
     if problem.data.name != "Silverbox":  # its ranges are those of the paper's experiment
-        found["leglab, paper's BSNN-ARX, array"] = ours(problem, paper_model)
-        found["leglab, paper's BSNN-ARX, single calls"] = ours(problem, paper_model, single=True)
+        models = {"paper's BSNN-ARX": paper_model, **models}
+    found = {}
+    for name, make in models.items():
+        found[f"leglab, {name}, array"] = ours(problem, make)
+        found[f"leglab, {name}, single calls"] = ours(problem, make, single=True)
     return found | {
-        "leglab, ARX + constant, array": ours(problem, linear),
-        "leglab, ARX + constant, single calls": ours(problem, linear, single=True),
-        "leglab, deployed, array": ours(problem, full),
-        "leglab, deployed, single calls": ours(problem, full, single=True),
         f"{filters} RLS": padasip_filter(
             problem, lambda n: padasip.filters.FilterRLS(n, mu=1.0, eps=1 / INITIAL_GAIN, w="zeros")
         ),

@@ -58,11 +58,9 @@ def _effective_masses(simulation: Simulation) -> np.ndarray:
 
 def inertia_matrix(simulation: Simulation) -> np.ndarray:
     """Joint-space inertia in the present pose [kg m^2 and alike], (nv, nv)."""
-    model, data = simulation.model, simulation.data
-    columns, unit = np.zeros((model.nv, model.nv)), np.eye(model.nv)
-    for i in range(model.nv):
-        mujoco.mj_mulM(model, data, columns[i], unit[i])
-    return columns
+    inertia = np.zeros((simulation.model.nv, simulation.model.nv))
+    mujoco.mj_fullM(simulation.model, simulation.data, inertia)
+    return inertia
 
 
 class NominalDynamics:

@@ -5,7 +5,6 @@ Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.commissioning.calibration import drive_signs, free_inertia, native_speed_limit
-from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile
+from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile, Row
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
@@ -59,25 +58,6 @@ NATIVE_SPEEDS = (-0.5, -0.1, 0.1, 0.5)
 _MOST_POSITION, _MOST_VELOCITY = 50.0, 0.2
 _INDEX = {name: i for i, name in enumerate(CONTINUOUS_STATES)}
 _STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gains:
-    """Proportional-derivative gains of one joint, with the margins they keep.
-
-    Attributes:
-        position: Valve command per position error [1/rad].
-        velocity: Valve command per velocity error [s/rad].
-        gain_margin_db: Smallest gain margin over the operating points [dB].
-        phase_margin_deg: Smallest phase margin [deg].
-        crossover: Smallest gain crossover frequency [rad/s].
-    """
-
-    position: float
-    velocity: float
-    gain_margin_db: float
-    phase_margin_deg: float
-    crossover: float
 
 
 def joint_plant(
@@ -308,7 +288,7 @@ def _most_gains(
     return fastest**2 * per_push, fastest * per_push
 
 
-def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) -> Gains:
+def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) -> Row:
     """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
 
     Margins are those of the sampled loop, with hold, latency and velocity filter, at every pose
@@ -318,6 +298,11 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
         simulation: The nominal machine at rest, which is left in its pose.
         joint: Index of the joint.
         sensors: Control period, latency and velocity filter of the loop.
+
+    Returns:
+        `position` and `velocity`, valve command per position error [1/rad] and per velocity error
+        [s/rad], with the least `gain_margin_db`, `phase_margin_deg` and `crossover` [rad/s] over
+        the operating points.
     """
     most_position, most_velocity = _most_gains(simulation, joint, sensors)
     period = sensors.control_period
@@ -327,13 +312,10 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
     alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 
-    def margins(kp: float, kv: float) -> tuple[float, float, float]:
-        worst = [math.inf, math.inf, math.inf]
-        for plant in responses:
-            loop = plant * (kp + kv * derivative)
-            found = stability_margins(loop, frequencies)
-            worst = [min(a, b) for a, b in zip(worst, found, strict=True)]
-        return worst[0], worst[1], worst[2]
+    def margins(kp: float, kv: float) -> list[float]:
+        law = kp + kv * derivative
+        found = [stability_margins(plant * law, frequencies) for plant in responses]
+        return np.min([(math.inf,) * 3, *found], axis=0).tolist()
 
     def greatest(kv: float) -> float:
         low, high = 0.0, most_position
@@ -349,10 +331,7 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
     best = max((greatest(kv), -kv) for kv in np.linspace(0.0, most_velocity, 41))
     kp, kv = _round_down(best[0]), -float(best[1])
     kv = _round_down(kv) if simulation.actuators[joint] in simulation.native else round(kv, 4)
-    gain, phase, crossover = margins(kp, kv)
-    return Gains(
-        position=kp, velocity=kv, gain_margin_db=gain, phase_margin_deg=phase, crossover=crossover
-    )
+    return dict(zip(PD.formats, (kp, kv, *margins(kp, kv)), strict=True))
 
 
 def stability_margins(
@@ -415,7 +394,7 @@ def tuned_tables(
             progress(done, total, f"tuning {model}, {joint}")
             done += 1
             machine.reset()
-            rows.append(asdict(tune(machine, i, sensors=sensors)))
+            rows.append(tune(machine, i, sensors=sensors))
         found[model] = PD.table(machine, sensors, rows)
     return found
 
@@ -434,5 +413,5 @@ def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tu
     for joint in range(len(simulation.joints)):
         simulation.reset()
         gains = tune(simulation, joint, sensors=sensors)
-        result.append((gains.position, gains.velocity))
+        result.append((gains["position"], gains["velocity"]))
     return result

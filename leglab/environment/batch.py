@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from leglab._native.batch import Batch as Core
+from leglab._native.identification import Team
 from leglab.base.errors import ModelError, SettingsError
 from leglab.control import (
     Controller,
@@ -26,7 +27,7 @@ from leglab.control import (
     make_controller,
 )
 from leglab.control.contract import CONTROLLERS, diagnostics_of
-from leglab.control.feedforward.adaptive import FeedforwardTeam
+from leglab.control.feedforward.adaptive import step_together
 from leglab.control.torque import TorqueLoop
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.environment.episodes import Episode, Episodes
@@ -294,7 +295,7 @@ class Batch:
     def _begin_controller(self, preparation: Preparation, threads: int) -> None:
         """Makes one controller for all machines, where the controller can be shared."""
         self._shared: Controller | None = None
-        self._team: FeedforwardTeam | None = None
+        self._team: Team | None = None
         self._feedforward = False
         if self._scale is None:
             return
@@ -320,7 +321,7 @@ class Batch:
             kind = type(probe.controller)
             # Its control period is the compiled core's, unless somebody gave it another.
             if issubclass(kind, AdaptiveController) and kind.command is AdaptiveController.command:
-                self._team = FeedforwardTeam(threads)
+                self._team = Team(threads)
                 self._adaptive: dict[int, AdaptiveController] = {}
                 self._looks = kind.look is not AdaptiveController.look
             probe.close()
@@ -356,7 +357,7 @@ class Batch:
             if self._feedforward:
                 self._forward[i] = diagnostics_of(controller)["feedforward"]
 
-    def _command_of_team(self, team: FeedforwardTeam, chosen: np.ndarray, first: bool) -> None:
+    def _command_of_team(self, team: Team, chosen: np.ndarray, first: bool) -> None:
         """The same of controllers that are compiled, in threads."""
         time = self.time
         if first:
@@ -373,9 +374,8 @@ class Batch:
                 controller.look(now)
         motion, out = (self.position, self.velocity), (self._wish, self._forward)
         learning = [controller.adaptation for controller in members]
-        team.step(
-            learning, chosen, self.command, (time, *motion, self._pressure), self.reference, out
-        )
+        measured = time, *motion, self._pressure
+        step_together(team, learning, chosen, self.command, measured, self.reference, out)
 
     @cached_property
     def _views(self) -> list[_View]:

@@ -193,9 +193,9 @@ def test_tuned_gains_have_the_gain_margin_that_they_state(tmp_path):
     """A little within its margin the loop is stable, a little beyond it it oscillates."""
     path = hinge(tmp_path)
     gains = tune(Simulation(load_model(path)), 0, sensors=SensorConfiguration())
-    assert gains.gain_margin_db >= 6.0
-    assert gains.phase_margin_deg >= 45.0
-    margin = 10 ** (gains.gain_margin_db / 20)
+    assert gains["gain_margin_db"] >= 6.0
+    assert gains["phase_margin_deg"] >= 45.0
+    margin = 10 ** (gains["gain_margin_db"] / 20)
     late = {}
     for factor in (0.9 * margin, 1.15 * margin):
         settings = RunSettings(
@@ -207,8 +207,8 @@ def test_tuned_gains_have_the_gain_margin_that_they_state(tmp_path):
             reference_config={"amplitude": 0.05, "hold": 2.0, "rise_time": 0.3},
             sensors=EXACT,
             controller_config={
-                "position_gain": [factor * gains.position],
-                "velocity_gain": [factor * gains.velocity],
+                "position_gain": [factor * gains["position"]],
+                "velocity_gain": [factor * gains["velocity"]],
             },
         )
         error = run_scenario(settings).history.error[-250:]

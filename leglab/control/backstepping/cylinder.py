@@ -138,10 +138,7 @@ class CylinderModel:
             chambers: Present chambers.
             lap: Overlap, (joints,).
         """
-        (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
-        weight_a, weight_b = chambers.weight
-        up = weight_a * supply_a + weight_b * tank_b
-        down = weight_a * tank_a + weight_b * supply_b
+        up, down = _rates(chambers)
         # One edge: (d + sqrt(d^2 + eps^2))/2 = w has the solution d = w - eps^2/(4 w).
         one = np.where(rate > 0, rate / up, -rate / down) + 0.3 * self.data.edge_rounding
         spool = np.copysign(np.maximum(lap + one - self._quarter / one, 0.0), rate)
@@ -154,12 +151,16 @@ class CylinderModel:
 
     def rate_of(self, spool: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
         """Force rate by valve flow at spool positions [N/s], (joints,): inverse of `spool_for`."""
-        (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
-        weight_a, weight_b = chambers.weight
+        up, down = _rates(chambers)
         opening, _ = self.openings(spool, lap)
-        return (weight_a * supply_a + weight_b * tank_b) * opening[0] - (
-            weight_a * tank_a + weight_b * supply_b
-        ) * opening[1]
+        return up * opening[0] - down * opening[1]
+
+
+def _rates(chambers: Chambers) -> tuple[np.ndarray, np.ndarray]:
+    """Force rates by valve flow per opening of the edges for positive and negative spool."""
+    (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
+    weight_a, weight_b = chambers.weight
+    return weight_a * supply_a + weight_b * tank_b, weight_a * tank_a + weight_b * supply_b
 
 
 class Bristles:

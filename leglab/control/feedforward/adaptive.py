@@ -328,44 +328,37 @@ class AdaptiveFeedforward:
         self._core.sent(command)
 
 
-class FeedforwardTeam:
-    """Feed-forwards of many machines, stepped together in threads.
+def step_together(
+    team: Team,
+    members: Sequence[AdaptiveFeedforward],
+    machines: np.ndarray,
+    sent: np.ndarray,
+    measurement: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    reference: ReferencePoint,
+    out: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """As `AdaptiveFeedforward.step` of each member, in threads.
 
     Args:
-        threads: That step them.
+        team: Has the threads.
+        members: Of the machines that are stepped.
+        machines: Their places in the arrays, (members,) of int64.
+        sent: The commands that were sent last, (machines, joints).
+        measurement: Time (machines,), positions and velocities (machines, joints), pressures of
+            cap and rod sides and of the supply (machines, 2 joints + 1), which may be empty.
+        reference: With arrays (machines, joints).
+        out: Commands and feed-forwards are written there, (machines, joints) each.
     """
-
-    def __init__(self, threads: int) -> None:
-        self._core = Team(threads)
-
-    def step(
-        self,
-        members: Sequence[AdaptiveFeedforward],
-        machines: np.ndarray,
-        sent: np.ndarray,
-        measurement: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-        reference: ReferencePoint,
-        out: tuple[np.ndarray, np.ndarray],
-    ) -> None:
-        """As `AdaptiveFeedforward.step` of each member.
-
-        Args:
-            members: Of the machines that are stepped.
-            machines: Their places in the arrays, (members,) of int64.
-            sent: The commands that were sent last, (machines, joints).
-            measurement: Time (machines,), positions and velocities (machines, joints), pressures of
-                cap and rod sides and of the supply (machines, 2 joints + 1), which may be empty.
-            reference: With arrays (machines, joints).
-            out: Commands and feed-forwards are written there, (machines, joints) each.
-        """
-        self._core.step(
-            [member._core for member in members],
-            [member._out for member in members],
-            machines,
-            measurement[0],
-            sent,
-            *measurement[1:3],
-            *reference,
-            measurement[3],
-            *out,
-        )
+    time, position, velocity, pressures = measurement
+    team.step(
+        [member._core for member in members],
+        [member._out for member in members],
+        machines,
+        time,
+        sent,
+        position,
+        velocity,
+        *reference,
+        pressures,
+        *out,
+    )

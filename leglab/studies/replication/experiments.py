@@ -12,6 +12,7 @@ from leglab.base.scale import rms
 from leglab.identification import Basis, BsnnArx
 from leglab.studies.replication.networks import LAGS, train
 from leglab.studies.replication.online import (
+    PAPER_MODE,
     OnlineRuns,
     OnlineSettings,
     for_joints,
@@ -54,18 +55,12 @@ def compare(
     instances: int,
     seed: int,
     *,
-    settings: OnlineSettings | None = None,
+    settings: OnlineSettings = PAPER_MODE,
     progress: Callable[[str], None] | None = None,
 ) -> ModelComparison:
     """Runs `instances` instances of each model, which differ in their initial parameters.
 
-    Args:
-        u: Input of one realisation, shape (2000,).
-        y: Output.
-        instances: M of the paper.
-        seed: Of the initial parameters.
-        settings: Unpublished constants of the online models.
-        progress: Called with a line before each part.
+    Arguments as `run_online`; `progress` is called with a line before each part.
     """
     say = progress or (lambda line: None)
     say(f"BSNN, ARX, BSNN-ARX: {instances} instances")
@@ -119,7 +114,7 @@ def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:
         seed: Of the initial parameters.
     """
     n = N_TRAINING
-    bsnn, alone, model = online_models(instances, seed, OnlineSettings()).values()
+    bsnn, alone, model = online_models(instances, seed, PAPER_MODE).values()
     start = np.atleast_2d(model.weights).copy()
     order, neurons = model.settings.na + model.settings.nb, start.shape[-1]
     trajectory = _record(model, u, y)[1]
@@ -185,7 +180,7 @@ def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
         Rows (reading, standard deviation of y on the validation set, BSNN, ARX, BSNN-ARX).
     """
     cases = (
-        ("paper mode", OnlineSettings()),
+        ("paper mode", PAPER_MODE),
         ("Eq. 9 as printed", OnlineSettings(middle_piece="printed")),
         (
             f"learning constant {PRINTED_LEARNING_CONSTANT} as printed",
@@ -201,7 +196,7 @@ def input_variance(instances: int, seed: int) -> list[Errors]:
     rows = []
     for variance in VARIANCES:
         u, y = (s[0] for s in simulate([seed], variance=variance))
-        rows.append(_row(f"{variance:.2g}", u, y, instances, seed, OnlineSettings()))
+        rows.append(_row(f"{variance:.2g}", u, y, instances, seed, PAPER_MODE))
     return rows
 
 
@@ -269,11 +264,7 @@ class Order(NamedTuple):
 def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
     """Whether BSNN-ARX beats ARX, for `INITIAL_GAINS`: paper mode's constant and the printed one.
 
-    Args:
-        u: Inputs of several realisations, shape (R, n).
-        y: Outputs, shape (R, n).
-        instances: Instances a model on each.
-        seed: Of the initial parameters.
+    Arguments as `initial_gain`.
     """
     rows = []
     for constant in (LEARNING_CONSTANT, PRINTED_LEARNING_CONSTANT):
@@ -289,11 +280,7 @@ def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
 def spread(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
     """Spread over noise realisations: rows (model, mean, standard deviation, least, largest).
 
-    Args:
-        u: Inputs of R realisations, shape (R, n).
-        y: Outputs, shape (R, n).
-        instances: Instances a model on each; a realisation counts with their mean.
-        seed: Of the initial parameters.
+    A realisation counts with the mean of its instances; arguments as `initial_gain`.
     """
     scores = [compare(a, b, instances, seed).scores for a, b in zip(u, y, strict=True)]
     rows = []
@@ -365,7 +352,7 @@ def update_times() -> list[tuple[int, int, int, float]]:
     u = rng.uniform(0.0, 0.8, samples)
     y = 0.5 * np.concatenate([[0.0], u[:-1]]) + 0.01 * rng.standard_normal(samples)
     sizes = [(order, 8) for order in ORDERS] + [(3, n) for n in SPLINES if n != 8]
-    models, base = [], OnlineSettings().bsnn_arx()
+    models, base = [], PAPER_MODE.bsnn_arx()
     for order, neurons in sizes:
         network = replace(base.network, basis=(Basis.uniform(0.0, 0.8, neurons, kind="paper"),))
         models.append(replace(base, na=order, nb=order, network=network))
