@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import leglab.controllers  # noqa: F401  registers the controllers
+from leglab.base.scale import rms
 from leglab.commissioning.calibration import ValveMap, steady_commands, valve_maps
 from leglab.commissioning.setup import controller_setup
 from leglab.control import (
@@ -262,11 +263,6 @@ def between_points(nominal: Simulation, joint: int, known: ValveMap) -> np.ndarr
     corners = [known.command[i : i - 1 or None, j : j - 1 or None] for i, j in np.ndindex(2, 2)]
     inside = np.all([np.abs(c) < 1 for c in (*corners, exact)], axis=0)
     return (np.mean(corners, axis=0) - exact)[inside]
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def specimen_table() -> Iterator[str]:

@@ -52,25 +52,29 @@ def frames(film: Path) -> list[Image.Image]:
     return [Image.frombytes("RGB", SIZE, frame) for frame in reader]
 
 
-def write_clip(images: list[Image.Image], out: Path) -> None:
-    """Writes a loop as WebP, at the best quality that fits into the limit."""
-    small = [image.resize(CLIP_SIZE, Image.Resampling.LANCZOS) for image in images[::CLIP_STEP]]
-    for quality in (80, 70, 60, 50, 40, 30):
+def write_loop(
+    images: list[Image.Image],
+    out: Path,
+    *,
+    size: tuple[int, int],
+    milliseconds: int,
+    limit: int,
+    best: int,
+) -> None:
+    """Writes a loop as WebP, at the best quality, up to `best`, that fits into a limit [byte]."""
+    small = [image.resize(size, Image.Resampling.LANCZOS) for image in images]
+    for quality in range(best, 0, -10):
         buffer = io.BytesIO()
         small[0].save(
-            buffer,
-            "WEBP",
-            save_all=True,
-            append_images=small[1:],
-            duration=round(1000 * CLIP_STEP / 30),
-            loop=0,
-            quality=quality,
-            method=4,
-        )
-        if buffer.tell() < CLIP_LIMIT:
+            buffer, "WEBP", save_all=True, append_images=small[1:], loop=0, method=4,
+            duration=milliseconds, quality=quality,
+        )  # fmt: skip
+        if buffer.tell() < limit:
             break
     out.write_bytes(buffer.getvalue())
-    print(f"{out}: {buffer.tell() / 1e6:.2f} MB, {len(small)} frames, quality {quality}")
+    print(
+        f"{out}: {buffer.tell() / 1e3:.0f} kB, {len(small)} frames, quality {quality}", flush=True
+    )
 
 
 def write_still(image: Image.Image, out: Path) -> None:
@@ -97,7 +101,10 @@ def main() -> None:
         write_still(still([runs["bsnn_arx"]], span, 11.5), out / "film_one_run.webp")
         write_still(still([runs["cold"]], span, 11.5), out / "film_squat.webp")
         film = render_film(three, Path(name) / "film.mp4", start=LOOP[0], duration=LOOP[1])
-        write_clip(frames(film), out / "seal_wear.webp")
+        write_loop(
+            frames(film)[::CLIP_STEP], out / "seal_wear.webp",
+            size=CLIP_SIZE, milliseconds=round(1000 * CLIP_STEP / 30), limit=CLIP_LIMIT, best=80,
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

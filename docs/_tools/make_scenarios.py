@@ -11,6 +11,7 @@ import io
 import tempfile
 from pathlib import Path
 
+from make_gallery import write_loop
 from PIL import Image
 
 from benchmarks import results
@@ -146,18 +147,9 @@ def write_clip(folders: list[Path], start: float, out: Path) -> None:
     job = {"folders": [str(folder) for folder in folders], "camera": "three_quarter"}
     job |= {"start": start, "last": start + CLIP_LENGTH, "frames": count, "rate": CLIP_RATE}
     drawn = draw_frames(job, backend="egl", count=1)
-    frames = [Image.frombytes("RGB", SIZE, bytes(frame)) for frame in drawn]
-    small = [frame.resize(CLIP_SIZE, Image.Resampling.LANCZOS) for frame in frames]
-    for quality in (60, 50, 40, 30, 20, 10):
-        buffer = io.BytesIO()
-        small[0].save(
-            buffer, "WEBP", save_all=True, append_images=small[1:], loop=0, method=4,
-            duration=round(1000 / CLIP_RATE), quality=quality,
-        )  # fmt: skip
-        if buffer.tell() < CLIP_LIMIT:
-            break
-    out.write_bytes(buffer.getvalue())
-    print(f"{out}: {buffer.tell() / 1e3:.0f} kB, quality {quality}", flush=True)
+    frames = [Image.frombytes("RGB", SIZE, frame) for frame in drawn]
+    shown = round(1000 / CLIP_RATE)
+    write_loop(frames, out, size=CLIP_SIZE, milliseconds=shown, limit=CLIP_LIMIT, best=60)
 
 
 def write_plot(folders: list[Path], out: Path) -> None:

@@ -33,6 +33,8 @@ _OURS = '<meta name="generator" content="leglab index"'
 class Entry:
     """One line of the index.
 
+    Scenario, controller and model are those of a run or a comparison, seed and errors of a run.
+
     Attributes:
         name: Path below the folder.
         link: To the page, or to the best other file there is; relative and quoted. Empty for none.
@@ -40,13 +42,9 @@ class Entry:
         state: Whether it is whole, stopped half way, or cannot be read.
         told: What it says, or what is wrong with it.
         written: When, in UTC.
-        scenario: Of a run, or the scenarios of a comparison.
-        controller: Of a run, or the controllers of a comparison.
-        model: Of a run, comparison or diagnosis.
-        seed: Of a run.
-        before: RMS error of a run in the strides before its change [mrad or mm].
-        after: RMS error of a run after its change, or of the whole run [mrad or mm].
-        end: RMS error of a run in its last strides [mrad or mm].
+        before: RMS error in the strides before the change [mrad or mm].
+        after: RMS error after the change, or of the whole run [mrad or mm].
+        end: RMS error in the last strides [mrad or mm].
     """
 
     name: str

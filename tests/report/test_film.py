@@ -153,6 +153,19 @@ def stills(runs, tmp_path_factory):
     return {name: frames.astype(int) for name, frames in np.load(out).items()}
 
 
+@pytest.fixture
+def ffmpeg(tmp_path, monkeypatch):
+    """Puts a script in the place of ffmpeg."""
+
+    def put(script):
+        other = tmp_path / "ffmpeg"
+        other.write_text(f"#!/bin/bash\n{script}\n")
+        other.chmod(0o755)
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+
+    return put
+
+
 def encode(path, frame):
     with encoding(path, (320, 240), 30) as write:
         for _ in range(60):
@@ -345,15 +358,9 @@ def test_osmesa_steps_in_for_egl(runs, tmp_path, monkeypatch, capsys):
     assert printed["bytes"] == out.stat().st_size > 5000
 
 
-def test_a_full_disk_is_said(tmp_path, monkeypatch):
-    import imageio_ffmpeg
-
+def test_a_full_disk_is_said(tmp_path, ffmpeg):
     # The real one, which writes to a device that is full.
-    other = tmp_path / "ffmpeg"
-    real = imageio_ffmpeg.get_ffmpeg_exe()
-    other.write_text(f'#!/bin/bash\nexec {real} "${{@:1:$#-1}}" -f mp4 /dev/full\n')
-    other.chmod(0o755)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+    ffmpeg(f'exec {imageio_ffmpeg.get_ffmpeg_exe()} "${{@:1:$#-1}}" -f mp4 /dev/full')
     noise = np.random.default_rng(0).integers(0, 255, 3 * 320 * 240, np.uint8).tobytes()
     with pytest.raises(LeglabError, match=r"film\.mp4: cannot be written: no space left"):
         encode(tmp_path / "film.mp4", noise)
@@ -367,22 +374,16 @@ def test_a_full_disk_is_said(tmp_path, monkeypatch):
         ("cat >/dev/null", "ffmpeg wrote nothing"),
     ],
 )
-def test_an_encoder_that_hangs_or_writes_nothing_is_said(tmp_path, monkeypatch, does, said):
-    other = tmp_path / "ffmpeg"
-    other.write_text(f"#!/bin/sh\n{does}\n")
-    other.chmod(0o755)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+def test_an_encoder_that_hangs_or_writes_nothing_is_said(tmp_path, monkeypatch, ffmpeg, does, said):
+    ffmpeg(does)
     monkeypatch.setattr("leglab.report.film.encoder._PATIENCE", 0.5)
     with pytest.raises(LeglabError, match=rf"film\.mp4: cannot be encoded: {said}"):
         encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
     assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
 
 
-def test_a_hanging_ffmpeg_makes_no_picture(tmp_path, monkeypatch):
-    other = tmp_path / "ffmpeg"
-    other.write_text("#!/bin/sh\nexec sleep 60\n")
-    other.chmod(0o755)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(other))
+def test_a_hanging_ffmpeg_makes_no_picture(tmp_path, monkeypatch, ffmpeg):
+    ffmpeg("exec sleep 60")
     monkeypatch.setattr(encoder, "_PATIENCE_OF_A_FILM", 0.3)
     with pytest.raises(LeglabError, match=r"film\.mp4: cannot be encoded: ffmpeg took more than"):
         encoder.still_bytes(tmp_path / "film.mp4")
@@ -394,12 +395,10 @@ def test_the_length_of_a_film_is_known(tmp_path):
     assert encoder._seconds(tmp_path / "film.mp4") == pytest.approx(2.0, abs=0.1)
 
 
-def test_an_encoder_that_lacks_h264_is_said(tmp_path, monkeypatch):
-    other = tmp_path / "ffmpeg"
-    other.write_text("#!/bin/sh\necho \"Unknown encoder 'libx264'\" >&2\nexit 1\n")
-    other.chmod(0o755)
-    for program, message in ((other, "no libx264"), (tmp_path / "none", "no ffmpeg; install one")):
-        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(program))
+def test_an_encoder_that_lacks_h264_is_said(tmp_path, monkeypatch, ffmpeg):
+    ffmpeg("echo \"Unknown encoder 'libx264'\" >&2; exit 1")
+    for program, message in (("ffmpeg", "no libx264"), ("none", "no ffmpeg; install one")):
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / program))
         with pytest.raises(LeglabError, match=message):
             encode(tmp_path / "film.mp4", bytes(3 * 320 * 240))
     assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]

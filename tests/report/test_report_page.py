@@ -35,6 +35,11 @@ def story(runs, title):
     return [f"{name} {line}".strip() for name, line in zip(names, found.lines, strict=True)]
 
 
+def curves(name, runs, joints):
+    """The curves of a plot, of each of these joints."""
+    return next(p["traces"] for p in plot_data(runs, joints, 0)["plots"] if p["name"] == name)
+
+
 def test_the_better_controller_is_named_with_exact_numbers(tmp_path):
     runs = read_runs(
         [
@@ -201,15 +206,14 @@ def test_runs_that_are_alike_keep_apart_by_their_folders(tmp_path):
 def test_curves_keep_their_extremes_when_they_are_thinned(tmp_path):
     folder = write_folder(tmp_path / "a", duration=60.0, change=30.0, after=0.2)
     (run,) = read_runs([folder])
-    content = plot_data([run], run.joints, 0)
-    (deviation,) = [p for p in content["plots"] if p["name"] == "deviation"]
-    values = np.frombuffer(base64.b64decode(deviation["traces"][1][0]["y"]["bdata"]), "<f4")
+    deviation = curves("deviation", [run], run.joints)[1][0]
+    values = np.frombuffer(base64.b64decode(deviation["y"]["bdata"]), "<f4")
     error = 1e3 * (run.recording["knee_truth"] - run.recording["knee_reference"])
     assert len(error) == 15000
     assert len(values) == 3000
     assert values.max() == pytest.approx(error.max(), rel=1e-3)
     assert values.min() == pytest.approx(error.min(), rel=1e-3)
-    names = [plot["name"] for plot in content["plots"]]
+    names = [plot["name"] for plot in plot_data([run], run.joints, 0)["plots"]]
     assert names == ["error", "deviation", "angle", "command", "pressure", "temperature"]
 
 
@@ -302,8 +306,7 @@ def test_references_that_differ_are_told_apart(tmp_path):
     runs = read_runs(folders)
 
     def names(of):
-        (angle,) = [p for p in plot_data(of, ("hip",), 0)["plots"] if p["name"] == "angle"]
-        return [trace["name"] for trace in angle["traces"][0]]
+        return [trace["name"] for trace in curves("angle", of, ("hip",))[0]]
 
     assert names(runs) == ["reference", "pd", "arx"]
     assert names(runs[::-1]) == ["reference", "arx", "pd"]
@@ -315,10 +318,8 @@ def test_runs_of_machines_with_other_joints_stand_on_one_page(tmp_path):
     leg = write_folder(tmp_path / "leg")
     bench = write_folder(tmp_path / "bench", "arx", model="axis.xml", joints=("knee", "axis"))
     runs = read_runs([leg, bench])
-    (angle,) = [
-        p for p in plot_data(runs, ("hip", "knee", "axis"), 1)["plots"] if p["name"] == "angle"
-    ]
-    shown = [[trace["name"] for trace in traces] for traces in angle["traces"]]
+    angles = curves("angle", runs, ("hip", "knee", "axis"))
+    shown = [[trace["name"] for trace in traces] for traces in angles]
     first, second = (run.label for run in runs)
     assert shown[0] == ["reference", first]
     assert [name for name in shown[1] if name in (first, second)] == [first, second]

@@ -31,6 +31,11 @@ def run_for(live: Session, seconds: float) -> None:
     assert live.failure == ""
 
 
+def texts(display: Display) -> dict[str, str]:
+    """What the window of a paused run tells."""
+    return dict(zip(*(text.split("\n") for text in display.texts(paused=True)), strict=True))
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -229,20 +234,17 @@ def test_texts_and_figures_say_what_happens():
     live = session()
     display = Display(live, "knee_bench")
     run_for(live, 0.3)
-    names, values = (text.split("\n") for text in display.texts(paused=True))
-    shown = dict(zip(names, values, strict=True))
-    assert shown["fault"] == "on"
-    assert shown["seal wear"] == "10 x leakage"  # the scenario's, the slider stands at 1
+    assert texts(display)["fault"] == "on"
+    assert texts(display)["seal wear"] == "10 x leakage"  # the scenario's, the slider stands at 1
     live.move("seal_wear", 3.0)
     live.move("payload", 2.0)
     live.move("oil_temperature", 60.0)
-    names, values = (text.split("\n") for text in display.texts(paused=True))
-    shown = dict(zip(names, values, strict=True))
+    shown = texts(display)
     assert shown["seal wear"] == "30 x leakage"
     assert shown["payload"] == "2 kg on shank"
     assert shown["oil temperature"] == "60 deg C"
     assert "paused" in shown
-    assert "".join(values).isascii()  # the viewer's font has no more
+    assert "".join(shown.values()).isascii()  # the viewer's font has no more
     (_, error), (_, command) = display.figures(mujoco.MjrRect(0, 0, 1000, 700))
     assert error.linepnt[0] > 100
     worst = 1e3 * max(abs(moment.error[0]) for moment in live.moments)
@@ -300,11 +302,10 @@ def test_texts_say_what_the_controller_names():
     live = session(controller="bsnn_arx_bank", duration=16.0)
     display = Display(live, "knee_bench")
     run_for(live, 7.9)
-    assert "named" not in display.texts(paused=False)[0]
+    assert "named" not in texts(display)
     run_for(live, 0.6)
-    shown = dict(zip(*(text.split("\n") for text in display.texts(paused=False)), strict=True))
-    assert shown["named"].startswith("seal wear 1")  # ten times, more or less
-    assert shown["named"].isascii()
+    assert texts(display)["named"].startswith("seal wear 1")  # ten times, more or less
+    assert texts(display)["named"].isascii()
 
 
 def test_a_blow_up_stops_with_its_reason_and_restart_mends_it():

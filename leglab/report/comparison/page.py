@@ -52,7 +52,12 @@ def page(folder: Path, base: Path | None = None) -> str:
         title=f"Comparison {folder.resolve().name}",
         headline=_headline(summary),
         sections=_sections(summary),
-        table=_numbers(summary),
+        table=Table(
+            caption=words.title(summary),
+            head=("scenario", "controller", *words.HEAD),
+            rows=[(scenario, name, *cells) for scenario, name, cells in words.rows(summary)],
+            words=2,
+        ),
         explained=words.explained(summary),
         intervals=[found for quantity in _QUANTITIES if (found := _intervals(summary, *quantity))],
         curves=_curves(summary, runs),
@@ -84,38 +89,24 @@ def _sections(summary: dict[str, Any]) -> list[Section]:
         f"controller, and {words.seeds(summary)} of each.",
         f"Seeds differ in {words.drawn(summary)}.",
     )
-    closest = tuple(
-        f"{words.closest(summary, name)}" + (f"; {rest}." if rest else ".")
-        for name in summary["scenarios"]
-        for rest in (words.farther(summary, name),)
-    )
-    sections = [
+    closest = []
+    for name in summary["scenarios"]:
+        others = words.farther(summary, name)
+        closest.append(words.closest(summary, name) + (f"; {others}." if others else "."))
+    scatter = "Intervals are of the mean over seeds, by Student's t: single runs differ."
+    if summary["seeds"] < 2:
+        scatter = "One seed says nothing about the scatter: there are no intervals."
+    failed = tuple(f"{line.rstrip('.')}." for line in words.failures(summary))
+    return [
         Section(title="What was compared", lines=told),
         Section(
             title="Who follows most closely after the change (without one: in the whole run)",
-            lines=closest,
+            lines=tuple(closest),
             names=tuple(f"{name}:" for name in summary["scenarios"]),
         ),
+        Section(title="What failed", lines=failed),
+        Section(title="What this does not show", lines=("These are simulations.", scatter)),
     ]
-    failed = tuple(f"{line.rstrip('.')}." for line in words.failures(summary))
-    if failed:
-        sections.append(Section(title="What failed", lines=failed))
-    limits = ["These are simulations."]
-    if summary["seeds"] < 2:
-        limits.append("One seed says nothing about the scatter: there are no intervals.")
-    else:
-        limits.append("Intervals are of the mean over seeds, by Student's t: single runs differ.")
-    sections.append(Section(title="What this does not show", lines=tuple(limits)))
-    return sections
-
-
-def _numbers(summary: dict[str, Any]) -> Table:
-    return Table(
-        caption=words.title(summary),
-        head=("scenario", "controller", *words.HEAD),
-        rows=[(scenario, name, *cells) for scenario, name, cells in words.rows(summary)],
-        words=2,
-    )
 
 
 # Name in the summary, title, factor to the shown unit, unit; "" for that of errors.
@@ -213,15 +204,10 @@ def _runs(summary: dict[str, Any], runs: Sequence[StoredRun], base: Path) -> Tab
                 *(figure(undone, 100.0), t90),
             ]
         )
-    unit = summary["unit"]
-    errors = (f"before [{unit}]", f"after [{unit}]", f"end [{unit}]")
+    errors = (f"{name} [{summary['unit']}]" for name in ("before", "after", "end"))
     head = ("scenario", "controller", "run", "note", *errors, "undone [%]", "90 % undone [s]")
-    return Table(
-        caption="Every run, with the file of its figures; the note says why some are missing",
-        head=head,
-        rows=rows,
-        words=4,
-    )
+    caption = "Every run, with the file of its figures; the note says why some are missing"
+    return Table(caption=caption, head=head, rows=rows, words=4)
 
 
 def _commands(summary: dict[str, Any]) -> list[str]:

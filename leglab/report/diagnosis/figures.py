@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from leglab.diagnosis.balance.regions import equally_filled
-from leglab.diagnosis.result import Diagnosis, Rank, ResidualTrace, shown_unit
+from leglab.diagnosis.result import Diagnosis, ResidualTrace, shown_unit
 from leglab.report.diagnosis import words
 from leglab.report.figures import add_head
 from leglab.report.page.wording import number, printable, readable, shortened
@@ -25,6 +25,7 @@ _ROW = 0.24  # inch a line of text and marks
 _HEAD, _FOOT = 0.62, 0.5  # inch: title and legend; axis
 _MOST_RECORDINGS = 30
 _MOST_RANKS = 12
+_LEAST_GAIN = 1e-2  # nats
 _LONGEST = 28  # characters of a label
 _LEGEND: dict[str, Any] = {"columnspacing": 1.4, "handletextpad": 0.5}
 _VALUE: dict[str, Any] = {
@@ -266,7 +267,7 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
         return None
     floor = result.gap.noise_floor
     with style():
-        figure, axes = _rows([short(r.name, 44) + " *" * r.held_out for r in rows], 1.5)
+        figure, axes = _rows([short(r.name, 44) + " *" * r.held_out for r in rows])
         _log(axes, [floor, *(v for r in rows for v in (r.before, r.baseline, r.after))])
         axes.axvline(floor, color=DARK_GREY, linestyle="--", linewidth=1.0, zorder=1)
         for i, row in enumerate(rows):
@@ -295,13 +296,17 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
     """Draws how much more probable each effect alone makes the recordings; None if none does."""
-    ranks = _best(result.ranking)
+    # Gains of rounding would stretch the axis over ten decades.
+    useful = [r for r in result.ranking if math.isfinite(r.gain) and r.gain > _LEAST_GAIN]
+    ranks = sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
     if not ranks:
         return None
     named = {(e.name, e.element) for e in result.effects}
     tied = {name for e in result.effects for name in e.indistinguishable_from}
     with style():
-        figure, axes = _rows([_rank_label(rank) for rank in ranks], 1.5)
+        elements = [short(rank.element, _LONGEST // 2) for rank in ranks]
+        names = [short(readable(rank.name)) for rank in ranks]
+        figure, axes = _rows([f"{n}, {e}" for n, e in zip(names, elements, strict=True)])
         _log(axes, [rank.gain for rank in ranks])
         axes.grid(True, axis="y")
         for i, rank in enumerate(ranks):
@@ -366,25 +371,11 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     )
 
 
-_LEAST_GAIN = 1e-2  # nats
-
-
-def _best(ranks: Sequence[Rank]) -> list[Rank]:
-    # Gains of rounding would stretch the axis over ten decades.
-    useful = [r for r in ranks if math.isfinite(r.gain) and r.gain > _LEAST_GAIN]
-    return sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
-
-
-def _rank_label(rank: Rank) -> str:
-    return f"{short(readable(rank.name))}, {short(rank.element, _LONGEST // 2)}"
-
-
-def _rows(labels: Sequence[str], left: float) -> tuple[Figure, Axes]:
-    """A figure with one labelled line a row, labels on the left margin [inch]."""
-    left = max(left, 0.075 * max(len(label) for label in labels) + 0.2)
+def _rows(labels: Sequence[str]) -> tuple[Figure, Axes]:
+    """A figure with one labelled line a row."""
+    left = max(1.5, 0.075 * max(len(label) for label in labels) + 0.2)
     height = _ROW * 1.35 * len(labels) + 0.2
-    total = _HEAD + height + _FOOT
-    figure = Figure(figsize=(_WIDTH, total))
+    figure = Figure(figsize=(_WIDTH, _HEAD + height + _FOOT))
     axes = _axes(figure, (left, _FOOT, _WIDTH - left - 0.25, height))
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
@@ -425,25 +416,22 @@ def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
     for trace in result.traces:
         if np.isfinite(trace.before).any() and np.isfinite(trace.after).any():
             grouped.setdefault(trace.channel, []).append(trace)
-    chosen = sorted(grouped.values(), key=lambda traces: -_gain(traces))[:_MOST_CHANNELS]
-    lengths = {
-        trace.channel.removesuffix("_position"): trace.unit
-        for trace in result.traces
-        if trace.channel.endswith("_position")
-    }
+
+    def gain(traces: Sequence[ResidualTrace]) -> float:
+        before, after = map(words.finite_rms, _errors(traces))
+        return before / after if after > 0.0 else math.inf
+
+    lengths = {t.channel: t.unit for t in result.traces if t.channel.endswith("_position")}
     held = {r.name: r.held_out for r in words.in_order(result)}
     pictures = []
+    chosen = sorted(grouped.values(), key=gain, reverse=True)[:_MOST_CHANNELS]
     for i, traces in enumerate(chosen, start=1):
-        name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', traces[0].channel)[:40].strip('_')}"
-        joint = re.sub(r"_(position|pressure_[ab])$", "", traces[0].channel)
-        pictures.append(_over_state(traces, name, lengths.get(joint, "SI")))
+        channel = traces[0].channel
+        name = f"{i}_{re.sub(r'[^A-Za-z0-9]+', '_', channel)[:40].strip('_')}"
+        position = re.sub(r"_(position|pressure_[ab])$", "", channel) + "_position"
+        pictures.append(_over_state(traces, name, lengths.get(position, "SI")))
         pictures.append(_over_time(traces, name, held))
     return tuple(pictures)
-
-
-def _gain(traces: Sequence[ResidualTrace]) -> float:
-    before, after = map(words.finite_rms, _errors(traces))
-    return before / after if after > 0.0 else math.inf
 
 
 def _errors(traces: Sequence[ResidualTrace]) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -525,13 +513,12 @@ def _over_time(
 
 def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float, float]:
     """Half heights of the axes for a share of the points; common where both errors are alike."""
-    ends = []
-    for values in (before, after):
-        finite = np.abs(values[np.isfinite(values)])
-        ends.append(1.1 * float(np.quantile(finite, share)) or 1.0)
-    if max(ends) < _ALIKE * min(ends):
-        return max(ends), max(ends)
-    return ends[0], ends[1]
+    low, high = (
+        1.1 * float(np.quantile(np.abs(values[np.isfinite(values)]), share)) or 1.0
+        for values in (before, after)
+    )
+    most = max(low, high)
+    return (most, most) if most < _ALIKE * min(low, high) else (low, high)
 
 
 def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -72,40 +72,41 @@ def headline(result: Diagnosis) -> str:
     found = listed(tuple(_at(e) for e in result.effects))
     since = result.calibration is not None
     if result.verdict == "named":
-        if since:
-            return f"Changed since the healthy recordings: {found}."
-        return f"The simulation is missing: {found}."
+        start = "Changed since the healthy recordings" if since else "The simulation is missing"
+        return f"{start}: {found}."
     if result.verdict == "confusion_set":
-        sets, sure = dict[tuple[str, ...], list[str]](), []
-        for effect in result.effects:
-            if not effect.indistinguishable_from:
-                sure.append(_at(effect))
-                continue
-            names = (readable(effect.name), *_alternatives(effect))
-            sets.setdefault(tuple(dict.fromkeys(names)), []).append(effect.element)
-        told = "; and ".join(
-            f"{listed(names, 'or')} at {listed(tuple(elements))}"
-            for names, elements in sets.items()
-        )
-        if not sets:  # possible and not probable
-            start = "Something has changed" if since else "Something is missing"
-            return f"{start} that these recordings do not pin down: perhaps {listed(tuple(sure))}."
-        if since:
-            also = f": {listed(tuple(sure))}, and one of these" if sure else ", one of these"
-            return f"Changed since the healthy recordings{also}: {told}."
-        if sure:
-            start = f"The simulation is missing {listed(tuple(sure))}, and something"
-            return f"{start} that these recordings do not pin down: {told}."
-        return f"Something is missing that these recordings do not pin down: {told}."
+        return _confused(result.effects, since=since)
     if result.verdict == "unexplained":
-        ending = f"; nearest comes {found}" if found else ""
+        start = "Simulation and recordings disagree"
         if since:
             start = "Something has changed since the healthy recordings"
-            return f"{start}, and no known effect explains it{ending}."
-        return f"Simulation and recordings disagree, and no known effect explains it{ending}."
+        ending = f"; nearest comes {found}" if found else ""
+        return f"{start}, and no known effect explains it{ending}."
     if since:
         return "Nothing has changed since the healthy recordings that these could show."
     return "Nothing is missing that these recordings could show."
+
+
+def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
+    """The verdict where some of the effects have others that cannot be told apart from them."""
+    sure = listed(tuple(_at(effect) for effect in effects if not effect.indistinguishable_from))
+    sets: dict[tuple[str, ...], list[str]] = {}
+    for effect in effects:
+        if effect.indistinguishable_from:
+            names = (readable(effect.name), *_alternatives(effect))
+            sets.setdefault(tuple(dict.fromkeys(names)), []).append(effect.element)
+    told = "; and ".join(
+        f"{listed(names, 'or')} at {listed(tuple(elements))}" for names, elements in sets.items()
+    )
+    start = "Something has changed" if since else "Something is missing"
+    if not sets:  # possible and not probable
+        told = f"perhaps {sure}"
+    elif since:
+        also = f": {sure}, and one of these" if sure else ", one of these"
+        return f"Changed since the healthy recordings{also}: {told}."
+    elif sure:
+        start = f"The simulation is missing {sure}, and something"
+    return f"{start} that these recordings do not pin down: {told}."
 
 
 def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
@@ -143,18 +144,15 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         tried = f"the {len(result.ranking)} effects tried"
         missing = f"something that has no name among {tried}{_mostly(result)}"
         sure = "no name is probable enough to be told"
-    rows = [(changed, missing)]
-    if sure:
-        rows.append(("How sure", sure))
-    explained = result.gap.explained
+    explains, learned, explained = "", "", result.gap.explained
     if result.effects and explained is not None and math.isfinite(explained):
-        rows.append(("Explains", f"{100.0 * explained:.0f} % of {_gap_of(result)}"))
+        explains = f"{100.0 * explained:.0f} % of {_gap_of(result)}"
     if result.learned and result.verdict != "nothing_missing":
-        rows.append(("Learned", f"without a name: {result.learned.rstrip('.')}"))
-    left = _left(result)
-    if left:
-        rows.append(("Left", left))
-    return tuple((term, f"{capital(text)}.") for term, text in rows)
+        learned = f"without a name: {result.learned.rstrip('.')}"
+    rows = {"How sure": sure, "Explains": explains, "Learned": learned, "Left": _left(result)}
+    return tuple(
+        (term, f"{capital(text)}.") for term, text in {changed: missing, **rows}.items() if text
+    )
 
 
 def _mostly(result: Diagnosis) -> str:
@@ -217,18 +215,18 @@ def uncertain(p: Estimate) -> bool:
 
 def improved_words(result: Diagnosis) -> str:
     """Contents of the improved model and how far to trust it; follows its name."""
-    parts = [readable(e.name) for e in result.effects]
-    if result.verdict == "unexplained":
-        parts = []
-    holds = ["parameters recalibrated within their tolerance", *(parts and [listed(tuple(parts))])]
+    effects = () if result.verdict == "unexplained" else result.effects
+    holds = ["parameters recalibrated within their tolerance"]
+    if effects:
+        holds.append(listed(tuple(readable(effect.name) for effect in effects)))
     if result.learned:
         holds.append("a learned remainder")
     text = f"It holds {listed(tuple(holds))}"
-    text += "." if parts else "; no effect without a name is in it."
+    text += "." if effects else "; no effect without a name is in it."
     if result.learned:
         text += f" Learned: {result.learned.rstrip('.')}."
     doubtful = []
-    for effect in result.effects if parts else ():
+    for effect in effects:
         for p in filter(uncertain, effect.parameters):
             value, interval, _ = parameter_words(p)
             doubtful.append(f"{readable(p.name)} of {_at(effect)} {value} (95 %: {interval})")
@@ -553,18 +551,14 @@ def _where(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:
-    lines = []
     untold = tuple(f"{readable(n.name)} at {n.element}" for n in result.not_testable)
+    lines = [
+        f"{capital(name)}: {entry.reason.rstrip('.')}."
+        for name, entry in zip(untold, result.not_testable, strict=True)
+    ]
     if len(untold) > _UNTOLD:
-        lines.append(
-            f"These recordings hardly show {listed(untold, 'or')}; the table below has what each "
-            "needs."
-        )
-    else:
-        lines += [
-            f"{capital(readable(entry.name))} at {entry.element}: {entry.reason.rstrip('.')}."
-            for entry in result.not_testable
-        ]
+        few = f"These recordings hardly show {listed(untold, 'or')}"
+        lines = [f"{few}; the table below has what each needs."]
     names = tuple(r.name for r in result.recordings)
     for note in result.notes:
         told = note if note.startswith(names) else capital(note)

@@ -41,12 +41,8 @@ class DrawnMachine:
     """A model with what is needed to draw it; runs of one model share it.
 
     What cannot move is drawn once. After that only the part of the picture in which the machine is
-    at the time is rendered: in software pixels take the time, and a leg is narrow.
-
-    Args:
-        model: Name or path, as `load_model` takes it.
-        timestep: Of the runs [s]; None for the model's own.
-        size: Width and height of the picture [px].
+    at the time is rendered: in software pixels take the time, and a leg is narrow. `timestep` is
+    that of the runs [s], None for the model's own; `size` the width and height of the picture [px].
     """
 
     def __init__(self, model: str, timestep: float | None, size: tuple[int, int]) -> None:
@@ -67,7 +63,10 @@ class DrawnMachine:
         self._ghost = load_model(model, timestep=timestep)
         _make_ghost(self._ghost)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._fixed_lights = not _lights_move(self.model)
+        fixed = self.model.light_mode == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
+        # With other lights, what stands still may look different later on.
+        still = self.model.body_weldid[self.model.light_bodyid] == 0
+        self._fixed_lights = bool(np.all(fixed & still))
         self._moving = framing.moving_geoms(self.model)
         self._scene = mujoco.MjvScene(self.model, _MAX_GEOMS)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
@@ -187,21 +186,8 @@ def _make_ghost(model: mujoco.MjModel) -> None:
     model.tendon_rgba[:, 3] = 0.0
 
 
-def _lights_move(model: mujoco.MjModel) -> bool:
-    """Whether what stands still may look different later on."""
-    fixed = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
-    moving = model.body_weldid[model.light_bodyid] != 0
-    return bool(np.any(moving | (model.light_mode != fixed)))
-
-
 class DrawnRun:
-    """One run on its machine.
-
-    Args:
-        machine: Of the model of the run.
-        track: The run.
-        scale: Pressure at the end of the colour bar [Pa].
-    """
+    """One run on its machine; `scale` is the pressure at the end of the colour bar [Pa]."""
 
     def __init__(self, machine: DrawnMachine, track: Track, scale: float) -> None:
         self._machine, self._track = machine, track
@@ -212,12 +198,8 @@ class DrawnRun:
         # Joints without a reference, such as a rail, stay where they truly are in the ghost too.
         self._truth = self._columns("truth", "position")
         self._wanted = self._columns("reference", "truth", "position")
-        sides = [
-            track.column(f"{joint}_pressure_{side}")
-            for joint in machine.simulation.joints
-            for side in "ab"
-        ]
-        unknown = np.full(len(track.recording), np.nan)
+        joints, unknown = machine.simulation.joints, np.full(len(track.recording), np.nan)
+        sides = [track.column(f"{joint}_pressure_{side}") for joint in joints for side in "ab"]
         self._levels = np.stack([unknown if s is None else s / scale for s in sides], axis=1)
 
     def place(self, time: float) -> None:
@@ -271,12 +253,10 @@ class _CylinderShapes:
         model = simulation.model
         on_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         self._places = [simulation.actuators.index(name) for name in simulation.cylinders]
-        self._tendon = [
-            int(model.actuator_trnid[i, 0]) if on_tendon[i] else -1 for i in self._places
-        ]
+        tendons = np.where(on_tendon, model.actuator_trnid[:, 0], -1)
+        self._tendon = tendons[self._places].tolist()
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.cylinders]
-        driven = model.actuator_trnid[on_tendon, 0].tolist()
-        self.tendons = {model.tendon(i).name for i in driven}
+        self.tendons = {model.tendon(i).name for i in tendons[on_tendon].tolist()}
 
     def pins(self, data: mujoco.MjData) -> np.ndarray:
         """Ends of all tendons, cylinders and springs [m], (n, 3)."""
@@ -286,14 +266,7 @@ class _CylinderShapes:
         return data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
 
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
-        """Adds the cylinders to a scene.
-
-        Args:
-            scene: Where to.
-            data: With tendons computed.
-            levels: Pressures of cap and rod side over the end of the colour bar, NaN where unknown,
-                (actuators, 2).
-        """
+        """Adds the cylinders to a scene; `levels` as the pressures of `DrawnMachine.draw`."""
         known = ~np.isnan(levels)[..., None]
         colours = _LIT * np.where(known, pressure_color(np.nan_to_num(levels)), UNKNOWN)
         points = data.wrap_xpos.reshape(-1, 3)

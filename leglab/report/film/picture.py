@@ -209,24 +209,24 @@ class _PanelWriter:
 
 def _title_of(tracks: Sequence[Track]) -> tuple[str, str]:
     """Returns title and subtitle: scenarios, models and references of all runs."""
-    scenarios = list(dict.fromkeys(str(t.settings["scenario"]) for t in tracks))
-    models = list(dict.fromkeys(str(t.settings["model"]) for t in tracks))
-    references = list(dict.fromkeys(str(t.settings.get("reference", "")) for t in tracks))
+    scenarios, models, references = (
+        list(dict.fromkeys(str(track.settings.get(name, "")) for track in tracks))
+        for name in ("scenario", "model", "reference")
+    )
     parts = [", ".join(Path(model).stem for model in models), ", ".join(filter(None, references))]
-    title = " / ".join(readable(name) for name in scenarios)
-    return title, " · ".join(readable(part) for part in parts if part)
+    return readable(" / ".join(scenarios)), readable(" · ".join(filter(None, parts)))
 
 
 def _wrapped(text: str, width: float, most: int = 4) -> list[str]:
-    lines, line = [], ""
+    """The text in lines no wider than `width` [px] unless a word is; at most so many."""
+    lines: list[str] = []
     for word in text.split():
-        longer = f"{line} {word}".strip()
-        if line and font(14).getlength(longer) > width:
-            lines.append(line)
-            line = word
+        longer = f"{lines[-1]} {word}" if lines else ""
+        if lines and font(14).getlength(longer) <= width:
+            lines[-1] = longer
         else:
-            line = longer
-    return [*lines, *([line] if line else [])][:most]
+            lines.append(word)
+    return lines[:most]
 
 
 class _Gauges:

@@ -23,18 +23,13 @@ _LINE_WIDTH = 2.2
 class ErrorTrace:
     """The moving RMS error of all runs over the whole film, on one logarithmic scale.
 
-    Args:
-        tracks: The runs.
-        colors: One a run.
-        rect: Where the axes are.
-        span: First and last time of the film [s].
+    The axes are at `rect`; `span` is the first and last time of the film [s].
     """
 
     def __init__(
         self, tracks: Sequence[Track], colors: Sequence[Rgb], rect: Rect, span: tuple[float, float]
     ) -> None:
-        self._rect, self._span, self._colors = rect, span, colors
-        self._tracks = tracks
+        self._rect, self._span, self._colors, self._tracks = rect, span, colors, tracks
         self.errors = [_MILLI * track.moving_error() for track in tracks]
         shown = [
             error[(track.recording.time >= span[0]) & (track.recording.time <= span[1])]
@@ -104,14 +99,8 @@ class ErrorTrace:
 class CommandTrace:
     """The feed-forward command of one joint, the last seconds of it moving past.
 
-    Where no run has a feed-forward, the valve command is shown.
-
-    Args:
-        tracks: The runs.
-        colors: One a run.
-        names: One a run, to say which have no feed-forward.
-        rect: Where the axes are.
-        span: First and last time of the film [s].
+    Where no run has a feed-forward, the valve command is shown; `names` say which runs have none.
+    `rect` and `span` as those of `ErrorTrace`.
     """
 
     def __init__(
@@ -136,13 +125,11 @@ class CommandTrace:
             self._signals = [track.command(self._joint) for track in tracks]
         if without:
             self._note += f"; {', '.join(without)}: none"
-        parts = [
-            np.abs(signal[track.row(span[0]) : track.row(span[1]) + 1])
-            for track, signal in zip(tracks, self._signals, strict=True)
-            if signal is not None
-        ]
-        parts = [part[np.isfinite(part)] for part in parts]
-        top = max((float(part.max()) for part in parts if part.size), default=0.0)
+        top = 0.0
+        for track, signal in zip(tracks, self._signals, strict=True):
+            if signal is not None:
+                shown = signal[track.row(span[0]) : track.row(span[1]) + 1]
+                top = max(top, float(np.abs(shown[np.isfinite(shown)]).max(initial=0.0)))
         self._limit = 1.1 * (top or 1.0)
         self._tiles: dict[int, Image.Image] = {}
 

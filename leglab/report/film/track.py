@@ -37,9 +37,7 @@ class Track:
     """One run of a film.
 
     Attributes:
-        folder: Where it lies.
         settings: As in `run.json`.
-        recording: As recorded.
         joints: Driven joints with a reference.
         actuators: The actuator of each of them.
         changes: In the order of their start.
@@ -104,11 +102,9 @@ class Track:
         """RMS tracking error of all joints over the window that ends at each sample [rad], (n,)."""
         errors = []
         for joint in self.joints:
-            position = self.column(f"{joint}_truth", f"{joint}_position")
-            reference = self.column(f"{joint}_reference")
-            assert position is not None
-            assert reference is not None
-            errors.append(position - reference)
+            true = f"{joint}_truth" if f"{joint}_truth" in self.recording else f"{joint}_position"
+            reference = self.recording[f"{joint}_reference"]
+            errors.append(_filled(self.recording[true]) - _filled(reference))
         return metrics.sliding_rms(self.recording.time, np.stack(errors, axis=1), self.window)
 
     def seal_leakage(self) -> np.ndarray | None:
@@ -132,9 +128,7 @@ class Track:
 
     def oil_temperature(self) -> np.ndarray | None:
         """Mean oil temperature of the cylinders [degC], (n,); None where it was not recorded."""
-        found = [
-            self.column(f"{joint}_oil_temperature", "oil_temperature") for joint in self.joints
-        ]
+        found = (self.column(f"{j}_oil_temperature", "oil_temperature") for j in self.joints)
         there = [values for values in found if values is not None]
         return np.mean(there, axis=0) if there else None
 
@@ -151,8 +145,7 @@ def load_track(folder: Path) -> Track:
             raise FileError(f"{str(folder)!r} {why}", given=folder)
     path = folder / record.CONFIGURATION
     run = record.read(record.RunConfiguration, path)
-    settings = run.settings
-    if not {"model", "scenario", "controller"} <= set(settings):
+    if not {"model", "scenario", "controller"} <= set(run.settings):
         why = "it has no settings with model, scenario, controller"
         raise FileError(f"{path}: {why}", given=path)
     recording = data.read(folder / record.RECORDING)
@@ -160,16 +153,14 @@ def load_track(folder: Path) -> Track:
     if not joints:
         why = "no joint of the recording has a reference"
         raise RecordingError(f"{str(folder)!r}: {why}", given=folder)
-    actuators = (recording.actuator_of(joint) or joint for joint in joints)
-    metrics_file = folder / record.METRICS
-    known = metrics_file.exists()
-    told = record.read(record.RunMetrics, metrics_file) if known else None
+    file = folder / record.METRICS
+    told = record.read(record.RunMetrics, file) if file.exists() else None
     return Track(
         folder=folder,
-        settings=settings,
+        settings=run.settings,
         recording=recording,
         joints=joints,
-        actuators=tuple(actuators),
+        actuators=tuple(recording.actuator_of(joint) or joint for joint in joints),
         changes=_changes(run.changes, recording),
         elements=run.elements,
         window=min(run.window, max(0.25 * recording.duration, 1e-3)),
@@ -271,10 +262,9 @@ def _changes(
     told: dict[tuple[float, str], ShownChange] = {}
     for change in changes:
         name, start = change.parameter, change.start
+        amount = f"{change.value:.4g} {units.get(name, '')}".strip()
         if change.kind == "scale":
             amount = f"{TIMES}{change.value:.4g}"
-        else:
-            amount = f"{change.value:.4g} {units.get(name, '')}".strip()
         where = "" if change.element == "*" else f" ({change.place})"
         text = f"{readable(name)} {amount}{where}"
         if start <= recording.time[-1]:

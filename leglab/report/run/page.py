@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from leglab.base.errors import FileError, LeglabError
 from leglab.base.output import cannot_write, claimed_folder
@@ -31,9 +32,8 @@ class Report:
     """Files of a report.
 
     Attributes:
-        page: The page.
-        film: The film; None where there is none.
-        why_no_film: Why there is none; empty otherwise.
+        film: None where there is none.
+        why_no_film: Empty where there is one, or none was asked for.
     """
 
     page: Path
@@ -107,26 +107,21 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
     # The joint with the largest error is what one looks for.
     shared = [joint for joint in joints if all(joint in run.joints for run in runs)] or joints
     worst = {j: max(run.last.rms_rad.get(j, 0.0) for run in runs) for j in shared}
-    first = joints.index(max(shared, key=worst.__getitem__))
-    data = plot_data(runs, joints, first)
     from plotly.offline import get_plotlyjs  # slow to import
 
-    content = {
+    content: dict[str, Any] = {
         "scripts": (get_plotlyjs(), asset("report.js")),
         "title": words.title(runs),
         "headline": words.headline(runs),
         "sections": words.sections(runs),
-        "count": len(runs),
         "labels": [run.label for run in runs],
         "colors": len(SERIES),
-        "bars": tables.error_bars(runs, len(SERIES)),
+        "bars": tables.error_bars(runs),
         "table": tables.run_table(runs),
         "joint_tables": tables.joint_tables(runs),
         "setting_tables": tables.setting_tables(runs),
         "joints": joints,
-        "first_joint": first,
-        "plots": data["plots"],
-        "plot_data": data,
+        "plot_data": plot_data(runs, joints, joints.index(max(shared, key=worst.__getitem__))),
         "film_file": FILM,
     }
     fill = partial(render, "report.html", kind="report", **content)

@@ -9,6 +9,7 @@ from leglab.report.page.outcome import milli
 from leglab.report.page.shell import Table
 from leglab.report.page.wording import figure, listed, readable
 from leglab.report.run.words import change_words, different
+from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
 
 _NONE = "-"
@@ -16,7 +17,7 @@ _NONE = "-"
 _HIDDEN = ("elements",)
 
 
-def error_bars(runs: Sequence[ReportedRun], colors: int) -> dict[str, Any] | None:
+def error_bars(runs: Sequence[ReportedRun]) -> dict[str, Any] | None:
     """Error by which each run is judged, against the first run's; None for a single run.
 
     A bar has a name, its share of the longest [%], the value as text and the number of its colour.
@@ -32,7 +33,7 @@ def error_bars(runs: Sequence[ReportedRun], colors: int) -> dict[str, Any] | Non
             text += f" ({100.0 * (run.error / first.error - 1.0):+.0f} %)".replace("-", "\u2212")
         text += ", stopped early" * (not run.metrics.completed)
         width = round(100.0 * run.error / most, 2)
-        rows.append({"name": run.label, "width": width, "value": text, "color": i % colors})
+        rows.append({"name": run.label, "width": width, "value": text, "color": i % len(SERIES)})
     over = tuple(dict.fromkeys(run.judged_over for run in runs))
     against = f", in brackets against {first.label}" if comparable else ""
     caption = f"RMS tracking error of all joints {listed(over, 'or')}{against}"

@@ -177,7 +177,7 @@ def _sections(facts: Facts) -> list[Section]:
     sections.append(_untold(facts))
     if any("tune" in block for block in facts.record.plan.get("block", ())):
         sections.append(_tuned(facts))
-    return [section for section in sections if section.lines]
+    return sections
 
 
 def _untold(facts: Facts) -> Section:
