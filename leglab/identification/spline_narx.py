@@ -1,6 +1,6 @@
 """The deployed identifier: a NARX model of lags and splines of any signal, linear in parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -120,8 +120,7 @@ class SplineNarxSettings(checks.Settings):
     @cached_property
     def lags(self) -> int:
         """Samples of history the regressor reaches back."""
-        ends = [b.lag + (0 if b.feature == "spline" else b.lags - 1) for b in self.blocks]
-        return max(1, *ends, *(b.factor_lag for b in self.blocks))
+        return max(1, *(max(b.lag + b.lags - 1, b.factor_lag) for b in self.blocks))
 
     def _index(self, name: str) -> int:
         if name not in self.names:
@@ -138,9 +137,9 @@ class SplineNarxSettings(checks.Settings):
         knots = [(k - signal.centre) / signal.half_range for k in feature.basis.knots]
         basis = replace(feature.basis, knots=tuple(knots))
         if isinstance(feature, Hammerstein):
-            mu = feature.learning_constant
+            own = feature.first, feature.count, basis
             return ParameterBlock(
-                "hammerstein", index, feature.first, feature.count, basis, -1, 0, mu
+                "hammerstein", index, *own, learning_constant=feature.learning_constant
             )
         if feature.times is None:
             return ParameterBlock("spline", index, feature.lag, 1, basis)
@@ -204,21 +203,14 @@ class SplineNarx(Identifier):
                     told = f"operating point lacks signal {signal.name!r}"
                     raise SettingsError(told, given=tuple(at), allowed=self.settings.names)
                 point[i] = (at[signal.name] - signal.centre) / signal.half_range
-        parameters = np.atleast_2d(self.parameters)[joint]
         gains = np.zeros((len(signals), self.lags + 1))
-        start, weight = 0, len(np.atleast_2d(self.theta)[joint])
-        for block in self.settings.blocks:
-            theta = parameters[start : start + block.count]
-            start += block.count
+        for block, theta, weights in self._learned(joint):
             row, lags = gains[block.signal], slice(block.lag, block.lag + block.lags)
             if block.feature == "lags":
                 row[lags] += theta
             elif block.feature == "hammerstein" and block.basis is not None:
-                slope = 1.0
-                if at is not None:
-                    w = parameters[weight : weight + block.weights]
-                    slope = _value(block.basis, w, point[block.signal], 1)
-                weight += block.weights
+                centre = point[block.signal]
+                slope = 1.0 if at is None else _value(block.basis, weights, centre, 1)
                 row[lags] += theta * slope
             elif block.feature == "spline" and block.basis is not None and at is not None:
                 factor = 1.0 if block.factor_signal < 0 else point[block.factor_signal]
@@ -262,20 +254,24 @@ class SplineNarx(Identifier):
         Raises:
             SettingsError: The feature has no spline.
         """
-        chosen, block = self.settings.features[feature], self.settings.blocks[feature]
+        chosen = self.settings.features[feature]
         if not isinstance(chosen, Spline | Hammerstein):
             told = f"feature {feature} is {type(chosen).__name__}: it has no spline"
             raise SettingsError(told, given=feature, allowed=("Spline", "Hammerstein"))
-        parameters = np.atleast_2d(self.parameters)[joint]
-        before = self.settings.blocks[:feature]
+        block, theta, weights = list(self._learned(joint))[feature]
         if isinstance(chosen, Spline):
-            start = sum(b.count for b in before)
-            theta = parameters[start : start + block.count]
             return chosen.basis.spline(theta * self.settings.output.half_range)
-        start = len(np.atleast_2d(self.theta)[joint]) + sum(b.weights for b in before)
         signal = self.settings.inputs[block.signal - 1]
-        weights = parameters[start : start + block.weights]
         return chosen.basis.spline(weights * signal.half_range, signal.centre)
+
+    def _learned(self, joint: int) -> Iterator[tuple[ParameterBlock, Array, Array]]:
+        """Yields every block with its parameters and its weights, which most have none of."""
+        theta = np.atleast_2d(self.theta)[joint]
+        weights = np.atleast_2d(self.parameters)[joint, len(theta) :]
+        for block in self.settings.blocks:
+            own, theta = np.split(theta, [block.count])
+            own_weights, weights = np.split(weights, [block.weights])
+            yield block, own, own_weights
 
 
 def _value(basis: Basis, weights: Array, at: float, derivative: int) -> float:

@@ -159,63 +159,51 @@ class Bank {
   int joints_ = 0, parameters_ = 0;
 };
 
-mon::WatchSettings read_watch(const nb::dict& settings) {
-  mon::WatchSettings out;
-  LEGLAB_READ_3(sample_period, error_ratio, alarm)
-  LEGLAB_READ_2(correlation, slow_window)
-  return out;
-}
-
 mon::MonitorSettings read_monitor(const nb::dict& settings) {
   mon::MonitorSettings out;
-  out.watch = read_watch(settings);
+  LEGLAB_READ_3(sample_period, error_ratio, alarm)
+  LEGLAB_READ_2(correlation, slow_window)
   LEGLAB_READ_3(passing, blocks, most_samples)
   return out;
 }
 
 // `settings` are the fields of csrc/monitor/fault_monitor.h; the front-end has checked them.
-class FaultMonitor {
+class FaultMonitor : public mon::FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const nb::dict& settings)
-      : settings_(read_monitor(settings)), joints_(joints), parameters_(parameters),
-        core_(joints, parameters, settings_) {}
-
-  void reset(double wait) { core_.reset(wait); }
-  void close(double wait) { core_.close(wait); }
-  bool open() const { return core_.open(); }
-  double onset() const { return core_.onset(); }
+      : mon::FaultMonitor(joints, parameters, read_monitor(settings)), joints_(joints),
+        parameters_(parameters) {}
 
   bool take(double time, Input samples, Input parameters) {
     require("samples", samples, {-1, joints_, parameters_ + mon::behind_regressor});
     require("parameters", parameters, {joints_, parameters_});
-    const int count = int(samples.shape(0));
-    if (count < 1 || count > settings_.most_samples) {
+    const int count = int(samples.shape(0)), most = recent().most_samples();
+    if (count < 1 || count > most) {
       throw nb::value_error(("a block of " + std::to_string(count) + " samples, allowed are 1 to " +
-                             std::to_string(settings_.most_samples))
-                                .c_str());
+                             std::to_string(most)).c_str());
     }
-    return core_.take(time, samples.data(), count, parameters.data());
+    return mon::FaultMonitor::take(time, samples.data(), count, parameters.data());
   }
 
-  bool sum(int samples) { return core_.sum(samples); }
-
-  Made base() const { return map(core_.base()); }
-  Made normal() const {
-    return array_of({core_.normal(), core_.normal() + joints_}, {std::size_t(joints_)});
+  Made map() const {
+    const std::size_t joints = std::size_t(joints_), parameters = std::size_t(parameters_);
+    return array_of({base(), base() + joints * parameters}, {joints, parameters});
   }
-  mon::Moments look() {
-    if (!core_.open()) throw nb::value_error("no case is open");
-    return core_.look();
+  Made normal_errors() const {
+    return array_of({normal(), normal() + joints_}, {std::size_t(joints_)});
+  }
+  mon::Moments sums() {
+    if (!open()) throw nb::value_error("no case is open");
+    return look();
   }
 
   // Regressors of the blocks before the case's onset, (n, joints, parameters).
   Made regressors_before() const {
     std::vector<double> out;
-    if (!core_.open()) throw nb::value_error("no case is open");
-    const auto& recent = core_.recent();
-    for (long number = recent.begin(); number < core_.first_after(); ++number) {
-      const double* row = recent.samples(number);
-      for (int i = 0; i < recent.block(number).count * joints_; ++i) {
+    if (!open()) throw nb::value_error("no case is open");
+    for (long number = recent().begin(); number < first_after(); ++number) {
+      const double* row = recent().samples(number);
+      for (int i = 0; i < recent().block(number).count * joints_; ++i) {
         out.insert(out.end(), row, row + parameters_);
         row += parameters_ + mon::behind_regressor;
       }
@@ -226,14 +214,7 @@ class FaultMonitor {
   }
 
  private:
-  Made map(const double* from) const {
-    const std::size_t joints = std::size_t(joints_), parameters = std::size_t(parameters_);
-    return array_of({from, from + joints * parameters}, {joints, parameters});
-  }
-
-  mon::MonitorSettings settings_;
   int joints_, parameters_;
-  mon::FaultMonitor core_;
 };
 
 }  // namespace
@@ -254,9 +235,9 @@ NB_MODULE(monitor, module) {
       .def_prop_ro("open", &FaultMonitor::open)
       .def_prop_ro("onset", &FaultMonitor::onset)
       .def("take", &FaultMonitor::take, nb::arg("time"), nb::arg("samples"), nb::arg("parameters"))
-      .def("base", &FaultMonitor::base)
-      .def("normal", &FaultMonitor::normal)
-      .def("look", &FaultMonitor::look)
+      .def("base", &FaultMonitor::map)
+      .def("normal", &FaultMonitor::normal_errors)
+      .def("look", &FaultMonitor::sums)
       .def("regressors_before", &FaultMonitor::regressors_before)
       .def("sum", &FaultMonitor::sum, nb::arg("samples") = mon::everything);
 }

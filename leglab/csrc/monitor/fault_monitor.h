@@ -11,8 +11,7 @@
 
 namespace leglab::monitor {
 
-struct MonitorSettings {
-  WatchSettings watch;
+struct MonitorSettings : WatchSettings {
   double passing = 0.0;  // right after an onset samples do not count [s]
   int blocks = 1;        // that are kept to look back at
   int most_samples = 1;  // in a block
@@ -26,7 +25,7 @@ constexpr int everything = std::numeric_limits<int>::max();
 class FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
-      : settings_(settings), watch_(joints, settings.watch),
+      : settings_(settings), watch_(joints, settings),
         recent_(joints, parameters, settings.blocks, settings.most_samples),
         sums_(joints, parameters), seen_(sums_), base_(std::size_t(joints * parameters)),
         mean_(std::size_t(joints)), used_(mean_) {}
@@ -98,7 +97,7 @@ class FaultMonitor {
   }
 
   void open_case() {
-    onset_ = recent_.onset(watch_.since(), watch_.normal(), settings_.watch.sample_period);
+    onset_ = recent_.onset(watch_.since(), watch_.normal(), settings_.sample_period);
     first_after_ = recent_.begin();
     while (first_after_ < recent_.end() && recent_.block(first_after_).time <= onset_) {
       ++first_after_;
@@ -115,7 +114,7 @@ class FaultMonitor {
   // counted.
   int sum_block(int most) {
     const RecentSamples::Block& block = recent_.block(waiting_);
-    const double period = settings_.watch.sample_period;
+    const double period = settings_.sample_period;
     while (waiting_sample_ < block.count &&
            !(block.time - period * (block.count - 1 - waiting_sample_) >=
              onset_ + settings_.passing)) {

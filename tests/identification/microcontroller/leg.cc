@@ -170,11 +170,8 @@ extern "C" void setup() {
   leg->core.reset(all);
   heap_bytes = unsigned(taken);
 
-  mon::MonitorSettings watched;  // as bsnn_arx_bank's, but that it knows sooner what is normal
-  watched.watch = {settings.interval * h, 4.0, 4.0, 20.0, 100};
-  watched.passing = 0.06;
-  watched.blocks = 25;
-  watched.most_samples = block;
+  // As bsnn_arx_bank's, but that it knows sooner what is normal.
+  const mon::MonitorSettings watched{{settings.sample(), 4.0, 4.0, 20.0, 100}, 0.06, 25, block};
   monitor = new mon::FaultMonitor(joints, int(parameters), watched);
   fit = new mon::FaultFit<float>(joints, int(parameters), most_curves);
   monitor->reset(150.0);
