@@ -68,13 +68,6 @@ def test_of_two_runs_into_one_folder_the_second_is_told_by_whom(tmp_path):
     assert hidden(tmp_path) == []
 
 
-def test_the_owner_of_a_place_is_told_by_its_process(tmp_path):
-    with new_folder(tmp_path / "a", mark="run.json", made=()):
-        done = start(*RUN, "--out", "a", cwd=tmp_path)
-        assert f"error: a: process {os.getpid()} on " in done.communicate()[1]
-        assert done.returncode == 2
-
-
 def test_a_place_is_claimed_before_any_work_and_the_owner_is_named(tmp_path):
     with (
         new_folder(tmp_path / "a", mark="m", made=()) as partial,

@@ -27,52 +27,25 @@ from tests.reference.identification_narx_oracle import SplineNarx as OracleNarx
 
 TOLERANCE = 1e-12
 
-# name: (front-end, oracle); the bound of "exponential, bounded" is reached while silent
+# The bound of "exponential, bounded" is reached while silent.
 RLS = {
-    "none": (Rls(initial_gain=5.6), {"gain": 5.6}),
-    "exponential": (
-        Rls(forgetting="exponential", forgetting_factor=0.995),
-        {"forgetting": "exponential", "factor": 0.995},
+    "none": Rls(initial_gain=5.6),
+    "exponential": Rls(forgetting="exponential", forgetting_factor=0.995),
+    "exponential, bounded": Rls(
+        initial_gain=1.0, forgetting="exponential", forgetting_factor=0.98, gain_bound=2.0
     ),
-    "exponential, bounded": (
-        Rls(initial_gain=1.0, forgetting="exponential", forgetting_factor=0.98, gain_bound=2.0),
-        {"gain": 1.0, "forgetting": "exponential", "factor": 0.98, "bound": 2.0},
+    "directional": Rls(forgetting="directional", forgetting_factor=0.99),
+    "variable": Rls(forgetting="variable", forgetting_factor=0.95, noise_variance=1e-4),
+    "variable, reset on change": Rls.adaptive(),
+    "variable, prior restored": Rls(
+        initial_gain=10.0,
+        forgetting="variable",
+        forgetting_factor=0.98,
+        noise_variance=1e-4,
+        restore_interval=3,
+        restore_gain=2.0,
     ),
-    "directional": (
-        Rls(forgetting="directional", forgetting_factor=0.99),
-        {"forgetting": "directional", "factor": 0.99},
-    ),
-    "variable": (
-        Rls(forgetting="variable", forgetting_factor=0.95, noise_variance=1e-4),
-        {"forgetting": "variable", "factor": 0.95, "noise": 1e-4},
-    ),
-    "variable, reset on change": (
-        Rls.adaptive(),
-        {"forgetting": "variable", "factor": 0.9, "detector": oracle.ChangeDetector()},
-    ),
-    "variable, prior restored": (
-        Rls(
-            initial_gain=10.0,
-            forgetting="variable",
-            forgetting_factor=0.98,
-            noise_variance=1e-4,
-            restore_interval=3,
-            restore_gain=2.0,
-        ),
-        {
-            "gain": 10.0,
-            "forgetting": "variable",
-            "factor": 0.98,
-            "noise": 1e-4,
-            "bound": 100.0,
-            "restore": 3,
-            "restore_gain": 2.0,
-        },
-    ),
-    "inflate on change": (
-        Rls(change=ChangeDetection(action="inflate", gain=50.0, ratio=2.0)),
-        {"detector": oracle.ChangeDetector(ratio=2.0), "action": "inflate", "change_gain": 50.0},
-    ),
+    "inflate on change": Rls(change=ChangeDetection(action="inflate", gain=50.0, ratio=2.0)),
 }
 
 
@@ -112,14 +85,13 @@ def single(samples):
 @pytest.mark.parametrize("mode", RLS)
 def test_bsnn_arx_agrees(single, mode):
     u, y = single[0][:, 0], single[1]
-    rls, reference = RLS[mode]
-    settings = BsnnArxSettings(network=BsnnArxSettings.paper_mode().network, rls=rls)
+    settings = BsnnArxSettings(network=BsnnArxSettings.paper_mode().network, rls=RLS[mode])
     model = BsnnArx(settings)
     model.randomise(np.random.default_rng(5))
     start = model.parameters
     network = oracle.Bsnn([oracle.Splines(settings.network.basis[0].knots, "paper")], [0.14])
     network.w1[0][:], network.b = start[6:14], oracle.REAL(start[14])
-    other = oracle.BsnnArx(network, oracle.Rls(6, **_fresh(reference)))
+    other = oracle.BsnnArx(network, oracle.Rls(6, RLS[mode]))
     other.rls.theta[:] = start[:6]
     have = model.run(u, y)
     want = np.array([other.update(*sample) for sample in zip(u, y, strict=True)])
@@ -134,14 +106,6 @@ def test_bsnn_arx_agrees(single, mode):
         assert report["changes"] >= 2
     if "bounded" in mode:
         assert report["gain_trace"] <= 6 * 2.0 * (1 + 1e-12)
-
-
-def _fresh(reference):
-    """Arguments with an unused detector of the same constants."""
-    out = dict(reference)
-    if "detector" in out:
-        out["detector"] = oracle.ChangeDetector(ratio=out["detector"].ratio)
-    return out
 
 
 def test_two_layer_network_agrees(samples):
@@ -166,7 +130,7 @@ def test_two_layer_network_agrees(samples):
     )
     reference.w1 = [start[6:14].astype(oracle.REAL), start[14:23].astype(oracle.REAL)]
     reference.b, reference.w2 = oracle.REAL(start[23]), start[24:].astype(oracle.REAL)
-    rls = oracle.Rls(6, forgetting="variable", factor=0.9, detector=oracle.ChangeDetector())
+    rls = oracle.Rls(6, settings.rls)
     rls.theta[:] = start[:6]
     other = oracle.BsnnArx(reference, rls, na=2, nb=4, nk=0, opening=3.0, fading=500.0)
     have = model.run(u, y)
@@ -235,12 +199,7 @@ def test_spline_narx_agrees(single, kind, after):
         resynchronise_above=0.3,
     )
     model = SplineNarx(settings)
-    n = len(model.theta)
-    reference = {"gain": gain, "change_gain": gain, "bound": 10 * gain}
-    if after == 0:
-        detector = oracle.ChangeDetector()
-        reference |= {"forgetting": "variable", "factor": 0.9, "detector": detector}
-    rls = oracle.Rls(n, **reference)
+    rls = oracle.Rls(len(model.theta), settings.rls)
     features = list(_reference_features(FEATURES[kind]))
     other = OracleNarx(features, rls, SCALES, after, 0.3 / 2.0)
     have = model.run(u, y)

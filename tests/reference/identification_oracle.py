@@ -9,6 +9,8 @@ from bisect import bisect_right
 
 import numpy as np
 
+from leglab.identification import ChangeDetection
+
 REAL = np.longdouble
 
 
@@ -69,27 +71,23 @@ class Splines:
 
 
 class ChangeDetector:
-    """Quick against slow mean of the squared error."""
+    """Quick against slow mean of the squared error; without settings it tells of no change."""
 
-    def __init__(self, fast=20, slow=500, ratio=3.0, hold_off=200, enabled=True):
-        self.windows, self.ratio, self.hold_off, self.enabled = (
-            (fast, slow),
-            ratio,
-            hold_off,
-            enabled,
-        )
+    def __init__(self, settings):
+        self.settings, self.enabled = settings or ChangeDetection(), settings is not None
         self.fast = self.slow = REAL(0)
         self.samples = self.last = self.changes = 0
 
     def observe(self, squared):
         self.samples += 1
-        weights = [max(REAL(1) / w, REAL(1) / self.samples) for w in self.windows]
+        windows = self.settings.fast_window, self.settings.slow_window
+        weights = [max(REAL(1) / w, REAL(1) / self.samples) for w in windows]
         self.fast += weights[0] * (squared - self.fast)
         change = (
             self.enabled
-            and self.samples > self.hold_off
-            and self.samples - self.last > self.hold_off
-            and self.fast > self.ratio * self.slow
+            and self.samples > self.settings.hold_off
+            and self.samples - self.last > self.settings.hold_off
+            and self.fast > self.settings.ratio * self.slow
         )
         if change:
             self.last = self.samples
@@ -101,45 +99,26 @@ class ChangeDetector:
 class Rls:
     """Eqs. 5 to 8 with forgetting, on the full gain matrix."""
 
-    def __init__(
-        self,
-        n,
-        gain=1e4,
-        forgetting="none",
-        factor=1.0,
-        memory=400.0,
-        noise=0.0,
-        bound=1e6,
-        detector=None,
-        action="reset",
-        change_gain=1e4,
-        restore=0,
-        restore_gain=1e4,
-    ):
-        self.restore, self.restore_gain, self.updates = restore, REAL(restore_gain), 0
+    def __init__(self, n, settings):
+        self.settings, self.updates = settings, 0
         self.forgotten, self.restored = REAL(0), np.zeros(n, dtype=REAL)
         self.theta = np.zeros(n, dtype=REAL)
-        self.gain = REAL(gain) * np.eye(n, dtype=REAL)
-        self.forgetting, self.factor, self.memory, self.noise = (
-            forgetting,
-            REAL(factor),
-            memory,
-            noise,
-        )
-        self.bound, self.action, self.change_gain = bound, action, REAL(change_gain)
-        self.detector = detector or ChangeDetector(enabled=False)
+        self.gain = REAL(settings.initial_gain) * np.eye(n, dtype=REAL)
+        self.factor = REAL(settings.forgetting_factor)
+        self.detector = ChangeDetector(settings.change)
 
     def update(self, phi, error):
         phi = np.asarray(phi, dtype=REAL)
         changed = self.detector.observe(error * error)
         if changed:
             identity = np.eye(len(phi), dtype=REAL)
-            kept = 0 if self.action == "reset" else self.gain
-            self.gain = kept + self.change_gain * identity
+            change = self.settings.change
+            kept = 0 if change.action == "reset" else self.gain
+            self.gain = kept + REAL(change.gain) * identity
             self._limit()
         spread = self.gain @ phi
         power = phi @ spread
-        if self.forgetting == "directional":
+        if self.settings.forgetting == "directional":
             self.theta += spread * error / (1 + power)
             if power > 1e-12:
                 beta = self.factor - (1 - self.factor) / power
@@ -147,10 +126,11 @@ class Rls:
                 if beta < 0:
                     self._limit()
         else:
-            factor = {"none": REAL(1), "exponential": self.factor}.get(self.forgetting)
+            known = {"none": REAL(1), "exponential": self.factor}
+            factor = known.get(self.settings.forgetting)
             if factor is None:
-                noise = self.noise or self.detector.slow
-                information = (1 + power) * self.memory * noise
+                noise = self.settings.noise_variance or self.detector.slow
+                information = (1 + power) * self.settings.memory * noise
                 factor = 1 - error * error / information if information > 0 else REAL(1)
                 factor = max(factor, self.factor)
             self.theta += spread * error / (factor + power)
@@ -160,8 +140,9 @@ class Rls:
             self.forgotten += 1 - factor
         self.gain = (self.gain + self.gain.T) / 2
         self.updates += 1
-        if self.restore and self.updates % self.restore == 0:
-            self._restore(self.updates // self.restore % len(self.theta) - 1)
+        interval = self.settings.restore_interval
+        if interval and self.updates % interval == 0:
+            self._restore(self.updates // interval % len(self.theta) - 1)
         return changed
 
     def _restore(self, i):
@@ -169,13 +150,14 @@ class Rls:
         lost, self.restored[i] = self.forgotten - self.restored[i], self.forgotten
         if lost > 0:
             spread = self.gain[:, i]
-            power = spread[i] + self.restore_gain / lost
+            power = spread[i] + REAL(self.settings.restore_gain) / lost
             self.theta = self.theta - spread * self.theta[i] / power
             self.gain = self.gain - np.outer(spread, spread) / power
 
     def _limit(self):
         """Columns sqrt(d_j) u_j of F = U D U^T are kept within the bound, one by one."""
-        if np.trace(self.gain) <= self.bound:  # then no column can exceed it
+        bound = self.settings.gain_bound
+        if np.trace(self.gain) <= bound:  # then no column can exceed it
             return
         left, columns = self.gain.copy(), []
         for j in reversed(range(len(left))):
@@ -183,7 +165,7 @@ class Rls:
             column[j + 1 :] = 0
             columns.append((left[j, j], column))
             left = left - left[j, j] * np.outer(column, column)
-        self.gain = sum(min(d, self.bound / (c @ c)) * np.outer(c, c) for d, c in columns)
+        self.gain = sum(min(d, bound / (c @ c)) * np.outer(c, c) for d, c in columns)
 
 
 class Bsnn:

@@ -143,36 +143,29 @@ struct QuadraticBasis {
   }
 };
 
-// Extends p knots by two at each end, repeating the outermost gap. Returns the common distance
-// if the knots are equidistant to `tolerance` of a gap, else zero.
+// Basis over `p` knots; `extended` needs p + 4 places and must outlive the basis.
 template <class T>
-T extend_knots(const T* knots, int p, T* extended, T tolerance) {
+QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
+  // By two knots at each end, which repeat the outermost gap.
   for (int i = 0; i < p; ++i) extended[i + 2] = knots[i];
   const T head = knots[1] - knots[0], tail = knots[p - 1] - knots[p - 2];
   extended[1] = knots[0] - head;
   extended[0] = knots[0] - T(2) * head;
   extended[p + 2] = knots[p - 1] + tail;
   extended[p + 3] = knots[p - 1] + T(2) * tail;
-  const T mean = (knots[p - 1] - knots[0]) / static_cast<T>(p - 1);
+  constexpr T tolerance = sizeof(T) == 4 ? T(1e-4) : T(1e-9);  // of a gap
+  const T mean = (knots[p - 1] - knots[0]) / static_cast<T>(p - 1), inverse = T(1) / mean;
+  bool equidistant = true;
   for (int i = 1; i < p; ++i) {
-    if (magnitude(knots[i] - knots[i - 1] - mean) > tolerance * mean) return T(0);
+    equidistant &= magnitude(knots[i] - knots[i - 1] - mean) <= tolerance * mean;
   }
-  return mean;
-}
-
-// Basis over `p` knots; `extended` needs p + 4 places and must outlive the basis.
-template <class T>
-QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
   QuadraticBasis<T> basis;
-  const T tolerance = sizeof(T) == 4 ? T(1e-4) : T(1e-9);
-  const T spacing = extend_knots(knots, p, extended, tolerance);
   basis.knots = extended;
   basis.knot_count = p;
   basis.offset = full ? 0 : 2;
   basis.count = full ? p + 1 : p - 3;
   // Knots so close that the inverse is infinite are searched: no index comes from such a product.
-  const T inverse = spacing > T(0) ? T(1) / spacing : T(0);
-  basis.inverse_spacing = is_finite(inverse) ? inverse : T(0);
+  basis.inverse_spacing = equidistant && is_finite(inverse) ? inverse : T(0);
   return basis;
 }
 

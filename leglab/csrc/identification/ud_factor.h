@@ -1,6 +1,8 @@
 // Gain matrix F = U D U^T of recursive least squares, kept as its factors (Bierman 1976).
 #pragma once
 
+#include <utility>
+
 #include "identification/scalar.h"
 #include "identification/workspace.h"
 
@@ -62,14 +64,11 @@ class UdFactor {
   // Computes f = U^T phi and v = D f; returns phi^T F phi.
   T project(const T* phi, Support support) {
     first_ = 0;
-    T power = T(0);
     if (support.index == nullptr) {
-      if (n_ == 6) fixed_project<6, 0>(phi, power);
-      else if (n_ == 7) fixed_project<7, 0>(phi, power);
-      else project_columns(phi, power);
-      return power;
+      return n_ == 6 ? project_all<6>(phi) : n_ == 7 ? project_all<7>(phi) : project_all<0>(phi);
     }
     first_ = support.count > 0 ? support.index[0] : n_;
+    T power = T(0);
     int below = 0;  // nonzero regressors with an index below j
     for (int j = first_; j < n_; ++j) {
       const T* column = u_ + j * (j - 1) / 2;
@@ -96,9 +95,9 @@ class UdFactor {
   // positive. Where F can have grown, every column's share of the trace is kept within bound.
   void update(T alpha, T beta, T scale, T bound) {
     Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
-    if (n_ == 6 && first_ == 0) fixed_rotate<6>(sweep);
-    else if (n_ == 7 && first_ == 0) fixed_rotate<7>(sweep);
-    else rotate(sweep);
+    if (n_ == 6 && first_ == 0) rotate<6>(sweep);
+    else if (n_ == 7 && first_ == 0) rotate<7>(sweep);
+    else rotate<0>(sweep);
     // Exactly, F can only have grown in the first two cases; rounding adds the others.
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
@@ -140,16 +139,34 @@ class UdFactor {
   }
 
  private:
+  // first + sum_i a_i b_i in as many sums, since the additions of one wait for each other.
+  template <int sums>
+  [[gnu::always_inline]] static T dot(T first, const T* a, const T* b, int count) {
+    T sum[sums] = {first};
+    int i = 0;
+    for (; i + sums - 1 < count; i += sums) {
+      for (int k = 0; k < sums; ++k) sum[k] += a[i + k] * b[i + k];
+    }
+    for (; i < count; ++i) sum[0] += a[i] * b[i];
+    if constexpr (sums == 2) return sum[0] + sum[1];
+    else return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+  }
+
   T column_power(int j) const {
     const T* column = u_ + j * (j - 1) / 2;
-    // Four sums: the additions of one wait for each other.
-    T sum[4] = {T(1), T(0), T(0), T(0)};
-    int i = 0;
-    for (; i + 3 < j; i += 4) {
-      for (int k = 0; k < 4; ++k) sum[k] += column[i + k] * column[i + k];
+    return dot<4>(T(1), column, column, j);
+  }
+
+  // Goes through the columns; unrolled where the compiler knows their number N, which is not 0.
+  template <int N, class Step>
+  [[gnu::always_inline]] void each_column(Step step) const {
+    if constexpr (N > 0) {
+      [&]<int... J>(std::integer_sequence<int, J...>) {
+        (step(J), ...);
+      }(std::make_integer_sequence<int, N>());
+    } else {
+      for (int j = first_; j < n_; ++j) step(j);
     }
-    for (; i < j; ++i) sum[0] += column[i] * column[i];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
   }
 
   // Scales D where a column's share of the trace is beyond the bound. A column that would need
@@ -166,20 +183,15 @@ class UdFactor {
     }
   }
 
-  void project_columns(const T* phi, T& power) {
-    for (int j = 0; j < n_; ++j) {
-      const T* column = u_ + j * (j - 1) / 2;
-      // Four sums: the additions of one wait for each other.
-      T sum[4] = {phi[j], T(0), T(0), T(0)};
-      int i = 0;
-      for (; i + 3 < j; i += 4) {
-        for (int k = 0; k < 4; ++k) sum[k] += column[i + k] * phi[i + k];
-      }
-      for (; i < j; ++i) sum[0] += column[i] * phi[i];
-      f_[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+  template <int N>
+  T project_all(const T* phi) {
+    T power = T(0);
+    each_column<N>([&](int j) __attribute__((always_inline)) {
+      f_[j] = dot<(N > 0 ? 2 : 4)>(phi[j], u_ + j * (j - 1) / 2, phi, j);
       v_[j] = d_[j] * f_[j];
       power += f_[j] * v_[j];
-    }
+    });
+    return power;
   }
 
   // Running state of one update: alpha of the columns done so far, and its inverse.
@@ -203,13 +215,15 @@ class UdFactor {
     return ratio;
   }
 
+  template <int N>
   void rotate(Sweep& sweep) {
-    T* __restrict b = b_;
-    for (int i = 0; i < first_; ++i) {
+    T few[N + 1];  // b of N columns stays in registers
+    T* __restrict b = N > 0 ? few : b_;
+    for (int i = 0; N == 0 && i < first_; ++i) {
       b[i] = T(0);
       d_[i] *= sweep.scale;
     }
-    for (int j = first_; j < n_; ++j) {
+    each_column<N>([&](int j) __attribute__((always_inline)) {
       T* __restrict column = u_ + j * (j - 1) / 2;
       const T v = v_[j], ratio = turn(sweep, j);
       for (int i = 0; i < j; ++i) {
@@ -218,47 +232,8 @@ class UdFactor {
         b[i] += v * old;
       }
       b[j] = v;
-    }
-  }
-
-  // The same for N parameters known to the compiler, unrolled by recursion over the columns.
-  template <int N, int J>
-  [[gnu::always_inline]] void fixed_project(const T* phi, T& power) {
-    if constexpr (J < N) {
-      const T* column = u_ + J * (J - 1) / 2;
-      T even = phi[J], odd = T(0);
-      for (int i = 0; i + 1 < J; i += 2) {
-        even += column[i] * phi[i];
-        odd += column[i + 1] * phi[i + 1];
-      }
-      if (J % 2 == 1) even += column[J - 1] * phi[J - 1];
-      f_[J] = even + odd;
-      v_[J] = d_[J] * f_[J];
-      power += f_[J] * v_[J];
-      fixed_project<N, J + 1>(phi, power);
-    }
-  }
-
-  template <int N>
-  void fixed_rotate(Sweep& sweep) {
-    T b[N];
-    fixed_columns<N, 0>(sweep, b);
-    for (int i = 0; i < N; ++i) b_[i] = b[i];
-  }
-
-  template <int N, int J>
-  [[gnu::always_inline]] void fixed_columns(Sweep& sweep, T* b) {
-    if constexpr (J < N) {
-      T* column = u_ + J * (J - 1) / 2;
-      const T v = v_[J], ratio = turn(sweep, J);
-      for (int i = 0; i < J; ++i) {
-        const T old = column[i];
-        column[i] = old + ratio * b[i];
-        b[i] += v * old;
-      }
-      b[J] = v;
-      fixed_columns<N, J + 1>(sweep, b);
-    }
+    });
+    for (int i = 0; i < N; ++i) b_[i] = few[i];
   }
 
   int n_ = 0;
