@@ -13,7 +13,6 @@ here.
 import argparse
 import re
 import shutil
-import struct
 import subprocess
 import tempfile
 from collections import Counter
@@ -45,12 +44,13 @@ _MONITOR = {
 _CALLED = ("plant", "period", *_MONITOR)
 
 COMPILER = "arm-none-eabi-g++"
+START = 0x10000  # address of the program
 FLAGS = [
     "-std=c++20", "-O3", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16",
     "-ffreestanding", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics", "-Wall",
     "-Wextra", "--specs=nosys.specs", "-nostartfiles", "-Wl,--gc-sections",
     *(f"-Wl,-u,{name}" for name in _CALLED), "-Wl,-e,setup",
-    "-Wl,-Ttext=0x10000", "-Wl,--no-warn-rwx-segments",
+    f"-Wl,-Ttext={START:#x}", "-Wl,--no-warn-rwx-segments",
 ]  # fmt: skip
 JOINTS, CLOCK, RATE = 6, 400e6, 500.0  # Hz, Hz
 # Control periods, those that are not counted, and the one at which the machine changes.
@@ -134,8 +134,9 @@ class Machine:
         self._cpu = cpu = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
         cpu.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M7)
         cpu.mem_map(0, 0x400000)
-        for address, content in _segments(elf):
-            cpu.mem_write(address, content)
+        image = elf.with_suffix(".bin")
+        _tool("objcopy", "-O", "binary", str(elf), str(image))
+        cpu.mem_write(START, image.read_bytes())
         self._end = 0x3FF000
         self.counts: Counter[tuple[int, int]] = Counter()
         cpu.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
@@ -157,19 +158,15 @@ class Machine:
 
     def unsigned(self, name: str) -> int:
         """A variable."""
-        return int(struct.unpack("<I", self._cpu.mem_read(self.symbols[name], 4))[0])
+        return int.from_bytes(self._cpu.mem_read(self.symbols[name], 4), "little")
 
     def number(self, name: str) -> float:
         """A variable."""
-        return float(struct.unpack("<d", self._cpu.mem_read(self.symbols[name], 8))[0])
+        return float(self.numbers(self.symbols[name], 1)[0])
 
-    def numbers(self, name: str, count: int) -> np.ndarray:
-        """Doubles of a variable."""
-        return np.frombuffer(self._cpu.mem_read(self.symbols[name], 8 * count), dtype="<f8")
-
-    def pointed(self, name: str, count: int) -> np.ndarray:
-        """Doubles that a variable points to."""
-        return np.frombuffer(self._cpu.mem_read(self.unsigned(name), 8 * count), dtype="<f8")
+    def numbers(self, address: int, count: int) -> np.ndarray:
+        """Doubles from an address on."""
+        return np.frombuffer(self._cpu.mem_read(address, 8 * count), dtype="<f8")
 
     def executed(self) -> Counter[str]:
         """Instructions by kind since `counts` was cleared."""
@@ -216,19 +213,6 @@ def _listing(elf: Path) -> dict[int, Counter[str]]:
         match = re.match(r"\s*([0-9a-f]+):\t(\S+)\s*(.*)", line)
         if match:
             found[int(match[1], 16)] = kinds(match[2], match[3])
-    return found
-
-
-def _segments(elf: Path) -> list[tuple[int, bytes]]:
-    """What is loaded, by address; from the program headers of the 32-bit ELF file."""
-    content = elf.read_bytes()
-    (start,) = struct.unpack_from("<I", content, 28)
-    size, count = struct.unpack_from("<HH", content, 42)
-    found = []
-    for i in range(count):
-        kind_, at, address, _, length = struct.unpack_from("<5I", content, start + i * size)
-        if kind_ == 1 and length:
-            found.append((address, content[at : at + length]))
     return found
 
 
@@ -324,10 +308,12 @@ class _Twin:
 
     def take(self) -> None:
         joints, parameters = self._shape
-        rows = self._machine.pointed("block_samples", BLOCK * joints * (parameters + 3))
-        learned = self._machine.numbers("block_parameters", joints * parameters)
+        machine = self._machine
+        place = machine.unsigned("block_samples")
+        rows = machine.numbers(place, BLOCK * joints * (parameters + 3))
+        learned = machine.numbers(machine.symbols["block_parameters"], joints * parameters)
         self.core.take(
-            self._machine.number("time_now"),
+            machine.number("time_now"),
             rows.reshape(BLOCK, joints, -1),
             learned.reshape(joints, parameters),
         )
@@ -344,7 +330,7 @@ class _Twin:
         named = fit.size[best], fit.spread[best], fit.cost[best]
         chance = judged.chance[self._bank.group[best]]
         here = np.array([best, *named, fit.without, fit.noise, chance])
-        there = self._machine.numbers("found", 7)
+        there = self._machine.numbers(self._machine.symbols["found"], 7)
         scale = np.abs(here)
         scale[3] = here[4]  # what is left is a difference
         return float(np.max(np.abs(here - there) / np.maximum(scale, 1e-3)))

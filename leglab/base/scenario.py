@@ -145,26 +145,21 @@ class Options:
             element: Which elements change.
             where: `optional` and `fallback` of the `ParameterChange`.
         """
-        return self._change("set", parameter, value, element, where)
+        return ParameterChange(
+            **where,
+            parameter=parameter,
+            element=element,
+            kind="set",
+            value=value,
+            start=self.half,
+            ramp_duration=self.ramp_duration,
+        )
 
     def scale(
         self, parameter: str, factor: float, element: str = "*", **where: bool
     ) -> ParameterChange:
         """A change by a factor at half time; arguments as of `set`."""
-        return self._change("scale", parameter, factor, element, where)
-
-    def _change(
-        self, kind: str, parameter: str, value: float, element: str, where: Mapping[str, bool]
-    ) -> ParameterChange:
-        return ParameterChange(
-            **where,
-            parameter=parameter,
-            element=element,
-            kind=kind,
-            value=value,
-            start=self.half,
-            ramp_duration=self.ramp_duration,
-        )
+        return replace(self.set(parameter, factor, element, **where), kind="scale")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,38 +3,37 @@
 #include <cstring>
 #include <span>
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include "bindings/arrays.h"
 #include "hydraulics/continuous.h"
 #include "hydraulics/supply.h"
 #include "plugin/tables.h"
 
-namespace nb = nanobind;
-using namespace leglab::hydraulics;
+namespace leglab::bindings {
+namespace {
+
+using namespace hydraulics;
 
 using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using ConstVector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Matrix = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using ConstMatrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using SpecRow = std::tuple<std::string, std::string, double, double, double, bool, std::string>;
 
-namespace {
-
-std::vector<SpecRow> rows(std::span<const ParameterSpec> specs) {
-  std::vector<SpecRow> out;
+nb::list rows(std::span<const ParameterSpec> specs) {
+  nb::list out;
   for (const auto& s : specs) {
-    out.emplace_back(s.name, s.unit, s.nominal, s.minimum, s.maximum, s.minimum_allowed, s.description);
+    out.append(nb::make_tuple(s.name, s.unit, s.nominal, s.minimum, s.maximum, s.minimum_allowed,
+                              s.description));
   }
   return out;
 }
 
-std::vector<std::tuple<std::string, std::string, std::string>> rows(std::span<const StateSpec> specs) {
-  std::vector<std::tuple<std::string, std::string, std::string>> out;
-  for (const auto& s : specs) out.emplace_back(s.name, s.unit, s.description);
+nb::list rows(std::span<const StateSpec> specs) {
+  nb::list out;
+  for (const auto& s : specs) out.append(nb::make_tuple(s.name, s.unit, s.description));
   return out;
 }
 
@@ -57,9 +56,7 @@ typename Table::Parameters parameters_of(const double* values, std::size_t count
 // seals, which carry the sum of its gauge pressures, or of a joint, which carries its load.
 void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVector velocity,
                       ConstVector carried, ConstVector time, Vector out) {
-  for (const ConstVector& series : {velocity, carried, time}) {
-    require(series.shape(0), out.shape(0), "a series");
-  }
+  require_size(out.size(), velocity, carried, time);
   const auto fill = [&](auto law) {
     for (std::size_t k = 0; k < out.shape(0); ++k) {
       out.data()[k] = law(velocity.data()[k], carried.data()[k], time.data()[k]);
@@ -77,8 +74,7 @@ void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVe
 // LuGre bristle before each sample of a sliding motion that starts unloaded: velocity and steady
 // friction held over each sample.
 void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Vector out) {
-  require(level.shape(0), velocity.shape(0), "level");
-  require(out.shape(0), velocity.shape(0), "out");
+  require_size(velocity.size(), level, out);
   double z = 0;
   for (std::size_t k = 0; k < velocity.shape(0); ++k) {
     out.data()[k] = z;
@@ -102,7 +98,7 @@ void spool(ConstVector command, double natural_frequency, double damping_ratio, 
 // Output of a play of full width `width`, from the middle at the start (Krasnosel'skii and Pokrovskii
 // 1989).
 void play(ConstVector samples, double width, Vector out) {
-  require(out.shape(0), samples.shape(0), "out");
+  require_size(samples.size(), out);
   const double half = 0.5 * width;
   double value = out.shape(0) > 0 ? samples.data()[0] : 0.0;
   for (std::size_t k = 0; k < out.shape(0); ++k) {
@@ -240,16 +236,15 @@ class CylinderModel {
 }  // namespace
 
 NB_MODULE(hydraulics, m) {
-  m.doc() = "Hydraulics core of leglab.";
   m.def("parameter_tables", [] {
     nb::dict tables;
-    for (const auto& t : leglab::plugin::kTables) {
+    for (const auto& t : plugin::kTables) {
       tables[t.plugin] = nb::make_tuple(rows(t.parameters), rows(t.states),
                                         std::vector<std::string>(t.texts.begin(), t.texts.end()));
     }
     return tables;
   });
-  m.def("unit_at_slide", &leglab::plugin::unit_at_slide);
+  m.def("unit_at_slide", &plugin::unit_at_slide);
   m.def("sliding_friction", &sliding_friction);
   m.def("bristle", &bristle);
   m.def("play", &play);
@@ -269,3 +264,5 @@ NB_MODULE(hydraulics, m) {
       .def("condition", &CylinderModel::condition)
       .def("steady_friction", &CylinderModel::steady_friction);
 }
+
+}  // namespace leglab::bindings

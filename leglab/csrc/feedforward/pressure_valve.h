@@ -117,7 +117,6 @@ class PressureValve {
 
   // Speeds that leak paths take, as a share of full speed, were each to lose the flow of full speed
   // at nominal supply pressure: from A to B, from A outside, from B outside.
-  static constexpr int leaks = 3;
   void leak(const Place& at, const ChamberPressures& p, double* out) const {
     const double scale = at.sign * sheet_.area_a / (at.stiffness * sheet_.supply_pressure);
     out[0] = scale * (at.weight_a + at.weight_b) * (p.a - p.b);

@@ -31,7 +31,6 @@ class BsnnArx {
     settings_.guard.inputs = settings.network.inputs;
     settings_.guard.memory = larger(settings.na, settings.nb + settings.nk - 1);
     parameters_ = settings.na + settings.nb;
-    settings_.rls.parameters = parameters_;
     network_.layout(workspace, settings.network);
     rls_.layout(workspace, parameters_);
     guard_.layout(workspace);
@@ -63,10 +62,10 @@ class BsnnArx {
 
   // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t). NaN in y is fine
   // where only a prediction is wanted: the sample then teaches nothing.
-  T update(const T* input, T y, bool present = true) {
+  T update(const T* input, T y) {
     T u[GuardSettings<T>::max_inputs];
     for (int j = 0; j < settings_.network.inputs; ++j) u[j] = input[j];
-    const Sample verdict = guard_.judge(u, y, present);
+    const Sample verdict = guard_.judge(u, y, true);
     const T n = network_.output(u);
     const T prediction = predict(n);
     if (verdict == Sample::learned) {

@@ -17,13 +17,12 @@ enum class Forgetting : int {
 
 template <class T>
 struct RlsSettings {
-  int parameters = 0;
   T initial_gain = T(1e4);           // F(0) = initial_gain * I
   Forgetting forgetting = Forgetting::none;
   T forgetting_factor = T(1);        // lambda; the smallest one allowed in variable forgetting
   T memory = T(400);                 // N_0 of variable forgetting [samples]
   T noise_variance = T(0);           // of variable forgetting; 0: the detector's slow mean
-  T gain_bound = T(1e6);             // trace(F) <= parameters * gain_bound
+  T gain_bound = T(1e6);             // trace(F) <= gain_bound times the number of parameters
   T restore_gain = T(1e4);           // prior variance of theta that is given back
   int restore_interval = 0;          // updates from one restored parameter to the next; 0: never
   ChangeSettings<T> change;

@@ -48,7 +48,6 @@ class SplineNarx {
     parameters_ = structure.parameters();
     weight_count_ = structure.weights();
     past_.depth = structure.depth();
-    settings_.rls.parameters = parameters_;
     settings_.guard.inputs = structure.inputs;
     settings_.guard.memory = past_.depth;
     rls_.layout(workspace, parameters_);
