@@ -435,24 +435,21 @@ def record(
     faults: str | Iterable[str] | None,
     motions: Mapping[str, np.ndarray],
     rng: np.random.Generator,
-    *,
-    sizes: str = "gross",
 ) -> dict[str, Recording]:
-    """Recordings of a specimen with faults of drawn sizes.
+    """Recordings of a specimen with gross faults of drawn sizes.
 
     Args:
         bench: Healthy.
         faults: Name, names, or None for nothing.
         motions: References [rad] at the sampling period by name.
         rng: Of sizes and noise.
-        sizes: As in `with_fault`.
 
     Raises:
         LeglabError: As `with_fault`.
     """
     names = (faults,) if isinstance(faults, str) else tuple(faults or ())
     for name in names:
-        bench, _ = with_fault(bench, name, rng, sizes=sizes)
+        bench, _ = with_fault(bench, name, rng)
     return {name: bench.follow(reference, rng) for name, reference in motions.items()}
 
 

@@ -9,7 +9,6 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -41,8 +40,6 @@ from leglab.runs.preparation import Preparation
 
 # Settings of controllers with one value a joint.
 _PER_JOINT = ("position_gain", "velocity_gain")
-# Rows of a machine: position and velocity, pressures where there are any, the reference.
-_View = tuple[tuple[np.ndarray, np.ndarray], tuple[Any, ...], ReferencePoint]
 
 
 @dataclass(slots=True)
@@ -342,17 +339,16 @@ class Batch:
         if self._team is not None:
             self._command_of_team(self._team, np.flatnonzero(chosen), first)
             return
-        times, supplies = self.time.tolist(), self._pressure[:, -1:].tolist()
         for i in np.flatnonzero(chosen).tolist():
             loop = self.loop(i)
             controller = loop.controller
             assert controller is not None
-            motion, pressures, point = self._views[i]
-            measurement = Measurement(times[i], *motion, *pressures, *supplies[i])
+            measurement = self._measurement(i)
             if first:
                 controller.reset(measurement)
             elif hasattr(controller, "sent"):
                 controller.sent(self.command[i])
+            point = ReferencePoint(*(part[i] for part in self.reference))
             self._wish[i] = loop.checked(controller.command(measurement, point))
             if self._feedforward:
                 self._forward[i] = diagnostics_of(controller)["feedforward"]
@@ -364,9 +360,7 @@ class Batch:
             for i in chosen.tolist():
                 controller = self.loop(i).controller
                 assert isinstance(controller, AdaptiveController)
-                motion, pressures, _ = self._views[i]
-                supply = self._pressure[i, -1:].tolist()
-                controller.reset(Measurement(float(time[i]), *motion, *pressures, *supply))
+                controller.reset(self._measurement(i))
                 self._adaptive[i] = controller
         members = [self._adaptive[i] for i in chosen.tolist()]
         if self._looks:
@@ -377,17 +371,12 @@ class Batch:
         measured = time, *motion, self._pressure
         step_together(team, learning, chosen, self.command, measured, self.reference, out)
 
-    @cached_property
-    def _views(self) -> list[_View]:
-        """Inputs of each machine's controller but time and supply: rows of the arrays."""
-        hydraulic = self._pressure.shape[1] // 2
-        found = []
-        for i in range(self.count):
-            row = self._pressure[i]
-            pressures = (row[:hydraulic], row[hydraulic:-1]) if hydraulic else ()
-            point = ReferencePoint(*(part[i] for part in self.reference))
-            found.append(((self.position[i], self.velocity[i]), pressures, point))
-        return found
+    def _measurement(self, i: int) -> Measurement:
+        """What the controller of a machine sees: rows of the arrays."""
+        row, hydraulic = self._pressure[i], self._pressure.shape[1] // 2
+        pressures = (row[:hydraulic], row[hydraulic:-1], float(row[-1])) if hydraulic else ()
+        now = float(self.steps[i] * self.period)
+        return Measurement(now, self.position[i], self.velocity[i], *pressures)
 
     def _complete(self) -> None:
         """Writes the last columns of the observation: commands, and what a controller tells."""
