@@ -189,9 +189,7 @@ def tables(kept: Any) -> str:
     """Tables of each rig, or of all faults together and then the time to nine tenths of each."""
     if isinstance(kept, dict):
         return "\n\n".join(
-            table.markdown()
-            for name, cells in by_rig(kept).items()
-            for table in claims(cells, name)
+            table for name, cells in by_rig(kept).items() for table in claims(cells, name)
         )
     together = results.table(list(adaptation.HEAD), [row[1:] for row in kept if row[0] == "all"])
     controllers = list(dict.fromkeys(row[1] for row in kept))

@@ -7,8 +7,7 @@ names, beside what the kept results show.
 """
 
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,23 +53,12 @@ def mrad(runs: list[dict[str, Any]], key: str) -> np.ndarray:
     return np.array(values) if values else np.array([np.nan])
 
 
-@dataclass
-class Table:
-    """Rows of text under a title."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: list[tuple[str, ...]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def markdown(self) -> str:
-        """For a page."""
-        return "\n".join(
-            [f"## {self.title}", "", results.table(self.columns, self.rows), *self.notes]
-        )
+def section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str) -> str:
+    """A table under a title, and what is to be said of it."""
+    return "\n".join([f"## {title}", "", results.table(columns, rows), *([note] if note else [])])
 
 
-def claims(cells: Cells, rig: str) -> Iterator[Table]:
+def claims(cells: Cells, rig: str) -> Iterator[str]:
     """Yields the tables that these results allow."""
     have = {controller for _, _, controller in cells}
     if ("nominal", None, "pd") in cells:
@@ -83,21 +71,17 @@ def claims(cells: Cells, rig: str) -> Iterator[Table]:
         yield peers(cells, rig)
 
 
-def nominal(cells: Cells, rig: str) -> Table:
+def nominal(cells: Cells, rig: str) -> str:
     """Each joint of a machine that does not change, in the last strides."""
     names = ("pd", "pid", CALIBRATED, ADAPTIVE, "oracle")
     runs = {name: cells.get(("nominal", None, name), []) for name in names}
     shown = [name for name in names if runs[name]]
-    table = Table(
-        f"Nothing changes: {rig}",
-        ("joint", *(f"{n}, mrad" for n in shown), "of pd", "of static"),
-    )
-    travel = runs[ADAPTIVE][0]["travel"]
+    rows, travel = [], runs[ADAPTIVE][0]["travel"]
     for joint in travel:
         if travel[joint] <= MOVING:
             continue
         rms = {n: np.array([1e3 * r["end_by_joint"][joint] for r in runs[n]]) for n in shown}
-        table.rows.append(
+        rows.append(
             (
                 joint,
                 *(interval(rms[n]) for n in shown),
@@ -105,15 +89,15 @@ def nominal(cells: Cells, rig: str) -> Table:
                 f"{np.mean(rms[ADAPTIVE]) / np.mean(rms[CALIBRATED]):.2f}",
             )
         )
-    table.notes.append(f"Asked of {ADAPTIVE}: at most 0.1 of pd, at most 0.5 of static.")
-    return table
+    columns = ("joint", *(f"{n}, mrad" for n in shown), "of pd", "of static")
+    note = f"Asked of {ADAPTIVE}: at most 0.1 of pd, at most 0.5 of static."
+    return section(f"Nothing changes: {rig}", columns, rows, note)
 
 
-def degraded(cells: Cells, rig: str) -> Table:
+def degraded(cells: Cells, rig: str) -> str:
     """Before a change and in the last strides."""
     columns = ("scenario", "before", "static end", "frozen end", "bsnn_arx end", "oracle end")
-    table = Table(f"After each change: {rig}", (*columns, "of frozen", "of oracle"))
-    failing = []
+    rows, failing = [], []
     for name, size in cases(cells):
         ours, oracle = cells[name, size, ADAPTIVE], cells[name, size, "oracle"]
         before, frozen, end = (mrad(ours, key) for key in ("before", "twin_end", "end"))
@@ -122,7 +106,7 @@ def degraded(cells: Cells, rig: str) -> Table:
         told = np.isfinite(of_frozen)
         if (told and hurt and of_frozen > 1 / 3) or of_oracle > 1.25:
             failing.append(label(name, size))
-        table.rows.append(
+        rows.append(
             (
                 label(name, size),
                 interval(before),
@@ -134,19 +118,19 @@ def degraded(cells: Cells, rig: str) -> Table:
                 f"{of_oracle:.2f}",
             )
         )
-    table.notes.append(
-        "Asked: at most 1/3 of frozen where that has at least doubled, at most 1.25 of the oracle. "
-        + (f"Not reached: {', '.join(failing)}." if failing else "Reached in every row.")
+    note = "Asked: at most 1/3 of frozen where that has at least doubled, at most 1.25 of the "
+    note += (
+        f"oracle. Not reached: {', '.join(failing)}."
+        if failing
+        else "oracle. Reached in every row."
     )
-    return table
+    return section(f"After each change: {rig}", (*columns, "of frozen", "of oracle"), rows, note)
 
 
-def undone(cells: Cells, rig: str) -> Table:
+def undone(cells: Cells, rig: str) -> str:
     """What the change cost, how much of it was undone, and how soon."""
-    table = Table(
-        f"Damage undone by {ADAPTIVE}: {rig}",
-        ("scenario", "damage, mrad", "undone, %", "least, %", "90 % after, s", "worst, s"),
-    )
+    columns = ("scenario", "damage, mrad", "undone, %", "least, %", "90 % after, s", "worst, s")
+    rows, note = [], ""
     every: list[float] = []
     for name, size in cases(cells):
         runs = [run for run in cells[name, size, ADAPTIVE] if run["told"]]
@@ -155,7 +139,7 @@ def undone(cells: Cells, rig: str) -> Table:
         soon = [np.inf if run["t90"] is None else run["t90"] for run in runs]
         shares = [100 * run["recovered"] for run in runs]
         every += soon
-        table.rows.append(
+        rows.append(
             (
                 label(name, size),
                 interval(mrad(runs, "damage")),
@@ -167,53 +151,35 @@ def undone(cells: Cells, rig: str) -> Table:
         )
     if every:
         never = sum(np.isinf(every))
-        table.notes.append(
+        note = (
             f"Over all {len(every)} runs: median {_time(float(np.median(every)))} s, worst "
             f"{_time(max(every))} s, never in {never}; asked 2 s and 5 s. Scenarios without "
             "damage, or that never stop changing, have no row."
         )
-    return table
+    return section(f"Damage undone by {ADAPTIVE}: {rig}", columns, rows, note)
 
 
-def safety(cells: Cells, rig: str) -> Table:
+def safety(cells: Cells, rig: str) -> str:
     """Worst 2 s window after the first 5 s against the calibrated feed-forward."""
-    table = Table(
-        f"Never worse than the calibration: {rig}",
-        ("scenario", "worst ratio", "at, s", "bsnn_arx, mrad", "static, mrad"),
-    )
-    over = []
+    columns = ("scenario", "worst ratio", "at, s", "bsnn_arx, mrad", "static, mrad")
+    rows, over = [], []
     for name, size in cases(cells):
         worst = max(tuple(run["safety"]) for run in cells[name, size, ADAPTIVE])
         if worst[0] > 1.1:
             over.append(label(name, size))
-        table.rows.append(
-            (
-                label(name, size),
-                *(f"{x:.{d}f}" for x, d in zip(worst, (2, 1, 2, 2), strict=True)),
-            )
-        )
-    table.notes.append(
-        "Asked: at most 1.10. " + (f"Beyond: {', '.join(over)}." if over else "Holds in every row.")
-    )
-    return table
+        shown = (f"{x:.{d}f}" for x, d in zip(worst, (2, 1, 2, 2), strict=True))
+        rows.append((label(name, size), *shown))
+    beyond = f"Beyond: {', '.join(over)}." if over else "Holds in every row."
+    note = f"Asked: at most 1.10. {beyond}"
+    return section(f"Never worse than the calibration: {rig}", columns, rows, note)
 
 
-def peers(cells: Cells, rig: str) -> Table:
+def peers(cells: Cells, rig: str) -> str:
     """The end of every scenario and the time to nine tenths, medians over seeds."""
-    names = (
-        "pid",
-        CALIBRATED,
-        "arx",
-        "bsnn_arx_paper",
-        "adaptive_backstepping",
-        ADAPTIVE,
-    )
+    names = ("pid", CALIBRATED, "arx", "bsnn_arx_paper", "adaptive_backstepping", ADAPTIVE)
     shown = [n for n in names if any(c == n for _, _, c in cells)]
-    table = Table(
-        f"Beside its peers: {rig}",
-        ("scenario", *(f"{n}, mrad / s" for n in shown), "of backstepping"),
-    )
-    lost = []
+    columns = ("scenario", *(f"{n}, mrad / s" for n in shown), "of backstepping")
+    rows, lost = [], []
     for name, size in [("nominal", None), *cases(cells)]:
         runs = {n: cells.get((name, size, n), []) for n in shown}
         ratio = _of(runs[ADAPTIVE], runs.get("adaptive_backstepping", []))
@@ -223,13 +189,13 @@ def peers(cells: Cells, rig: str) -> Table:
         for n in shown:
             told = [run["t90"] for run in runs[n] if run["told"]]
             cell.append(f"{np.median(mrad(runs[n], 'end')):.2f} / {times(told) if told else '-'}")
-        table.rows.append((label(name, size), *cell, f"{ratio:.2f}"))
-    table.notes.append(
+        rows.append((label(name, size), *cell, f"{ratio:.2f}"))
+    note = (
         "Medians over seeds: error in the last strides, and time until nine tenths of the damage "
         f"that the change did to this controller are undone. {ADAPTIVE} ends above backstepping: "
-        + (f"{', '.join(lost)}." if lost else "nowhere.")
+        f"{', '.join(lost) or 'nowhere'}."
     )
-    return table
+    return section(f"Beside its peers: {rig}", columns, rows, note)
 
 
 def _of(runs: list[dict[str, Any]], others: list[dict[str, Any]]) -> float:
@@ -365,12 +331,8 @@ def names(kept: dict[str, Any]) -> Iterator[Goal]:
         what = f"error over that of `frozen`, {start:g} to {end:g} s after the change, median"
         yield what, f"{asked:g}", _number(ratio), on
     median, worst = live_names.ASKED_T90
-    yield (
-        "90 % undone after, median / worst",
-        f"{median:g} / {worst:g} s",
-        _clock(cases, BANK),
-        on,
-    )
+    asked = f"{median:g} / {worst:g} s"
+    yield "90 % undone after, median / worst", asked, _clock(cases, BANK), on
     ratios = [
         np.array([case[WITHOUT]["ratio"]]) / np.array([case[ADAPTIVE]["ratio"]]) for case in cases
     ]
@@ -411,12 +373,7 @@ def names(kept: dict[str, Any]) -> Iterator[Goal]:
         for t in [case[BANK]["2"]]
         if t["said"] and t["confidence"] >= 0.9
     ]
-    yield (
-        "claims at 0.9 that are right",
-        "87 to 97 %",
-        _percent(sure),
-        f"{len(sure)} claims",
-    )
+    yield "claims at 0.9 that are right", "87 to 97 %", _percent(sure), f"{len(sure)} claims"
     minutes = {label: duration / 60 for label, (_, duration) in live_names.PEACE.items()}
     alarms = sum(len(said) for _, _, said in kept["peace"])
     yield (
@@ -463,12 +420,7 @@ def with_pressures(cases: list[dict[str, Any]]) -> Iterator[Goal]:
         for case in cases
         for name in (pressures.OWN, BANK)
     ]
-    yield (
-        "valve travel over that of `pd`, largest",
-        "1.5",
-        _number(max(travel)),
-        on,
-    )
+    yield "valve travel over that of `pd`, largest", "1.5", _number(max(travel)), on
 
 
 def against_oracle(kept: dict[str, Any]) -> Iterator[Goal]:

@@ -261,8 +261,8 @@ def register_controller(
     return register
 
 
-# Methods that every controller has, with the number of their arguments.
-_METHODS = {"reset": 1, "command": 2}
+# Methods that every controller has, with their arguments.
+_METHODS = {"reset": ("measurement",), "command": ("measurement", "reference")}
 
 
 def _check_contract(name: str, factory: Any) -> None:
@@ -270,19 +270,20 @@ def _check_contract(name: str, factory: Any) -> None:
     if not inspect.isclass(factory):
         return
     where = f"controller {name!r}: {factory.__qualname__}"
-    for method, count in _METHODS.items():
+    for method, wanted in _METHODS.items():
         own = getattr(factory, method, None)
-        wanted = ", ".join(("measurement", "reference")[:count])
         if not callable(own):
             told = f"{where} has no method {method!r}; needed are "
             needed = "reset(measurement) and command(measurement, reference)"
             raise SettingsError(told, given=factory.__qualname__, allowed=needed)
         taken = inspect.signature(own)
         try:
-            taken.bind(None, *range(count))
+            taken.bind(None, *wanted)
         except TypeError:
             told = f"{where}.{method} takes {taken}; needed is "
-            raise SettingsError(told, given=str(taken), allowed=f"{method}({wanted})") from None
+            raise SettingsError(
+                told, given=str(taken), allowed=f"{method}({', '.join(wanted)})"
+            ) from None
 
 
 def controller_names() -> tuple[str, ...]:

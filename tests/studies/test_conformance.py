@@ -3,6 +3,7 @@
 import functools
 import json
 import math
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from tests.tables import difference, made, printed
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / "data" / "hydraulics_conformance.json").read_text()
 )
+GOOD = Check(case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3)
 STEADY = ("a no-load speed", "b load", "k worn stall", "null leak")
 
 
@@ -46,13 +48,9 @@ def test_every_row_passes(name):
         assert {row.solver for row in rows} == {"continuous", "MuJoCo 1 ms", "MuJoCo 0.5 ms"}
 
 
-def test_a_wrong_value_fails():
-    row = Check(
-        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.002, tolerance=1e-3
-    )
-    assert not row.passed
-    assert not Check(**{**vars(row), "got": math.nan}).passed
-    assert Check(**{**vars(row), "got": 1.0009}).passed
+@pytest.mark.parametrize(("got", "passes"), [(1.0009, True), (1.002, False), (math.nan, False)])
+def test_a_wrong_value_fails(got, passes):
+    assert replace(GOOD, got=got).passed is passes
 
 
 # The closed forms themselves against the stored numbers, which three stiff solvers agreed on.
@@ -150,13 +148,10 @@ def test_the_page_shows_the_closest_rows(monkeypatch):
 
 
 def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
-    good = Check(
-        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
-    )
-    bad = Check(**{**vars(good), "got": 2.0, "quantity": "wrong one"})
+    bad = replace(GOOD, got=2.0, quantity="wrong one")
     monkeypatch.setattr(report, "shared_data", lambda part: tmp_path)
     monkeypatch.setattr(report, "replay_all", lambda folder: [])
-    for rows, outcome in (([good], True), ([good, bad], False)):
+    for rows, outcome in (([GOOD], True), ([GOOD, bad], False)):
         monkeypatch.setattr(report, "CASES", {"a": lambda rows=rows: iter(rows)})
         console = Console(record=True, width=160)
         assert report.verify(console=console) is outcome
@@ -165,16 +160,13 @@ def test_verify_prints_tables_and_reports_a_failure(monkeypatch, tmp_path):
 
 
 def test_checks_as_json(monkeypatch, tmp_path, capsys):
-    good = Check(
-        case="a", quantity="q", solver="s", unit="m", expected=1.0, got=1.0, tolerance=1e-3
-    )
-    bad = Check(**{**vars(good), "got": float("nan")})
+    bad = replace(GOOD, got=math.nan)
     monkeypatch.setattr(report, "replay_all", lambda folder: [])
 
     def missing(part):
         raise LeglabError("no recordings here")
 
-    for rows, folder, status in (([good], missing, 0), ([good, bad], lambda part: tmp_path, 1)):
+    for rows, folder, status in (([GOOD], missing, 0), ([GOOD, bad], lambda part: tmp_path, 1)):
         monkeypatch.setattr(report, "CASES", {"a": lambda rows=rows: iter(rows)})
         monkeypatch.setattr(report, "shared_data", folder)
         if status:
