@@ -13,14 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leglab._native import hydraulics as native
-from leglab.machine.sensors import (
-    CHAMBERS,
-    ENCODER_OFFSET,
-    ENCODER_SCALE,
-    PRESSURE_OFFSET,
-    PRESSURE_SCALE,
-    delayed_sensor,
-)
+from leglab.machine import sensors
 
 COMMAND_PATH = "leglab.command_path"
 # Samples to each side of an interpolation, and the shape of its window: noise keeps its size up to
@@ -54,11 +47,11 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: defaultdict[str, Corrections] = defaultdict(list)
     for joint in spec.joints:
-        for sensor in (*CHAMBERS, "position"):
+        for sensor in (*sensors.CHAMBERS, "position"):
             offset, scale = numerics(joint.name, sensor)
             undone = undo(number_of(spec, offset, 0.0), number_of(spec, scale, 1.0))
             corrections[f"{joint.name}_{sensor}"] += undone
-        shown = spec.sensor(delayed_sensor(joint.name))
+        shown = spec.sensor(sensors.delayed_sensor(joint.name))
         if shown is not None and float(shown.delay) > 0.0:
             corrections[f"{joint.name}_position"].append((undo_delay(float(shown.delay)), 1.0))
             shown.delay, shown.nsample = 0.0, 0
@@ -69,8 +62,8 @@ def numerics(joint: str, sensor: str) -> tuple[str, str]:
     """Names of a sensor's offset and scale: of a joint's "position", or of a chamber."""
     place = {"joint": joint, "chamber": sensor}
     if sensor == "position":
-        return ENCODER_OFFSET.format(**place), ENCODER_SCALE.format(**place)
-    return PRESSURE_OFFSET.format(**place), PRESSURE_SCALE.format(**place)
+        return sensors.ENCODER_OFFSET.format(**place), sensors.ENCODER_SCALE.format(**place)
+    return sensors.PRESSURE_OFFSET.format(**place), sensors.PRESSURE_SCALE.format(**place)
 
 
 def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leglab._native import hydraulics as native
+from leglab.diagnosis.plant import moments
 from leglab.diagnosis.plant.model import (
     CHAMBERS,
     CYLINDER,
@@ -20,14 +21,6 @@ from leglab.diagnosis.plant.model import (
     Machine,
     Measured,
     Variant,
-)
-from leglab.diagnosis.plant.moments import (
-    accelerations,
-    commands_at,
-    dofs,
-    forces_at,
-    plugin_offset,
-    states_at,
 )
 from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
@@ -226,11 +219,11 @@ class Instances:
             for name, known in {**series, "bristle": self.followed[cylinder, "bristle"]}.items():
                 plugin[:, self.variant.slot(cylinder, name)] = known[chosen]
         closed = plays(machine, self.variant)
-        states = states_at(machine, model, measured, chosen, plugin, without=closed)
-        commands = commands_at(machine, measured, chosen)
+        states = moments.states_at(machine, model, measured, chosen, plugin, without=closed)
+        commands = moments.commands_at(machine, measured, chosen)
 
         def both() -> np.ndarray:
-            found = forces_at(model, states, commands)
+            found = moments.forces_at(model, states, commands)
             return np.stack([found.load, found.bias], axis=2)
 
         found = measured.hidden_states.get("loads", (states, commands), both, by=self.variant)
@@ -318,10 +311,10 @@ class Instances:
         machine, model, measured = self.machine, self.variant.model, self.measured
         measured = replace(measured, samples=measured.samples[rows])
         k, closed = measured.samples, plays(machine, self.variant)
-        states = states_at(machine, model, measured, k, self.state[rows], without=closed)
-        slope = accelerations(machine, model, measured, 1)
-        found = forces_at(model, states, commands_at(machine, measured, k), slope)
-        return -found.lacking[:, dofs(model, joints)]
+        states = moments.states_at(machine, model, measured, k, self.state[rows], without=closed)
+        slope = moments.accelerations(machine, model, measured, 1)
+        found = moments.forces_at(model, states, moments.commands_at(machine, measured, k), slope)
+        return -found.lacking[:, moments.dofs(model, joints)]
 
 
 class _Bristle(NamedTuple):
@@ -442,7 +435,7 @@ def start_states(
     for (element, name), function in change.starts.items():
         plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
     instances.balance(rest_time)
-    states = states_at(machine, variant.model, measured, firsts, plugin)
+    states = moments.states_at(machine, variant.model, measured, firsts, plugin)
     states[:, 0] = cut.series.time[firsts]
     for joint in machine.joints:
         # MuJoCo's velocity lags half a step behind its position: the slope before counts.
@@ -462,7 +455,7 @@ def place(variant: Variant, element: str, quantity: str) -> int:
         return 1 + int(model.joint(element).qposadr[0])
     if quantity == "velocity":
         return 1 + model.nq + int(model.joint(element).dofadr[0])
-    return plugin_offset(model) + variant.slot(element, quantity)
+    return moments.plugin_offset(model) + variant.slot(element, quantity)
 
 
 def hidden_slots(change: Change) -> np.ndarray:

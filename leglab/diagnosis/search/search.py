@@ -27,7 +27,6 @@ class Found:
 
     fitter: Fitter  #: With which they were fitted
     ranks: tuple[Ranked, ...]  #: The sets
-    kappa: float  #: 1/design effect
     first: Columns  #: Linearisation of the model as it is, with all trials
     level: float  #: Of the model as it is
     onsets: np.ndarray | None = None  #: As `search` was given them
@@ -209,7 +208,7 @@ def search(
         last = u.names(then.members)
         tried.add(frozenset(then.members))
         run(then)
-    return Found(fitter, tuple(ranks), kappa, first, as_it_is, onsets)
+    return Found(fitter, tuple(ranks), first, as_it_is, onsets)
 
 
 def _annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
