@@ -46,26 +46,19 @@ def test_direction_dependent_friction_of_a_motor_driven_axis_is_named(tmp_path):
 
 
 @pytest.mark.slow("whole diagnosis of a rig with all effects")
-def test_a_force_offset_of_the_same_axis_is_no_friction():
-    result, _ = verdict(SLIDE_AXIS, Truth(offset=2.0))
-    assert [effect.name for effect in result.effects] == ["force_offset"]
-    assert values(result)["force"] == pytest.approx(2.0, rel=0.05)
-
-
-@pytest.mark.slow("whole diagnosis of a rig with all effects")
-def test_load_dependent_friction_of_a_pendulum_is_named():
-    result, _ = verdict(PENDULUM, Truth(gear_loss=0.15))
-    assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
-    assert values(result)["actuator"] == pytest.approx(0.15, rel=0.05)
-    assert values(result)["bias"] == pytest.approx(0.0, abs=0.01)
-    assert result.gap.closed_fraction > 0.9
-
-
-@pytest.mark.slow("whole diagnosis of a rig with all effects")
-def test_backlash_of_a_pendulum_is_named():
-    result, _ = verdict(PENDULUM, Truth(play=0.03))
-    assert [effect.name for effect in result.effects] == ["backlash"]
-    assert values(result)["width"] == pytest.approx(0.03, rel=0.05)
+@pytest.mark.parametrize(
+    ("rig", "truth", "name", "sizes"),
+    [
+        (SLIDE_AXIS, Truth(offset=2.0), "force_offset", {"force": 2.0}),
+        (PENDULUM, Truth(gear_loss=0.15), "load_dependent_friction", {"actuator": 0.15, "bias": 0}),
+        (PENDULUM, Truth(play=0.03), "backlash", {"width": 0.03}),
+    ],
+)
+def test_a_single_fault_of_a_motor_driven_machine_is_named(rig, truth, name, sizes):
+    result, _ = verdict(rig, truth)
+    assert [effect.name for effect in result.effects] == [name]
+    for parameter, size in sizes.items():
+        assert values(result)[parameter] == pytest.approx(size, rel=0.05, abs=0.0 if size else 0.01)
     assert result.gap.closed_fraction > 0.9
 
 
