@@ -7,7 +7,7 @@ servos, follow a reference of their own in each joint.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,32 +57,41 @@ Mechanism = Callable[[Pair, Pair, Pair], tuple[float, float, float, float, float
 
 
 @dataclass(frozen=True, kw_only=True)
-class Linkage:
+class Driven:
     """A machine with one or two joints as its maker knows it; SI units.
 
     Attributes:
         model: MJCF of the same machine.
         joints: Their names; one alone where the second is not there.
         drives: Names of the drives of the first joints.
-        mechanism: Inertia and weight under a payload.
-        damping: Of the joints.
+        damping: Viscous, of the joints.
         reach: Size of the references.
         gains: Of each drive: of position and velocity.
         limits: Largest force of each drive.
         servo: Whether gains are the drives' own and commands are positions.
-        noise: RMS of the encoders' noise.
     """
 
     model: Path
     joints: tuple[str, ...]
     drives: tuple[str, ...]
-    mechanism: Mechanism
     damping: Pair
     reach: Pair
     gains: tuple[Pair, ...]
     limits: tuple[float, ...]
     servo: bool = False
-    noise: Pair = field(default=(1e-4, 1e-4))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linkage(Driven):
+    """One that moves as a mechanism.
+
+    Attributes:
+        mechanism: Inertia and weight under a payload.
+        noise: RMS of the encoders' noise.
+    """
+
+    mechanism: Mechanism
+    noise: Pair = (1e-4, 1e-4)
 
 
 def _arm(q: Pair, v: Pair, payload: Pair) -> tuple[float, float, float, float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from rigs.kept import kept
-from rigs.linkages import reference_share
+from rigs.linkages import Driven, Pair, reference_share
 
 _SUBSTEPS = 5  # of a sample
 _PERIOD = 1e-3  # s
@@ -24,38 +24,22 @@ KINDS = ("multisine", "fast", "slow", "stairs")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoughRig:
-    """A machine with one or two driven joints as its maker knows it; SI units.
+class RoughRig(Driven):
+    """One of links in a vertical plane.
 
     Attributes:
-        model: MJCF of the same machine.
-        joints: Their names.
-        drives: Names of the drives.
         links: Mass, distance of its centre from the joint and inertia about the centre, by link.
         length: From the first joint to the second.
         armature: By joint, as all that follows.
-        damping: Viscous.
         coulomb: Dry friction.
         torque: What the joint usually bears; faults and small irregularities are shares of it.
-        reach: Size of the references.
-        gains: Of position and velocity.
-        limits: Largest torque of the drives.
-        servo: Whether gains are the drives' own and commands are positions.
     """
 
-    model: Path
-    joints: tuple[str, ...]
-    drives: tuple[str, ...]
     links: tuple[tuple[float, float, float], ...]
     length: float
-    armature: tuple[float, ...]
-    damping: tuple[float, ...]
-    coulomb: tuple[float, ...]
-    torque: tuple[float, ...]
-    reach: tuple[float, ...]
-    gains: tuple[tuple[float, float], ...]
-    limits: tuple[float, ...]
-    servo: bool = False
+    armature: Pair
+    coulomb: Pair
+    torque: Pair
 
 
 ROUGH_ARM = RoughRig(
