@@ -300,17 +300,12 @@ def _shapes(
 
 def _surface(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns vertices [m], (v, 3), and triangles, (f, 3), of a geom in its own frame."""
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])
         at, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        first, faces = int(mesh.faceadr[0]), int(mesh.facenum[0])
-        return model.mesh_vert[at : at + count], model.mesh_face[first : first + faces]
-    return _solid(model, geom)
-
-
-def _solid(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the surface of a box, cylinder, capsule, sphere or ellipsoid as `_surface` does."""
-    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+        first, many = int(mesh.faceadr[0]), int(mesh.facenum[0])
+        return model.mesh_vert[at : at + count], model.mesh_face[first : first + many]
     turn = np.arange(_ROUND) * (2 * np.pi / _ROUND)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         turn, rings = np.pi / 4 + np.arange(4) * (np.pi / 2), [(0.0, -1.0), (2**0.5, -1.0)]
