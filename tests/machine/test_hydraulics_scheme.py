@@ -13,18 +13,9 @@ from tests.reference import hydraulics_oracle as oracle
 
 SIZE = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}
 # No oil compressed by air, no leak, no friction, edges of an ideal valve.
-IDEAL = {
-    **SIZE,
-    "lap": 0.0,
-    "edge_rounding": 0.0,
-    "entrained_air": 0.0,
-    "internal_leakage": 0.0,
-    "sigma_0": 0.0,
-    "sigma_1": 0.0,
-    "viscous": 0.0,
-    "coulomb": 0.0,
-    "static": 0.0,
-}
+_NONE = ("lap", "edge_rounding", "entrained_air", "internal_leakage")
+_NONE += ("sigma_0", "sigma_1", "viscous", "coulomb", "static")
+IDEAL = {**SIZE, **dict.fromkeys(_NONE, 0.0)}
 
 
 @pytest.mark.parametrize("zeta", [0.2, 0.7, 1.0, 1.8])
@@ -156,16 +147,9 @@ def test_extreme_inputs_stay_finite(
     cylinder = Cylinder(
         {**SIZE, "oil_temperature": temperature, "internal_leakage": leak, "entrained_air": air}
     )
-    out = cylinder.simulate(
-        np.repeat(commands, 25),
-        2.5e-4,
-        mass=mass,
-        load=load,
-        position=position,
-        velocity=velocity,
-        pressure_a=pressure_a,
-        pressure_b=pressure_b,
-    )
+    start = {"position": position, "velocity": velocity}
+    start |= {"pressure_a": pressure_a, "pressure_b": pressure_b}
+    out = cylinder.simulate(np.repeat(commands, 25), 2.5e-4, mass=mass, load=load, **start)
     assert np.all(np.isfinite(out))
     assert np.all(out[:, 2:4] >= oracle.FLOOR - oracle.ATMOSPHERE - 1e-6)
     assert np.all(np.abs(out[:, 4]) <= 1.0)

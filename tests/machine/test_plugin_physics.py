@@ -102,15 +102,8 @@ def test_supply_pressure_set_at_run_time_stalls_at_its_force():
 @pytest.mark.parametrize("mass", [4.0, 20.0])
 def test_cold_oil_keeps_a_light_mass_stable_at_the_right_speed(mass):
     """At 0 degC b grows thirteen times, h b/m = 2.3 for 4 kg: explicit friction would explode."""
-    attributes = {
-        "oil_temperature": 0.0,
-        "sigma_0": 0,
-        "sigma_1": 0,
-        "coulomb": 0,
-        "static": 0,
-        "stroke": 0.4,
-        "mid_length": 0.04,
-    }
+    attributes = dict.fromkeys(("oil_temperature", "sigma_0", "sigma_1", "coulomb", "static"), 0)
+    attributes |= {"stroke": 0.4, "mid_length": 0.04}
     xml = slides(valve("v", **attributes), mass=mass, timestep=1e-3)
     model, data = compiled(xml)
     assert 1e-3 * 9035 / mass > (2 if mass == 4 else 0.4)

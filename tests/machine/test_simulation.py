@@ -107,17 +107,8 @@ def test_holding_force_is_gravity_and_spring_over_the_lever(bench):
 
 def test_speed_limit_is_the_no_load_speed(bench):
     values = bench.cylinder_parameters("knee_valve")
-    ideal = Cylinder(
-        {
-            **values,
-            "lap": 0,
-            "edge_rounding": 0,
-            "internal_leakage": 0,
-            "viscous": 0,
-            "coulomb": 0,
-            "static": 0,
-        }
-    )
+    lossy = ("lap", "edge_rounding", "internal_leakage", "viscous", "coulomb", "static")
+    ideal = Cylinder({**values, **dict.fromkeys(lossy, 0)})
     piston = speed_limits(bench)[0] * abs(bench.levers()[0])
     assert ideal.steady_state(-0.9 * piston, 0.0).spool == pytest.approx(-0.9, abs=1e-3)
 
