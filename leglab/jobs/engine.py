@@ -8,15 +8,15 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from typing import Any, Protocol
 
 from leglab.base import plugins
-from leglab.base.errors import SettingsError
+from leglab.base.errors import LeglabError, SettingsError
 from leglab.jobs.fingerprint import fingerprint
 from leglab.jobs.runner import Answered, Runner, Task, Terms
-from leglab.jobs.work import Work, answer_of, name_of
+from leglab.jobs.work import Work, answer_of, error_of, name_of
 
 # Told after each result: how many are there, how many there will be, which one came.
 Progress = Callable[[int, int, str], None]
@@ -35,7 +35,7 @@ class Store(Protocol):
     def __contains__(self, key: Any, /) -> bool:
         """Whether there is a result that counts."""
 
-    def add(self, key: Any, answer: dict[str, Any], by: str, /) -> str | None:
+    def add(self, key: Any, answer: dict[str, Any], by: str, /) -> LeglabError | None:
         """Keeps an answer of `leglab.jobs.work.answer_of`, or returns why it does not count."""
 
 
@@ -46,10 +46,10 @@ class Results(dict[Any, Any]):
         super().__init__(found)
         self._keep = keep
 
-    def add(self, key: Any, answer: dict[str, Any], _: str) -> str | None:
+    def add(self, key: Any, answer: dict[str, Any], _: str) -> LeglabError | None:
         """As `Store.add`."""
         if "result" not in answer:
-            return str(answer.get("error"))
+            return error_of(answer)
         self[key] = self._keep(key, answer["result"])
         return None
 
@@ -63,7 +63,7 @@ def make_missing(
     ready: Callable[[], Iterable[Any]] | None = None,
     told: Callable[[Any], str] = str,
     progress: Progress | None = None,
-) -> dict[Any, str]:
+) -> dict[Any, LeglabError]:
     """Has the results made that a store lacks, and keeps each as soon as it comes.
 
     So after an end at any moment the same call makes exactly what is missing.
@@ -86,7 +86,7 @@ def make_missing(
             cannot be kept.
         KeyboardInterrupt: The user interrupts; the processes are ended.
     """
-    problems: dict[Any, str] = {}
+    problems: dict[Any, LeglabError] = {}
     done = sum(key in store for key in keys)
     if progress:
         progress(done, len(keys), "")
@@ -139,10 +139,10 @@ def executor(
     terms = Terms(work=name_of(work), luggage=luggage, code=code, timeout=timeout, memory=memory)
     if scheduler is None:
         count = (os.cpu_count() or 1) if workers == -1 else workers
-        return Processes(count, terms.limited(count))
-    from leglab.jobs.cluster import Cluster
+        return _processes(count, terms.limited(count))
+    from leglab.jobs.cluster import cluster
 
-    return Cluster(scheduler, terms)
+    return cluster(scheduler, terms)
 
 
 def _answered_here(work: Work, requests: Iterator[Task]) -> Iterator[Answered]:
@@ -150,49 +150,39 @@ def _answered_here(work: Work, requests: Iterator[Task]) -> Iterator[Answered]:
         yield number, answer_of(partial(work, content)), _HERE
 
 
-class Processes(AbstractContextManager[Executor]):
-    """Processes of this machine, each asked by a thread of this one; they stay between calls.
+@contextmanager
+def _processes(count: int, terms: Terms) -> Iterator[Executor]:
+    """So many processes of this machine, each asked by a thread of this one."""
+    runners = [Runner(terms) for _ in range(count)]
+    threads: list[threading.Thread] = []
+    lock, over = threading.Lock(), threading.Event()
+    # Bounded: whoever keeps the rows may be slower for a while.
+    answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
 
-    Args:
-        count: How many.
-        terms: On what terms.
-    """
+    def serve(number: int, requests: Iterator[Task]) -> None:
+        def following() -> Task | None:
+            with lock:
+                return None if over.is_set() else next(requests, None)
 
-    def __init__(self, count: int, terms: Terms) -> None:
-        self._runners = [Runner(terms) for _ in range(count)]
-        self._threads: list[threading.Thread] = []
-        self._lock, self._over = threading.Lock(), threading.Event()
-        # Bounded: whoever keeps the rows may be slower for a while.
-        self._answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
+        try:
+            for run, answer in runners[number].answers(iter(following, None)):
+                if over.is_set():
+                    break
+                answers.put((run, answer, f"{_HERE}, process {number}"))
+            answers.put(None)
+        except BaseException as error:
+            answers.put(error)
 
-    def __enter__(self) -> Executor:
-        """Returns what has requests answered."""
-        return self._answered
-
-    def __exit__(self, *_: object) -> None:
-        """Ends all processes, in the middle of a run as well."""
-        self._over.set()
-        for runner in self._runners:
-            runner.stop()
-        while any(thread.is_alive() for thread in self._threads):
-            try:  # A thread may wait for room.
-                self._answers.get(timeout=0.05)
-            except queue.Empty:
-                continue
-        for runner in self._runners:
-            runner.close()
-
-    def _answered(self, requests: Iterator[Task]) -> Iterator[Answered]:
-        self._requests = requests
-        self._threads = [
-            threading.Thread(target=self._serve, args=(runner, number), daemon=True)
-            for number, runner in enumerate(self._runners)
+    def answered(requests: Iterator[Task]) -> Iterator[Answered]:
+        threads[:] = [
+            threading.Thread(target=serve, args=(number, requests), daemon=True)
+            for number in range(count)
         ]
-        for thread in self._threads:
+        for thread in threads:
             thread.start()
-        serving = len(self._threads)
+        serving = count
         while serving:
-            found = self._answers.get()
+            found = answers.get()
             if isinstance(found, BaseException):
                 raise found
             if found is None:
@@ -200,17 +190,14 @@ class Processes(AbstractContextManager[Executor]):
             else:
                 yield found
 
-    def _next(self) -> Task | None:
-        with self._lock:
-            return None if self._over.is_set() else next(self._requests, None)
-
-    def _serve(self, runner: Runner, number: int) -> None:
-        by = f"{_HERE}, process {number}"
-        try:
-            for run, answer in runner.answers(iter(self._next, None)):
-                if self._over.is_set():
-                    break
-                self._answers.put((run, answer, by))
-            self._answers.put(None)
-        except BaseException as error:
-            self._answers.put(error)
+    try:
+        yield answered
+    finally:  # All processes end, in the middle of a run as well.
+        over.set()
+        for runner in runners:
+            runner.stop()
+        while any(thread.is_alive() for thread in threads):
+            with suppress(queue.Empty):  # A thread may wait for room.
+                answers.get(timeout=0.05)
+        for runner in runners:
+            runner.close()

@@ -113,10 +113,8 @@ class Runner:
                 found = self._line(self._terms.timeout)
             except TimedOutError:
                 self._end()
-                found = {
-                    "error": f"it took longer than {self._terms.timeout:g} s",
-                    "kind": "time-out",
-                }
+                told = f"it took longer than {self._terms.timeout:g} s"
+                found = {"error": told, "kind": "time-out"}
             except DiedError as death:
                 self._end()
                 tries += 1
@@ -134,12 +132,11 @@ class Runner:
     def stop(self) -> None:
         """Has the process end in the middle of its work; may be called from any thread."""
         self._closed = True
-        process = self._process
-        if process is not None:
+        if (process := self._process) is not None:
             process.kill()
 
     def close(self) -> None:
-        """Ends the process; not while `answer` waits in another thread."""
+        """Ends the process; not while `answers` waits in another thread."""
         self._closed = True
         self._end()
         self._errors.close()
@@ -173,30 +170,25 @@ class Runner:
         self._process = process
         if self._closed:
             raise DiedError("nothing more is asked of it")
-        start = {
-            "work": terms.work,
-            "luggage": terms.luggage,
-            "user": os.getpid(),
-            "memory": terms.memory,
-        }
+        start = {"work": terms.work, "luggage": terms.luggage, "memory": terms.memory}
         try:
-            self._send(_line_of(start))
+            self._send(_line_of({**start, "user": os.getpid()}))
             found = self._line(_START_TIME)
         except (DiedError, TimedOutError) as error:
             if self._closed:
                 raise DiedError("nothing more is asked of it") from error
-            reason = str(error) or f"it said nothing for {_START_TIME:g} s"
-            self._end()
-            raise SimulationError(f"a process cannot be started: {reason}") from error
+            found = {"refused": str(error) or f"it said nothing for {_START_TIME:g} s"}
         if "refused" in found:
-            self._end()
-            raise SimulationError(f"a process cannot be started: {found['refused']}")
-        if found.get("code") != terms.code:
-            self._end()
-            raise SimulationError(
+            problem = f"a process cannot be started: {found['refused']}"
+        elif found.get("code") != terms.code:
+            problem = (
                 f"{os.uname().nodename}: the leglab there is of other code than the one here: "
                 "install the same version with the same plug-ins"
             )
+        else:
+            return
+        self._end()
+        raise SimulationError(problem)
 
     def _send(self, content: bytes) -> None:
         assert self._process is not None
@@ -234,9 +226,8 @@ class Runner:
             if not isinstance(found, dict):
                 raise ValueError("it is no object")
         except ValueError as error:
-            raise DiedError(
-                f"the process that made it gave no answer that can be read: {error}"
-            ) from (error)
+            told = f"the process that made it gave no answer that can be read: {error}"
+            raise DiedError(told) from error
         return found
 
     def _death(self) -> str:

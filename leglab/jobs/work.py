@@ -4,12 +4,12 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError, SettingsError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 
 # Takes and gives what JSON can hold.
 Work = Callable[[dict[str, Any]], Any]
@@ -71,7 +71,8 @@ def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
 
     Returns:
         `result` as JSON can hold it, or `error` with its `kind`: that of a `WorkError`, "memory",
-        "refused" (a `LeglabError`) or "exception"; `wall_s` and `cpu_s` that it took.
+        "refused" (a `LeglabError`, with its `class` and attributes) or "exception"; `wall_s` and
+        `cpu_s` that it took.
     """
     started, used = time.perf_counter(), time.process_time()
     found = _found(work)
@@ -80,6 +81,30 @@ def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
         "wall_s": time.perf_counter() - started,
         "cpu_s": time.process_time() - used,
     }
+
+
+def error_of(answer: Mapping[str, Any]) -> LeglabError:
+    """Returns the error of an answer without a result.
+
+    That which the work raised, in this class; a `SimulationError` for whatever else went wrong.
+    """
+    kinds: list[type[LeglabError]] = [LeglabError, *LeglabError.__subclasses__()]
+    classes = {kind.__name__: kind for kind in kinds}
+    allowed = answer.get("allowed")
+    return classes.get(str(answer.get("class")), SimulationError)(
+        str(answer.get("error")),
+        given=answer.get("given"),
+        allowed=allowed if isinstance(allowed, str | list) else None,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """A value, as text if JSON cannot hold it."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return str(value)
+    return value
 
 
 def _found(work: Callable[[], Any]) -> dict[str, Any]:
@@ -95,7 +120,9 @@ def _found(work: Callable[[], Any]) -> dict[str, Any]:
     except MemoryError:
         return {"error": "it needs more memory than it may have", "kind": "memory"}
     except LeglabError as error:
-        return {"error": " ".join(str(error).split()), "kind": "refused"}
+        told = {"class": type(error).__name__, "given": error.given, "allowed": error.allowed}
+        text = " ".join(str(error).split())
+        return {"error": text, "kind": "refused", **{k: _plain(v) for k, v in told.items()}}
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         text = " ".join(str(error).split())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leglab import __version__
-from leglab.base.errors import FileError, LeglabError, SettingsError, SimulationError
+from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
@@ -148,8 +148,8 @@ def run_all(
             progress=progress,
         )
     if problems and len(problems) == len(runs):
-        raise SimulationError(next(iter(problems.values())))
-    results |= {number: _failed(runs[number], problem) for number, problem in problems.items()}
+        raise next(iter(problems.values()))
+    results |= {number: _failed(runs[number], str(why)) for number, why in problems.items()}
     return [results[number] for number in range(len(runs))]
 
 

@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from leglab import data
-from leglab.base.errors import (
-    FileError,
-    LeglabError,
-    RecordingError,
-    SettingsError,
-    SimulationError,
-)
+from leglab.base.errors import FileError, LeglabError, RecordingError, SettingsError
 from leglab.base.input import read_json
 from leglab.base.output import check_folder, new_folder
 from leglab.base.recording import Recording
@@ -351,7 +345,7 @@ def make_runs(
         progress=progress,
     )
     for problem in problems.values():
-        raise SimulationError(problem)
+        raise problem
     return list(folders)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -20,7 +21,7 @@ SECTIONS = {
     "reference": "reference_config",
     "sensors": "sensors",
 }
-_NAMES = tuple(field.name for field in fields(RunSettings))
+NAMES = tuple(field.name for field in fields(RunSettings))
 # TOML takes no table and name of one key: a table says the name itself.
 _NAME = "name"
 
@@ -38,13 +39,21 @@ def read_settings(path: Path) -> dict[str, Any]:
     if path.suffix == ".json":
         found = dict(read(RunConfiguration, path).settings)
     else:
-        content = read_bytes(path)
-        try:
-            found = parse_toml(content)
-        except ValueError as error:
-            raise SettingsError(f"{path}: is not TOML: {error}", given=path) from error
-        found = _without_tables(found, str(path))
+        found = _without_tables(read_toml(path), str(path))
     return checked(found, str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Raises:
+        LeglabError: It cannot be read, or is not TOML.
+    """
+    content = read_bytes(path)
+    try:
+        return parse_toml(content)
+    except ValueError as error:
+        raise SettingsError(f"{path}: is not TOML: {error}", given=path) from error
 
 
 def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -54,18 +63,31 @@ def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
         SettingsError: Names the setting, its value and what is allowed.
     """
     for name in values:
-        if name not in _NAMES:
-            raise SettingsError.unknown("setting of a run", name, _NAMES).at(where)
+        if name not in NAMES:
+            raise SettingsError.unknown("setting of a run", name, NAMES).at(where)
     if "scenario" not in values:
         raise SettingsError(f"{where}: needs the setting 'scenario'", allowed=("scenario",))
-    types = get_type_hints(RunSettings)
     for name, value in values.items():
-        try:
-            TypeAdapter(types[name]).validate_python(value, strict=True)
-        except ValidationError as error:
-            told = f"{where}: setting {name!r} is {value!r}: "
-            raise SettingsError(told, given=value, allowed=first_problem(error)[1]) from None
+        check_type(name, value, f"{where}: setting {name!r}")
     return dict(values)
+
+
+def check_type(name: str, value: Any, where: str) -> None:
+    """Refuses a value of another type than the setting of this name has in `RunSettings`.
+
+    Raises:
+        SettingsError: Says where it stands, the value and what is allowed.
+    """
+    try:
+        _type(name).validate_python(value, strict=True)
+    except ValidationError as error:
+        told = f"{where} is {value!r}: "
+        raise SettingsError(told, given=value, allowed=first_problem(error)[1]) from None
+
+
+@cache
+def _type(name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(get_type_hints(RunSettings)[name])
 
 
 def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from leglab.base.errors import LeglabError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.jobs.engine import Results, executor, make_missing
 from leglab.jobs.work import WorkError, name_of, work_of
 
@@ -103,7 +103,7 @@ def odd(given):
     if kind == "raises":
         raise ZeroDivisionError("by nought")
     if kind == "refuses":
-        raise LeglabError("size is 3; allowed: 1 or 2")
+        raise SettingsError("size is 3; allowed: ", given=3, allowed=("1", "2"))
     if kind == "says how":
         raise WorkError("ended early", "it blew up")
     if kind == "is infinite":
@@ -130,7 +130,7 @@ def test_whatever_work_does_the_rest_is_done():
     kind, message = told["raises"]
     assert kind == "exception"
     assert message.startswith("ZeroDivisionError: by nought (test_parallel.py, line ")
-    assert told["refuses"] == ("refused", "size is 3; allowed: 1 or 2")
+    assert told["refuses"] == ("refused", "size is 3; allowed: 1, 2")
     assert told["says how"] == ("ended early", "it blew up")
     assert told["is infinite"] == ("ended early", "its figures are not finite")
     for number in (6, 7):
@@ -139,6 +139,13 @@ def test_whatever_work_does_the_rest_is_done():
         assert result["process"] != os.getpid()
         assert result["threads"] == "1"
         assert found[number]["wall_s"] >= 0.0
+
+
+def test_an_error_keeps_its_class_and_attributes_on_the_way_from_a_process():
+    kept, kinds = Results({}, lambda _, result: result), {"a": "refuses", "b": "dies"}
+    problems = make_missing(executor(odd, 2), ["a", "b"], kept, lambda key: {"kind": kinds[key]})
+    told = {key: (type(error), error.given, error.allowed) for key, error in problems.items()}
+    assert told == {"a": (SettingsError, 3, ("1", "2")), "b": (SimulationError, None, None)}
 
 
 def test_one_worker_is_this_process_and_may_do_what_has_no_name():
@@ -177,7 +184,7 @@ def test_what_is_missing_is_made_once_and_told():
     here = executor(lambda given: 8 / given["x"], 1)
     options = {"ready": ready, "progress": lambda *report: told.append(report)}
     problems = make_missing(here, keys, kept, given.__getitem__, **options)
-    assert problems["c"].startswith("ZeroDivisionError")
+    assert str(problems["c"]).startswith("ZeroDivisionError")
     assert list(problems) == ["c"]
     assert kept == {"a": 2, "b": 1, "d": 4}
     assert told == [(1, 4, ""), (2, 4, "a"), (3, 4, "c"), (4, 4, "d")]

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -214,17 +214,20 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
     whole = run_sweep(plan, tmp_path / "whole", workers=1)
     asked = []
 
-    class Stopped(jobs.Processes):
-        def _serve(self, runner, number):
-            first = self._requests
-            self._requests = (t for t in first if not asked.append(t[1]["settings"]["seed"]))
-            super()._serve(runner, number)
+    processes = jobs._processes
+
+    @contextmanager
+    def noted(count, terms):
+        with processes(count, terms) as answered:
+            yield lambda tasks: answered(
+                task for task in tasks if not asked.append(task[1]["settings"]["seed"])
+            )
 
     def stop(done, total, label):
         if done == 2 and label:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(jobs, "Processes", Stopped)
+    monkeypatch.setattr(jobs, "_processes", noted)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(plan, folder, workers=1, progress=stop)
     assert len(rows(folder)) == 2

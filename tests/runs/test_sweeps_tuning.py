@@ -94,7 +94,7 @@ def test_the_value_of_a_point_is_the_mean_or_the_worst_of_its_runs():
         ("worst", "highest", 1.0),
     ):
         (points,) = plan_of(3, tune={"over": over, "aim": aim}).tuned
-        assert points.runs(1) == [1, 4]
+        assert list(points.runs(1)) == [1, 4]
         assert tuning.value_of(points, 1, {1: 1.0, 4: 3.0}) == wanted
         assert tuning.value_of(points, 1, {1: 1.0, 4: None}) is None
 

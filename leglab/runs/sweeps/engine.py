@@ -152,7 +152,7 @@ def run_sweep(
     """
     folder = Path(folder)
     if plan.tuned:
-        tuning.check_optuna({points.draw for points in plan.tuned})
+        tuning.check_optuna({points.block.draw for points in plan.tuned})
     made_by = executor(
         figures_of, workers, scheduler, timeout=plan.timeout, memory=plan.memory, apart=True
     )
@@ -288,7 +288,7 @@ def _recall(plan: SweepPlan, folder: Path) -> None:
     kept = store.read_proposals(folder) if plan.tuned else {}
     for points in plan.tuned:
         points.proposals.clear()
-        for point in range(1, points.count):
+        for point in range(1, points.points):
             values = kept.get(points.runs(point)[0])
             if values is None or set(values) != set(points.ranges):
                 break

@@ -3,18 +3,19 @@
 import hashlib
 import json
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from leglab.base.errors import FileError, LeglabError, SettingsError
-from leglab.base.input import parse_toml, read_bytes, read_json
-from leglab.base.settings import Configuration, first_problem, validate_configuration
+from leglab.base.input import read_bytes, read_json
+from leglab.base.settings import Configuration, validate_configuration
 from leglab.commissioning.setup import model_digest
 from leglab.control.contract import CONTROLLERS
 from leglab.machine.changes import check_tolerance
@@ -22,6 +23,7 @@ from leglab.machine.parameters import placed_parameters
 from leglab.references.base import REFERENCES
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation, RunSettings, reference_config, scenario_of
+from leglab.runs.run_settings import NAMES, check_type, read_toml
 from leglab.runs.sweeps.outcome import FIGURES
 
 # A sweep beyond this would not fit into the memory of the process that keeps its books.
@@ -30,9 +32,6 @@ _MOST_FILE = 10_000_000  # bytes
 # Settings that are a table of names and values.
 MAPPINGS: tuple[str, ...] = ("controller_config", "reference_config", "sensors", "parameters")
 _COUNT, _RANGE = {"first", "count"}, {"low", "high", "log"}
-_FIELDS = {field.name: field for field in fields(RunSettings)}
-
-KEEP = ("metrics", "traces", "recordings")
 
 
 class Range(Configuration):
@@ -123,42 +122,68 @@ class PlanFile(Configuration):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Runs:
-    """The runs of one block: numbers to settings."""
+class Runs:
+    """The runs of one block, which follow each other: every point in every combination.
 
+    Attributes:
+        block: The block.
+        number: Of the block, from 0 on.
+        first: Number of its first run.
+        settings: What the runs share, by dotted name, as the others.
+        grid: Values that are combined.
+        ranges: From which points are drawn or proposed.
+        proposals: Of a tuned block, values of the ranges by point, from 1 on.
+    """
+
+    block: Block
+    number: int
+    first: int
     settings: Mapping[str, Any]
     grid: Mapping[str, Sequence[Any]]
     ranges: Mapping[str, Range]
-    draw: str
-    points: int
-    draw_seed: int
-    tuned: "Points | None" = None
+    proposals: dict[int, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return self.block.points or 1
+
+    @property
+    def tune(self) -> Tune:
+        """Objective of a tuned block."""
+        assert self.block.tune is not None
+        return self.block.tune
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        return (*(len(values) for values in self.grid.values()), self.points)
+        """Number of values of each setting of the grid, and of points."""
+        return (*map(len, self.grid.values()), self.points)
 
     def __len__(self) -> int:
         return math.prod(self.shape)
 
+    def runs(self, point: int) -> range:
+        """Numbers of the runs of a point."""
+        return range(self.first + point, self.first + len(self), self.points)
+
     @cached_property
     def drawn(self) -> np.ndarray:
         """Values of the ranges, (points, ranges)."""
-        if not self.ranges:
-            return np.empty((self.points, 0))
         size = len(self.ranges)
-        if self.draw == "sobol":
+        if not size:
+            return np.empty((self.points, 0))
+        if self.block.draw == "sobol":
             from scipy.stats import qmc  # half a second that other sweeps do without
 
-            engine = qmc.Sobol(size, scramble=True, seed=self.draw_seed)
+            engine = qmc.Sobol(size, scramble=True, seed=self.block.draw_seed)
             # Whole powers of two keep the points balanced; the first of them are taken.
-            unit = engine.random_base2(max(self.points - 1, 0).bit_length())[: self.points]
+            unit = engine.random_base2((self.points - 1).bit_length())[: self.points]
         else:
-            unit = np.random.default_rng(self.draw_seed).random((self.points, size))
+            unit = np.random.default_rng(self.block.draw_seed).random((self.points, size))
         low = np.array([_scale(r.low, r) for r in self.ranges.values()])
         high = np.array([_scale(r.high, r) for r in self.ranges.values()])
-        values = low + unit * (high - low)
         logs = [r.log for r in self.ranges.values()]
+        values = low + unit * (high - low)
         values[:, logs] = np.exp(values[:, logs])
         return values
 
@@ -166,52 +191,22 @@ class _Runs:
         """Settings of a run by dotted name; None of one whose point is not proposed yet.
 
         Args:
-            number: In the block.
+            number: Of the run.
             ends: Whether the first proposed points stand for the ends of their ranges.
         """
-        *places, point = np.unravel_index(number, self.shape)
+        *places, point = map(int, np.unravel_index(number - self.first, self.shape))
         chosen = {
-            name: values[int(i)]
-            for (name, values), i in zip(self.grid.items(), places, strict=True)
+            name: values[i] for (name, values), i in zip(self.grid.items(), places, strict=True)
         }
-        if self.tuned is None:
-            drawn = dict(zip(self.ranges, self.drawn[int(point)].tolist(), strict=True))
+        if self.block.tune is None:
+            drawn = dict(zip(self.ranges, self.drawn[point].tolist(), strict=True))
         elif ends and point in (1, 2):
             drawn = {n: r.low if point == 1 else r.high for n, r in self.ranges.items()}
-        elif point == 0 or int(point) in self.tuned.proposals:
-            drawn = self.tuned.proposals.get(int(point), {})
+        elif point == 0 or point in self.proposals:
+            drawn = self.proposals.get(point, {})
         else:
             return None
         return {**self.settings, **chosen, **drawn}
-
-
-class Points:
-    """The points of a tuned block, of which those are known that were proposed.
-
-    Args:
-        block: Number of the block, from 0 on.
-        first: Number of its first run.
-        combinations: Number of runs of a point.
-        content: Of the block.
-        ranges: From which points are proposed, by dotted name.
-
-    Attributes:
-        proposals: Values of the ranges by point, from 1 on.
-    """
-
-    def __init__(
-        self, block: int, first: int, combinations: int, content: Block, ranges: Mapping[str, Range]
-    ) -> None:
-        assert content.tune is not None
-        assert content.points is not None
-        self.block, self.tune, self.ranges = block, content.tune, ranges
-        self.draw, self.seed, self.count = content.draw, content.draw_seed, content.points
-        self._first, self._combinations = first, combinations
-        self.proposals: dict[int, dict[str, float]] = {}
-
-    def runs(self, point: int) -> list[int]:
-        """Numbers of the runs of a point."""
-        return [self._first + point + self.count * i for i in range(self._combinations)]
 
 
 def _scale(value: float, range_: Range) -> float:
@@ -229,7 +224,7 @@ class SweepPlan:
         keep: What is kept beside the rows.
         timeout: Wall time that a run may take [s].
         memory: Memory that the process of a run may take [MB]; None for its share.
-        tuned: The points of its tuned blocks, which are known when they were proposed.
+        tuned: The runs of its tuned blocks.
 
     Raises:
         LeglabError: The content is not allowed; names file, key, value and what is allowed.
@@ -240,26 +235,19 @@ class SweepPlan:
         found = validate_configuration(PlanFile, content, name)
         self.keep = tuple(sorted(set(found.keep)))
         self.timeout, self.memory = found.timeout, found.memory
-        shared = _flat(found.settings, f"{name}: settings")
-        _check_values(shared, f"{name}: settings")
-        self._blocks = [
-            _runs(block, shared, f"{name}: block {i + 1}") for i, block in enumerate(found.block)
-        ]
-        self._starts = np.cumsum([0, *map(len, self._blocks)])
-        self.tuned: list[Points] = []
-        for i, (block, runs) in enumerate(zip(found.block, self._blocks, strict=True)):
-            if block.tune is not None:
-                count = len(runs) // runs.points
-                points = Points(i, int(self._starts[i]), count, block, runs.ranges)
-                self.tuned.append(points)
-                self._blocks[i] = replace(runs, tuned=points)
+        shared = _settings(found.settings, f"{name}: settings")
+        self._blocks: list[Runs] = []
+        for i, block in enumerate(found.block):
+            parts = _parts(block, shared, f"{name}: block {i + 1}")
+            self._blocks.append(Runs(block=block, number=i, first=len(self), **parts))
+        self.tuned = [runs for runs in self._blocks if runs.block.tune is not None]
         if len(self) > MOST_RUNS:
             told = f"{name}: asks for {len(self):,} runs; allowed: "
             raise SettingsError(told, given=len(self), allowed=f"at most {MOST_RUNS:,}")
         self._content = found
 
     def __len__(self) -> int:
-        return int(self._starts[-1])
+        return self._blocks[-1].first + len(self._blocks[-1]) if self._blocks else 0
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
@@ -308,32 +296,31 @@ class SweepPlan:
         Raises:
             LeglabError: They are not proposed yet.
         """
-        found = self._values(number)
+        found = self._block(number).values(number)
         if found is None:
             told = f"{self._name}: run {number}: its settings are not proposed yet"
             raise SettingsError(told, given=number)
         return found
 
-    def _values(self, number: int, *, ends: bool = False) -> dict[str, Any] | None:
-        block = int(np.searchsorted(self._starts, number, side="right")) - 1
-        return self._blocks[block].values(number - int(self._starts[block]), ends=ends)
+    def _block(self, number: int) -> Runs:
+        """The runs of the block that has this one."""
+        return self._blocks[bisect_right(self._blocks, number, key=lambda runs: runs.first) - 1]
 
     def is_known(self, number: int) -> bool:
         """Whether the settings of a run are known, and need not be proposed first."""
-        return not self.tuned or self._values(number) is not None
+        return not self.tuned or self._block(number).values(number) is not None
 
     def point(self, number: int) -> int | None:
         """Number of the point of a run of a tuned block; None of another block."""
-        block = int(np.searchsorted(self._starts, number, side="right")) - 1
-        runs = self._blocks[block]
-        return None if runs.tuned is None else (number - int(self._starts[block])) % runs.points
+        runs = self._block(number)
+        return (number - runs.first) % runs.points if runs.block.tune else None
 
     def settings(self, number: int) -> RunSettings:
         """Settings of a run."""
         return self._settings(self.values(number))
 
     def _settings(self, given: Mapping[str, Any]) -> RunSettings:
-        plain = {k: v for k, v in given.items() if k in _FIELDS}
+        plain = {k: v for k, v in given.items() if k in NAMES}
         for name, value in given.items():
             owner, _, key = name.partition(".")
             if key:
@@ -361,7 +348,7 @@ class SweepPlan:
         for number in range(len(self)):
             if progress and number % 1000 == 0:
                 progress(0, len(self), f"checking, {number:,} of {len(self):,}")
-            given = self._values(number, ends=True)
+            given = self._block(number).values(number, ends=True)
             if given is None:
                 continue
             settings = self._settings(given)
@@ -373,15 +360,12 @@ class SweepPlan:
 
     def _told(self, given: Mapping[str, Any]) -> str:
         """Settings in which a run differs from the others, in one line."""
-        parts = [f"{name} {_told(given[name])}" for name in self.axes if name in given]
+        shown = {name: given[name] for name in self.axes if name in given}
+        parts = (f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in shown.items())
         return ", ".join(parts) or "the only one"
 
     def __iter__(self) -> Iterator[RunSettings]:
         return map(self.settings, range(len(self)))
-
-
-def _told(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def check_run(settings: RunSettings) -> None:
@@ -454,24 +438,19 @@ def read_plan(path: str | Path) -> SweepPlan:
             line with file, key, value and what is allowed.
     """
     path = Path(path)
-    content = read_bytes(path, _MOST_FILE + 1)
-    if len(content) > _MOST_FILE:
+    if len(read_bytes(path, _MOST_FILE + 1)) > _MOST_FILE:
         raise FileError(f"{path}: has more than {_MOST_FILE:,} bytes", given=path)
     if path.suffix == ".json":
         kept = read_json(path)
         if not isinstance(kept, dict) or not isinstance(kept.get("plan"), dict):
             raise FileError(f"{path}: holds no plan of a sweep", given=path)
         return SweepPlan(kept["plan"], str(path))
-    try:
-        found = parse_toml(content)
-    except ValueError as error:
-        raise SettingsError(f"{path}: is not TOML: {error}", given=path) from error
-    return SweepPlan(found, str(path))
+    return SweepPlan(read_toml(path), str(path))
 
 
-def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:
-    own = _flat(block.settings, f"{where}: settings")
-    _check_values(own, f"{where}: settings")
+def _parts(block: Block, shared: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Checks a block; returns `settings`, `grid` and `ranges` of its runs."""
+    settings = {**shared, **_settings(block.settings, f"{where}: settings")}
     grid = {
         name: _list(name, value, f"{where}: grid")
         for name, value in _flat(block.grid, f"{where}: grid", leaf=_COUNT).items()
@@ -499,18 +478,18 @@ def _runs(block: Block, shared: Mapping[str, Any], where: str) -> _Runs:
         if block.tune.metric not in FIGURES:
             error = SettingsError.unknown("number", block.tune.metric, FIGURES)
             raise error.at(f"{where}: tune")
-    settings = {**shared, **own}
     if "scenario" not in {*settings, *grid}:
         told = f"{where}: needs 'scenario', in settings or grid"
         raise SettingsError(told, allowed=("scenario",))
-    return _Runs(
-        settings=settings,
-        grid=grid,
-        ranges=ranges,
-        draw=block.draw,
-        points=block.points or 1,
-        draw_seed=block.draw_seed,
-    )
+    return {"settings": settings, "grid": grid, "ranges": ranges}
+
+
+def _settings(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Settings by dotted name, with a value each."""
+    found = _flat(table, where)
+    for name, value in found.items():
+        _check_value(name, value, f"{where}.{name}")
+    return found
 
 
 def _flat(
@@ -521,23 +500,19 @@ def _flat(
     for name, value in table.items():
         full = f"{prefix}{name}"
         owner, _, key = full.partition(".")
-        if owner not in _FIELDS or (key and owner not in MAPPINGS):
-            raise SettingsError.unknown("setting of a run", full, _FIELDS).at(where)
+        if owner not in NAMES or (key and owner not in MAPPINGS):
+            raise SettingsError.unknown("setting of a run", full, NAMES).at(where)
         is_leaf = not isinstance(value, dict) or (leaf is not None and {*value} <= leaf and value)
         if is_leaf and (key or owner not in MAPPINGS):
             found[full] = value
         elif isinstance(value, dict) and owner in MAPPINGS:
             found |= _flat(value, where, leaf=leaf, prefix=f"{full}.")
         else:
+            allowed = "a value or a list of values"
+            allowed = f"a table, or {owner}.NAME" if owner in MAPPINGS else allowed
             told = f"{where}: {full} is {value!r}; allowed: "
-            raise SettingsError(told, given=value, allowed=_allowed_form(owner))
+            raise SettingsError(told, given=value, allowed=allowed)
     return found
-
-
-def _allowed_form(owner: str) -> str:
-    if owner in MAPPINGS:
-        return f"a table, or {owner}.NAME"
-    return "a value or a list of values"
 
 
 def _list(name: str, value: Any, where: str) -> Sequence[Any]:
@@ -576,24 +551,9 @@ def _range(name: str, value: Any, where: str) -> Range:
     return found
 
 
-def _check_values(values: Mapping[str, Any], where: str) -> None:
-    for name, value in values.items():
-        _check_value(name, value, f"{where}.{name}")
-
-
 def _check_value(name: str, value: Any, place: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         told = f"{place} is {value!r}; allowed: "
         raise SettingsError(told, given=value, allowed="a finite number")
-    if name not in _FIELDS:
-        return  # of a table: checked by the model of its owner
-    try:
-        _adapter(name).validate_python(value, strict=True)
-    except ValidationError as error:
-        reason = first_problem(error)[1]
-        raise SettingsError(f"{place} is {value!r}: ", given=value, allowed=reason) from None
-
-
-@cache
-def _adapter(name: str) -> TypeAdapter[Any]:
-    return TypeAdapter(get_type_hints(RunSettings)[name])
+    if name in NAMES:  # One of a table is checked by the model of its owner.
+        check_type(name, value, place)

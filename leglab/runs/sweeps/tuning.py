@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.runs.sweeps.plan import Points, SweepPlan
+from leglab.runs.sweeps.plan import Runs, SweepPlan
 from leglab.runs.sweeps.rows import column
 
 Figures = Mapping[int, float | None]
@@ -41,22 +41,19 @@ def check_optuna(samplers: set[str]) -> None:
         )
 
 
-def due(points: Points) -> range:
+def due(points: Runs) -> range:
     """Points of the next batch that is not proposed as a whole; empty after the last one."""
-    known = len(points.proposals) + 1
-    if known >= points.count:
-        return range(0)
-    batch = (known - 1) // points.tune.together
-    return range(known, min((batch + 1) * points.tune.together + 1, points.count))
+    end = min(before(points).stop + points.tune.together, points.points)
+    return range(len(points.proposals) + 1, end)
 
 
-def before(points: Points) -> range:
+def before(points: Runs) -> range:
     """Proposed points on which the next batch waits: those of earlier batches."""
     batch = len(points.proposals) // points.tune.together
     return range(1, batch * points.tune.together + 1)
 
 
-def propose(points: Points, figures: Figures) -> dict[str, float]:
+def propose(points: Runs, figures: Figures) -> dict[str, float]:
     """Proposes the next point of a block.
 
     Args:
@@ -70,26 +67,25 @@ def propose(points: Points, figures: Figures) -> dict[str, float]:
     import optuna
     from optuna.trial import TrialState, create_trial
 
-    tune, number = points.tune, len(points.proposals) + 1
+    tune, drawn = points.tune, (points.block.draw_seed, points.number, len(points.proposals) + 1)
     kinds: dict[str, optuna.distributions.BaseDistribution] = {
         name: optuna.distributions.FloatDistribution(one.low, one.high, log=one.log)
         for name, one in points.ranges.items()
     }
-    seed = int(np.random.SeedSequence([points.seed, points.block, number]).generate_state(1)[0])
+    seed = int(np.random.SeedSequence(drawn).generate_state(1)[0])
     shown = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
         with warnings.catch_warnings(action="ignore"):
             samplers = optuna.samplers
-            sampler = samplers.GPSampler if points.draw == "gp" else samplers.TPESampler
+            sampler = samplers.GPSampler if points.block.draw == "gp" else samplers.TPESampler
             study = optuna.create_study(
                 sampler=sampler(seed=seed),
                 direction="minimize" if tune.aim == "lowest" else "maximize",
             )
-            batch = (number - 1) // tune.together
             for earlier, values in sorted(points.proposals.items()):
                 value, state = None, TrialState.RUNNING
-                if (earlier - 1) // tune.together < batch:
+                if earlier in before(points):
                     value = value_of(points, earlier, figures)
                     # One that is broken off counts as worse than all others.
                     state = TrialState.PRUNED if value is None else TrialState.COMPLETE
@@ -101,7 +97,7 @@ def propose(points: Points, figures: Figures) -> dict[str, float]:
         optuna.logging.set_verbosity(shown)
 
 
-def value_of(points: Points, point: int, figures: Figures) -> float | None:
+def value_of(points: Runs, point: int, figures: Figures) -> float | None:
     """Value to be minimised or maximised; None where a run of the point has no figure."""
     found = [figures.get(number) for number in points.runs(point)]
     values = [value for value in found if value is not None]
@@ -170,7 +166,7 @@ def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
     found = []
     for points in plan.tuned:
         figures = {n: figure_of(row, points.tune.metric) for n, row in by_run.items()}
-        made = [p for p in range(points.count) if all(n in by_run for n in points.runs(p))]
+        made = [p for p in range(points.points) if all(n in by_run for n in points.runs(p))]
         values = {p: v for p in made if (v := value_of(points, p, figures)) is not None}
         sign = 1.0 if points.tune.aim == "lowest" else -1.0
         # Of points that are equally good the first: the block as it is needs no change.
@@ -181,7 +177,7 @@ def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
             settings = {name: row[column(name)] for name in points.ranges}
         found.append(
             Tuned(
-                block=points.block + 1,
+                block=points.number + 1,
                 metric=points.tune.metric,
                 over=points.tune.over,
                 runs=len(points.runs(0)),
