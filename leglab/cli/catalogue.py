@@ -9,8 +9,8 @@ from rich.table import Table
 
 from leglab.base import plugins
 from leglab.base.causes import CAUSES
-from leglab.cli.details import show_details
-from leglab.cli.options import Json, Load, load_plugins
+from leglab.cli.details import registries, show_details
+from leglab.cli.options import Json, Load
 from leglab.cli.terminal import errors, print_json, print_table
 
 Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
@@ -31,7 +31,6 @@ def list_names(
     load: Load = None,
 ) -> None:
     """Shows what there is; of a NAME its settings, with defaults and units."""
-    load_plugins(load)
     if name is not None:
         show_details(name, model, as_json=as_json)
         return
@@ -47,7 +46,7 @@ def list_names(
     for title, entries in groups.items():
         table = Table(title=title, title_justify="left", box=None, show_header=False)
         for name, summary in entries.items():
-            alone = " [dim](--element)[/dim]" if title == "scenarios" and per_joint(name) else ""
+            alone = " [dim](--element)[/dim]" if title == "scenarios" and _per_joint(name) else ""
             table.add_row(f"  [bold]{name}[/bold]", summary + alone)
         print_table(table)
     table = Table(*_CAUSE_HEAD, title="causes", title_justify="left", box=None)
@@ -88,36 +87,20 @@ def parameters(
 
 def summaries() -> dict[str, dict[str, str]]:
     """Returns the summaries of scenarios, controllers, references and models by kind and name."""
-    import leglab.controllers
-    import leglab.scenarios  # noqa: F401  registers the scenarios
-    from leglab.base.scenario import scenario_names, scenario_summary
-    from leglab.control import controller_names, controller_summary
-    from leglab.machine.library import model_names, model_summary
-    from leglab.references import reference_names, reference_summary
-
     return {
-        "scenarios": {name: scenario_summary(name) for name in scenario_names()},
-        "controllers": {name: controller_summary(name) for name in controller_names()},
-        "references": {name: reference_summary(name) for name in reference_names()},
-        "models": {name: model_summary(name) for name in model_names()},
+        f"{kind}s": {name: registry.get(name).summary for name in registry.names()}
+        for kind, registry in registries().items()
     }
 
 
 def severity_text(scenario: str) -> str:
     """Returns the meaning and default of a scenario's size; empty without one."""
-    import leglab.scenarios  # noqa: F401  registers the scenarios
-    from leglab.base.scenario import scenario_severity
-
-    severity = scenario_severity(scenario)
+    severity = registries()["scenario"].get(scenario).severity
     return f"{severity.meaning}: {severity.default:g}" if severity else ""
 
 
-def per_joint(scenario: str) -> bool:
-    """Says whether a scenario can happen to one joint alone."""
-    import leglab.scenarios  # noqa: F401  registers the scenarios
-    from leglab.base.scenario import scenario_per_joint
-
-    return scenario_per_joint(scenario)
+def _per_joint(scenario: str) -> bool:
+    return bool(registries()["scenario"].get(scenario).per_joint)
 
 
 def catalogue_page() -> str:
@@ -134,7 +117,7 @@ def catalogue_page() -> str:
         lines.append("|---|---|" + ("---|---|" if scenarios else ""))
         for name, summary in entries.items():
             row = f"| `{name}` | {summary} |"
-            alone = "yes" if scenarios and per_joint(name) else ""
+            alone = "yes" if scenarios and _per_joint(name) else ""
             lines.append(row + (f" {severity_text(name)} | {alone} |" if scenarios else ""))
     lines += ["", "## Causes", "", "| " + " | ".join(_CAUSE_HEAD) + " |", "|---|---|---|---|"]
     lines += [

@@ -13,7 +13,7 @@ from rich.table import Table
 from leglab.base.errors import FileError, SettingsError
 from leglab.base.output import new_file
 from leglab.cli.options import Columns, Json
-from leglab.cli.terminal import errors, output, print_json, print_wide
+from leglab.cli.terminal import errors, output, print_json, print_wide, tell
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,11 +112,7 @@ def convert(
         for line in lines:
             errors.print(f"{word}: {line}", markup=False)
     count = len(recording.columns)
-    output.print(
-        f"written to {target}: {form}, {len(recording)} samples of {count} columns",
-        markup=False,
-        soft_wrap=True,
-    )
+    tell(f"written to {target}: {form}, {len(recording)} samples of {count} columns")
 
 
 def inspect(
@@ -135,22 +131,22 @@ def inspect(
     if as_json:
         print_json({"file": str(file), **summary.to_json(), "unreadable": unreadable})
         return
-    output.print(f"{file}: {_axis(summary)}", markup=False, soft_wrap=True)
+    tell(f"{file}: {_axis(summary)}")
     print_wide(_table(summary))
     for finding in summary.findings:
         label = "error" if finding.fatal else finding.kind
-        output.print(f"{label}: {finding.message}", markup=False, soft_wrap=True)
+        tell(f"{label}: {finding.message}")
     for name, why in unreadable.items():
-        output.print(f"unreadable: {name}: {why}", markup=False, soft_wrap=True)
+        tell(f"unreadable: {name}: {why}")
     if "time" not in table:
         for line in _map_of(table):
-            output.print(line, markup=False, soft_wrap=True)
+            tell(line)
     elif not summary.findings:
         output.print("no gap, nothing missing, no constant column")
     for key, value in summary.metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
-        output.print(f"{key} = {short}", markup=False, soft_wrap=True)
+        tell(f"{key} = {short}")
 
 
 def _map_of(table: "Mapping[str, np.ndarray]") -> list[str]:

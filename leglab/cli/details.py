@@ -1,13 +1,14 @@
 """`leglab list NAME`: one scenario, controller, reference, model or effect with its settings."""
 
-from collections.abc import Callable
 from typing import Any
 
 import typer
 
 from leglab.base.causes import CAUSES
 from leglab.base.errors import SettingsError
+from leglab.base.registry import Registry
 from leglab.base.settings import documented_settings
+from leglab.cli.options import names_of
 from leglab.cli.terminal import output, plain_table, print_json, print_wide, tell
 
 
@@ -22,13 +23,14 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
     Raises:
         LeglabError: Nothing has this name, or there is no such model.
     """
-    kinds = _kinds()
-    found = {}
-    for kind, (names, details_of) in kinds.items():
-        if name in names():
-            found[kind] = details_of(name, model) if kind == "effect" else details_of(name)
+    known, found = {*names_of("effects")}, {}
+    for kind, registry in registries().items():
+        known.update(registry.names())
+        if name in registry.names():
+            found[kind] = _DETAILS[kind](kind, name, registry.get(name))
+    if name in names_of("effects"):
+        found["effect"] = _effect(name, model)
     if not found:
-        known = {n for names, _ in kinds.values() for n in names()}
         raise SettingsError.unknown("name", name, known)
     if as_json:
         print_json(found)
@@ -39,36 +41,34 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
         _print(kind, name, details)
 
 
-def _kinds() -> dict[str, tuple[Callable[[], Any], Callable[..., dict[str, Any]]]]:
-    """By kind: the function that lists its names, and that which describes one."""
+def registries() -> dict[str, Registry[Any]]:
+    """Returns the registries of what has a name and a summary, by kind."""
     import leglab.controllers
     import leglab.scenarios  # noqa: F401  registers the scenarios
-    from leglab.base.scenario import scenario_names
-    from leglab.cli.options import names_of
-    from leglab.control import controller_names
-    from leglab.machine.library import model_names
-    from leglab.references import reference_names
+    from leglab.base.scenario import SCENARIOS
+    from leglab.control.contract import CONTROLLERS
+    from leglab.machine.library import MODELS
+    from leglab.references.base import REFERENCES
 
     return {
-        "scenario": (scenario_names, _scenario),
-        "controller": (controller_names, _controller),
-        "reference": (reference_names, _reference),
-        "model": (model_names, _model),
-        "effect": (lambda: names_of("effects"), _effect),
+        "scenario": SCENARIOS,
+        "controller": CONTROLLERS,
+        "reference": REFERENCES,
+        "model": MODELS,
     }
 
 
-def _scenario(name: str) -> dict[str, Any]:
-    from leglab.base.scenario import get_scenario, scenario_per_joint, scenario_severity
+def _scenario(_: str, name: str, entry: Any) -> dict[str, Any]:
+    from leglab.base.scenario import get_scenario
 
-    scenario, severity = get_scenario(name), scenario_severity(name)
+    scenario, severity = get_scenario(name), entry.severity
     options = [f"--duration {scenario.duration:g} [s]", f"--reference {scenario.reference}"]
     if severity:
         bounds = f"{severity.lowest:g} to {severity.highest:g}"
         options.append(f"--severity {severity.default:g} ({severity.meaning}; {bounds})")
     if scenario.changes:
         options.append("--ramp 0 [s]")
-    if scenario_per_joint(name):
+    if entry.per_joint:
         options.append("--element JOINT (default: all joints)")
     changes = [
         {
@@ -80,15 +80,11 @@ def _scenario(name: str) -> dict[str, Any]:
         for change in scenario.changes
     ]
     effects = [cause.effect for cause in CAUSES if cause.live == name]
-    return {
-        "summary": scenario.summary,
-        "options": options,
-        "effects": effects,
-        "rows": changes,
-    }
+    told = {"summary": scenario.summary, "options": options}
+    return {**told, "effects": effects, "rows": changes}
 
 
-def _settings(entry: Any, section: str) -> dict[str, Any]:
+def _settings(section: str, _: str, entry: Any) -> dict[str, Any]:
     rows = [
         {
             "setting": setting.name,
@@ -103,20 +99,7 @@ def _settings(entry: Any, section: str) -> dict[str, Any]:
     return {"summary": entry.summary, "options": [told], "rows": rows}
 
 
-def _controller(name: str) -> dict[str, Any]:
-    from leglab.control.contract import CONTROLLERS
-
-    return _settings(CONTROLLERS.get(name), "controller")
-
-
-def _reference(name: str) -> dict[str, Any]:
-    from leglab.references.base import REFERENCES
-
-    return _settings(REFERENCES.get(name), "reference")
-
-
-def _model(name: str) -> dict[str, Any]:
-    from leglab.machine.library import model_path, model_summary
+def _model(_: str, name: str, entry: Any) -> dict[str, Any]:
     from leglab.machine.simulation import Simulation, load_model
 
     machine = Simulation(load_model(name, visual=False))
@@ -133,8 +116,12 @@ def _model(name: str) -> dict[str, Any]:
                 "drive": "MuJoCo's own" if actuator in machine.native else "cylinder",
             }
         )
-    options = [f"file {model_path(name)}", f"timestep {machine.model.opt.timestep:g} s"]
-    return {"summary": model_summary(name), "options": options, "rows": rows}
+    options = [f"file {entry.path}", f"timestep {machine.model.opt.timestep:g} s"]
+    return {"summary": entry.summary, "options": options, "rows": rows}
+
+
+# Describes an entry, given kind, name and entry.
+_DETAILS = {"scenario": _scenario, "controller": _settings, "reference": _settings, "model": _model}
 
 
 def _effect(name: str, model: str) -> dict[str, Any]:

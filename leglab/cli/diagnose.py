@@ -13,7 +13,6 @@ from leglab.cli.options import (
     Json,
     Load,
     Overwrite,
-    load_plugins,
 )
 from leglab.cli.terminal import output, print_json, print_table, progress, tell
 
@@ -47,7 +46,6 @@ def diagnose(
     Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
-    load_plugins(load)
     if effect:
         _check_effects(effect)
     if model is None or not recordings:

@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from leglab import __version__
-from leglab.cli.options import Json, Load, load_plugins
+from leglab.cli.options import Json, Load
 from leglab.cli.terminal import FAILED, print_json, tell
 
 # What results depend on, beside leglab.
@@ -22,7 +22,6 @@ _VARIABLES = ("MUJOCO_GL", "OMP_NUM_THREADS", "DISPLAY", "LEGLAB_DATA", "LEGLAB_
 
 def doctor(as_json: Json = False, load: Load = None) -> None:
     """Shows versions, OpenGL, cores, the plugin, extras and caches; status 1 where one fails."""
-    load_plugins(load)
     found = {
         "leglab": f"{__version__}, {Path(__file__).parents[1]}",
         "python": f"{platform.python_version()}, {platform.platform()}",

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from leglab.base.output import check_apart, check_folder, new_folder, write_atomically
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings, load_plugins
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings
 from leglab.cli.terminal import output, print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ def improve(
     Writes improvement.json and, where held-out recordings prove a gain, improved.xml. A remainder
     is a static force of joints, or command offset of cylinders, in `leglab.residual` elements.
     """
-    load_plugins(load)
     from leglab.diagnosis.improve import improve as run_improvement
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 

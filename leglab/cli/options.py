@@ -64,6 +64,9 @@ Vary = Annotated[
 ]
 Camera = Annotated[str, typer.Option(help="Camera of the model.")]
 Jobs = Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")]
+ReplaceSweep = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT."),
@@ -83,9 +86,18 @@ Columns = Annotated[
     Path | None, typer.Option(help="TOML file: what the columns are called here, and their units.")
 ]
 
+
+def _load(context: typer.Context, sources: list[str] | None) -> list[str] | None:
+    """Imports what `--load` names, before the command begins."""
+    for source in () if context.resilient_parsing else sources or ():
+        plugins.load(source)
+    return sources
+
+
 Load = Annotated[
     list[str] | None,
     typer.Option(
+        callback=_load,
         metavar="FILE_OR_MODULE",
         help="Python file or module that registers controllers, scenarios, references, effects or "
         "models; repeatable.",
@@ -125,32 +137,19 @@ def settings_of(context: typer.Context) -> "RunSettings":
     Raises:
         LeglabError: A name or value of the file or of an entry is not allowed.
     """
-    from dataclasses import fields
-
     from leglab.runs import run_settings
     from leglab.runs.preparation import RunSettings
 
     given = {**context.params, "ramp_duration": context.params["ramp"]}
-    values = {f.name: given[f.name] for f in fields(RunSettings) if f.name in given}
+    values = {name: given[name] for name in run_settings.NAMES if name in given}
     file = Path(values["scenario"])
     if file.suffix in run_settings.SUFFIXES:
         sources = {name: context.get_parameter_source(name) for name in context.params}
-        sources["ramp_duration"] = sources["ramp"]
+        sources |= {"ramp_duration": sources["ramp"], "scenario": None}
         told = {n: v for n, v in values.items() if getattr(sources[n], "name", "") == "COMMANDLINE"}
-        values = {**run_settings.read_settings(file), **told, "scenario": None}
-        values["scenario"] = run_settings.read_settings(file)["scenario"]
+        values = {**run_settings.read_settings(file), **told}
     values = run_settings.with_entries(values, context.params.get("set_") or ())
     return RunSettings(**values)
-
-
-def load_plugins(sources: list[str] | None) -> None:
-    """Imports what `--load` names.
-
-    Raises:
-        LeglabError: There is no such file or module, or importing it fails.
-    """
-    for source in sources or ():
-        plugins.load(source)
 
 
 def check_jobs(jobs: int, name: str = "jobs") -> None:
@@ -159,6 +158,11 @@ def check_jobs(jobs: int, name: str = "jobs") -> None:
     if jobs != -1 and not 1 <= jobs <= most:
         allowed = f"1 to {most}, or -1 for one a core"
         raise SettingsError(f"{name} is {jobs}; allowed: ", given=jobs, allowed=allowed)
+
+
+def split(names: str) -> list[str]:
+    """Returns names that are separated by commas."""
+    return [name.strip() for name in names.split(",") if name.strip()]
 
 
 def names_of(kind: str) -> tuple[str, ...]:

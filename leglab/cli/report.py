@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.output import claimed_folder
-from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, load_plugins
+from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, split
 from leglab.cli.terminal import complain, make_many, output, print_json, progress, tell
 
 if TYPE_CHECKING:
@@ -77,27 +77,26 @@ def report(
     and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the first;
     that of a comparison its table, intervals as figures and every run.
     """
-    load_plugins(load)
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.comparison import is_comparison
     from leglab.runs.folder import check_runs, check_settings, make_runs, read_runs
     from leglab.runs.preparation import RunSettings
     from leglab.runs.sweeps.store import is_sweep
 
-    own = {
-        "--controllers": controllers,
-        "--model": model,
-        "--reference": reference,
-        "--seed": seed,
-        "--severity": severity,
-        "--element": element,
-        "--tolerance": tolerance,
-        "--vary": vary or None,
+    every: dict[str, Any] = {
+        "model": model,
+        "reference": reference,
+        "seed": seed,
+        "severity": severity,
+        "element": element,
+        "tolerance": tolerance,
+        "vary": vary or None,
     }
+    own = {name: value for name, value in every.items() if value is not None}
+    shown: dict[str, Any] = {"start": start, "duration": duration, "camera": camera}
     if folders and len(folders) == 1 and is_sweep(folders[0]):
         count = (3 if films is None else films) if video else 0
-        wanted = _SweepFilms(count=count, start=start, duration=duration, camera=camera)
-        _report_sweep(folders[0], out, wanted, overwrite=overwrite, as_json=as_json)
+        _report_sweep(folders[0], out, count, shown, overwrite=overwrite, as_json=as_json)
         return
     if folders and len(folders) == 1 and is_comparison(folders[0]):
         _report_comparison(folders[0], out, overwrite=overwrite, as_json=as_json)
@@ -111,35 +110,24 @@ def report(
     if films is not None:
         raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
     if scenario is None:
-        given = [name for name, value in own.items() if value is not None]
+        given = ["controllers", *own] if controllers is not None else list(own)
         if given:
-            told = f"{given[0]} says what to run: it needs --scenario"
-            raise SettingsError(told, given=given[0])
+            option = f"--{given[0]}"
+            raise SettingsError(f"{option} says what to run: it needs --scenario", given=option)
         if not folders:
             raise SettingsError("report needs the folder of at least one run, or --scenario")
         place = out or (folders[0] if len(folders) == 1 else Path("out/report"))
         check_out(place, overwrite=overwrite)
-        span = duration
         check_runs(folders)
     else:
         if folders:
             raise SettingsError("report takes folders of runs or --scenario, not both")
         check_jobs(jobs)
-        place, span = out or Path("out/report"), None
+        place, shown["duration"] = out or Path("out/report"), None
         check_out(place, overwrite=True)
-        common = RunSettings(
-            scenario=scenario,
-            model=model or "leg",
-            reference=reference,
-            seed=seed or 0,
-            severity=severity,
-            element=element,
-            duration=duration,
-            tolerance=tolerance or 0.0,
-            vary=vary,
-        )
-        names = (controllers or "pd,static_feedforward").split(",")
-        settings = [replace(common, controller=name.strip()) for name in names if name.strip()]
+        common = RunSettings(scenario=scenario, duration=duration, **own)
+        names = split(controllers or "pd,static_feedforward")
+        settings = [replace(common, controller=name) for name in names]
         check_settings(settings)
         places = [place / "runs" / run.controller for run in settings]
         make = partial(make_runs, settings, places, jobs=jobs, overwrite=overwrite)
@@ -154,9 +142,7 @@ def report(
                 return render_film(
                     [run.folder for run in runs],
                     path,
-                    start=start,
-                    duration=span,
-                    camera=camera,
+                    **shown,
                     progress=lambda share: show(completed=share),
                 )
 
@@ -165,50 +151,43 @@ def report(
     _tell(runs, written, as_json=as_json)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _SweepFilms:
-    count: int
-    start: float | None
-    duration: float | None
-    camera: str
-
-
 def _report_sweep(
-    folder: Path, out: Path | None, wanted: _SweepFilms, *, overwrite: bool, as_json: bool
+    folder: Path,
+    out: Path | None,
+    count: int,
+    shown: dict[str, Any],
+    *,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
+    """Writes the page of a sweep, with so many films that show so much."""
     from leglab.report.run.page import PAGE, check_out
     from leglab.report.sweep.facts import MOST_FILMS
     from leglab.report.sweep.films import film_runs
     from leglab.report.sweep.page import worst_runs, write_sweep_page
 
-    if not 0 <= wanted.count <= MOST_FILMS:
-        told = f"films is {wanted.count}; allowed: "
-        raise SettingsError(told, given=wanted.count, allowed=f"0 to {MOST_FILMS}")
+    if not 0 <= count <= MOST_FILMS:
+        told = f"films is {count}; allowed: "
+        raise SettingsError(told, given=count, allowed=f"0 to {MOST_FILMS}")
     place = out or folder
     check_out(place, overwrite=overwrite)
     films: dict[int, Path] = {}
     with claimed_folder(place) if out else nullcontext():
-        numbers = worst_runs(folder, wanted.count)
-        if numbers:
+        if numbers := worst_runs(folder, count):
             with progress("filming", 1.0) as show:
                 try:
                     films = film_runs(
                         folder,
                         numbers,
                         place,
-                        start=wanted.start,
-                        duration=wanted.duration,
-                        camera=wanted.camera,
+                        **shown,
                         progress=lambda share: show(completed=share),
                     )
                 except LeglabError as error:  # The page is worth having without.
                     complain(f"no films: {error}", "warning")
         with progress("writing"):
             written = write_sweep_page(folder, place / PAGE, films=films)
-    if as_json:
-        print_json({"page": str(written), "films": [str(film) for film in films.values()]})
-    else:
-        tell(f"written to {written}")
+    _tell_page(written, as_json=as_json, films=[str(film) for film in films.values()])
 
 
 def _report_comparison(folder: Path, out: Path | None, *, overwrite: bool, as_json: bool) -> None:
@@ -219,8 +198,12 @@ def _report_comparison(folder: Path, out: Path | None, *, overwrite: bool, as_js
     check_out(place, overwrite=overwrite)
     with claimed_folder(place), progress("writing"):
         written = write_comparison_page(folder, place / PAGE)
+    _tell_page(written, as_json=as_json)
+
+
+def _tell_page(written: Path, *, as_json: bool, **more: Any) -> None:
     if as_json:
-        print_json({"page": str(written)})
+        print_json({"page": str(written), **more})
     else:
         tell(f"written to {written}")
 
@@ -288,7 +271,6 @@ def video(
     load: Load = None,
 ) -> None:
     """Renders runs side by side to MP4, headless, with EGL or OSMesa."""
-    load_plugins(load)
     from leglab.report.film import FRAME_RATE, SIZE, render_film
 
     path = out or (folders[0] / "video.mp4" if len(folders) == 1 else Path("video.mp4"))

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,7 +45,6 @@ def run(
     With the run.json of a run it makes that run again, to the bit where code and versions are the
     same; options that are given hold over a file.
     """
-    options.load_plugins(load)
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
     from leglab.runs.folder import default_folder, write_result
@@ -69,9 +69,10 @@ def run(
     if as_json:
         terminal.print_json(result.metrics)
     else:
-        terminal.print_table(terminal.metrics_table(result.metrics))
+        terminal.print_table(terminal.metrics_table(result.record))
         notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
-        for line in [*terminal.fault_lines(result.metrics), *notes]:
+        told = [one.told() for one in (*result.record.events, *result.record.health)]
+        for line in [*told, *notes]:
             terminal.output.print(line, soft_wrap=True)
         terminal.tell(f"written to {folder}")
     failure = result.record.failure or ("interrupted when the run was over" if late else "")
@@ -111,7 +112,6 @@ def compare(
     settings and code are not repeated: an interrupted comparison goes on where it was. A run that
     fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
     """
-    options.load_plugins(load)
     from leglab.report.comparison.words import failures
     from leglab.report.figures import save_comparison_figure
     from leglab.runs.comparison import RUNS, SUMMARY, Comparison, run_all
@@ -120,7 +120,7 @@ def compare(
     options.check_jobs(jobs)
     comparison = Comparison(
         scenarios=tuple(scenarios),
-        controllers=tuple(name.strip() for name in controllers.split(",") if name.strip()),
+        controllers=tuple(options.split(controllers)),
         seeds=seeds,
         model=model,
         duration=duration,
@@ -134,19 +134,14 @@ def compare(
     runs = comparison.runs()
     there: list[int] = []
 
+    every = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
+
     def make(progress: Callable[[int, int, str], None]) -> list[dict[str, Any]]:
         def noted(done: int, total: int, name: str) -> None:
             there.append(done)
             progress(done, total, name)
 
-        return run_all(
-            runs,
-            out / RUNS,
-            jobs=jobs,
-            scheduler=scheduler,
-            overwrite=overwrite,
-            progress=noted,
-        )
+        return every(progress=noted)
 
     with claimed_folder(out):
         results = terminal.make_many("comparing", len(runs), make)
@@ -194,7 +189,6 @@ def view(
 
     The scenario's change comes at its time, or when Enter is pressed. The run has no end.
     """
-    options.load_plugins(load)
     from leglab.viewer.session import Session
     from leglab.viewer.window import HELP, Window, check_window
 

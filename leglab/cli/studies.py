@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 from leglab.base.output import claimed_folder
-from leglab.cli.options import Json, Load, Model, Scheduler, check_jobs, load_plugins
+from leglab.cli.options import (
+    Jobs,
+    Json,
+    Load,
+    Model,
+    ReplaceSweep,
+    Scheduler,
+    check_jobs,
+    split,
+)
 from leglab.cli.terminal import (
     FAILED,
     complain,
@@ -35,7 +44,6 @@ def tune(
     load: Load = None,
 ) -> None:
     """Finds the PD gains that keep 6 dB and 45 degrees of margin on the linearised plant."""
-    load_plugins(load)
     from leglab.commissioning.pd_gains import PD, TUNED_MODELS, tuned_tables
 
     names = models or list(TUNED_MODELS)
@@ -90,14 +98,12 @@ def benchmark(
         str | None, typer.Option(help="Scenarios, separated by commas; default: all sixteen.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("out/adaptation"),
-    workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    workers: Jobs = -1,
     scheduler: Scheduler = None,
     by_fault: Annotated[
         bool, typer.Option("--by-fault", help="Print a line for each fault as well.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
-    ] = False,
+    overwrite: ReplaceSweep = False,
     as_json: Json = False,
     load: Load = None,
 ) -> None:
@@ -107,17 +113,15 @@ def benchmark(
     run beside them. OUT is the folder of a sweep: an interrupted benchmark goes on where it was,
     and leglab query and report know it.
     """
-    load_plugins(load)
     from leglab.runs.sweeps.engine import run_sweep
     from leglab.studies import adaptation
 
-    if workers != -1:
-        check_jobs(workers, "workers")
+    check_jobs(workers, "workers")
     plan, missing = adaptation.adaptation_plan(
-        _names(controllers),
+        split(controllers),
         model=model,
         specimens=specimens,
-        only=None if faults is None else _names(faults),
+        only=None if faults is None else split(faults),
     )
     make = partial(run_sweep, plan, out, workers=workers, scheduler=scheduler, overwrite=overwrite)
     result = make_many(name.value, len(plan), make)
@@ -134,10 +138,6 @@ def benchmark(
         table.title, table.title_justify = "all faults" if fault == "all" else fault, "left"
         print_wide(table)
     tell(f"{len(plan)} runs in {out}")
-
-
-def _names(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def verify(as_json: Json = False) -> None:

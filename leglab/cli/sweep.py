@@ -16,14 +16,12 @@ def sweep(
         Path, typer.Argument(help="TOML file: what is varied, and how; or a sweep.json.")
     ],
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
-    workers: Annotated[int, typer.Option(help="Processes at a time; -1: one a core.")] = -1,
+    workers: options.Jobs = -1,
     scheduler: options.Scheduler = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Make runs that failed again.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
-    ] = False,
+    overwrite: options.ReplaceSweep = False,
     record: Annotated[
         list[int] | None,
         typer.Option(
@@ -42,12 +40,10 @@ def sweep(
     One row a run is kept in Parquet files below OUT/runs, failed runs included. Interrupted or
     killed, the same command makes exactly the runs that are missing. `leglab query` asks the rows.
     """
-    options.load_plugins(load)
     from leglab.runs.sweeps.engine import record_runs, run_sweep
     from leglab.runs.sweeps.plan import read_plan
 
-    if workers != -1:
-        options.check_jobs(workers, "workers")
+    options.check_jobs(workers, "workers")
     plan = read_plan(file)
     if record:
         made = partial(record_runs, plan, out, record)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -19,6 +19,9 @@ from rich.table import Table
 from rich.text import Text
 
 from leglab.base.tables import print_whole
+
+if TYPE_CHECKING:
+    from leglab.runs.record import RunMetrics
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -267,27 +270,22 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def metrics_table(metrics: dict[str, Any]) -> Table:
-    """Tracking error of one run by joint and phase, from the content of `metrics.json`."""
+def metrics_table(metrics: "RunMetrics") -> Table:
+    """Tracking error of one run by joint and phase."""
     from leglab.report.page.outcome import milli, outcome
-    from leglab.runs.record import RunMetrics
 
-    known = RunMetrics.model_validate(metrics)
-    unit = known.error_unit()
-    phases = metrics["phases"]
-    joints = [name for name in phases[0]["rms_rad"] if name != "all"]
+    unit = metrics.error_unit()
+    joints = [name for name in metrics.phases[0].rms_rad if name != "all"]
     table = Table(title=f"tracking error, RMS / peak, {unit}", title_justify="left", min_width=46)
-    table.add_column(f"{metrics['scenario']}, {metrics['controller']}")
-    for phase in phases:
-        table.add_column(f"{phase['name']} {phase['start']:g}-{phase['end']:g} s", justify="right")
+    table.add_column(f"{metrics.scenario}, {metrics.controller}")
+    for phase in metrics.phases:
+        table.add_column(f"{phase.name} {phase.start:g}-{phase.end:g} s", justify="right")
     for name in joints if len(joints) == 1 else [*joints, "all"]:
-        cells = (
-            f"{1e3 * phase['rms_rad'][name]:.1f} / {1e3 * phase['peak_rad'][name]:.1f}"
-            for phase in phases
-        )
-        own = known.error_unit() if name == "all" else known.error_unit(name)
-        table.add_row(Text(name if own == unit else f"{name} [{own}]"), *cells)
-    found = known.adaptation
+        errors = ((1e3 * p.rms_rad[name], 1e3 * p.peak_rad[name]) for p in metrics.phases)
+        own = unit if name == "all" else metrics.error_unit(name)
+        label = Text(name if own == unit else f"{name} [{own}]")
+        table.add_row(label, *(f"{rms:.1f} / {peak:.1f}" for rms, peak in errors))
+    found = metrics.adaptation
     if found.before_rad and found.end_rad:
         table.caption = (
             f"RMS of all joints: {milli(found.before_rad['all'], unit)} in the {found.span_s:g} s "
@@ -297,14 +295,6 @@ def metrics_table(metrics: dict[str, Any]) -> Table:
         )
         table.caption_justify = "left"
     return table
-
-
-def fault_lines(metrics: dict[str, Any]) -> list[str]:
-    """A line for each change or wear that the controller told, from what `metrics.json` has."""
-    from leglab.base.fault_names import FaultEvent, FaultTrend
-
-    events = [FaultEvent.model_validate(event).told() for event in metrics.get("events", [])]
-    return events + [FaultTrend.model_validate(one).told() for one in metrics.get("health", [])]
 
 
 def comparison_table(summary: dict[str, Any]) -> Table:

@@ -95,27 +95,20 @@ class Reference:
         upper = np.array([joint.upper for joint in self.joints])
         speed = np.array([joint.velocity_limit for joint in self.joints])
         position, velocity = samples.position, samples.velocity
-        for values, bad, verb, unit, limit in (
-            (position, (position < lower) | (position > upper), "goes to", "rad", self._range),
-            (velocity, np.abs(velocity) > speed, "moves at", "rad/s", self._speed),
+        for values, bad, verb, unit in (
+            (position, (position < lower) | (position > upper), "goes to", "rad"),
+            (velocity, np.abs(velocity) > speed, "moves at", "rad/s"),
         ):
             if bad.any():
                 row, column = np.argwhere(bad)[0]
-                joint = self.joints[column]
-                raise SettingsError(
-                    f"reference {self.name!r}: joint {joint.name!r} {verb} "
-                    f"{values[row, column]:.4g} {unit} at {times[row]:.4g} s, ",
-                    given=float(values[row, column]),
-                    allowed=limit(joint),
-                )
-
-    @staticmethod
-    def _range(joint: Joint) -> str:
-        return f"its range is [{joint.lower:g}, {joint.upper:g}] rad"
-
-    @staticmethod
-    def _speed(joint: Joint) -> str:
-        return f"its limit is {joint.velocity_limit:g} rad/s"
+                joint, value = self.joints[column], float(values[row, column])
+                limits = {
+                    "rad": f"its range is [{joint.lower:g}, {joint.upper:g}] rad",
+                    "rad/s": f"its limit is {joint.velocity_limit:g} rad/s",
+                }
+                where = f"reference {self.name!r}: joint {joint.name!r}"
+                told = f"{where} {verb} {value:.4g} {unit} at {times[row]:.4g} s, "
+                raise SettingsError(told, given=value, allowed=limits[unit])
 
 
 # Makes the motion of some joints and says its period [s].

@@ -44,6 +44,13 @@ def product(weight: Samples, motion: Samples) -> Samples:
     )
 
 
+def scaled(middle: np.ndarray, factor: np.ndarray, wave: Samples) -> Samples:
+    """Stretches a trajectory by a factor a joint, and moves it to a middle position."""
+    return Samples(
+        middle + factor * wave.position, factor * wave.velocity, factor * wave.acceleration
+    )
+
+
 def fade_in(motion: Motion, joints: Sequence[Joint], duration: float) -> Motion:
     """Starts a motion from rest.
 

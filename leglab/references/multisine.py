@@ -14,7 +14,7 @@ from leglab.references.base import (
     rest_pose,
     selected,
 )
-from leglab.references.blending import fade_in
+from leglab.references.blending import fade_in, scaled
 
 # Samples of a period in which the largest position, speed and acceleration are looked for.
 _DENSE = 1024
@@ -92,9 +92,6 @@ def multisine(joints: tuple[Joint, ...], config: Multisine) -> tuple[Motion, flo
             middle[i] = min(max(joint.rest, joint.lower + room), joint.upper - room)
 
     def displacement(times: np.ndarray) -> Samples:
-        wave = unit(times + start)
-        return Samples(
-            middle - rest + scale * wave.position, scale * wave.velocity, scale * wave.acceleration
-        )
+        return scaled(middle - rest, scale, unit(times + start))
 
     return fade_in(displacement, joints, config.fade_in), config.period

@@ -5,7 +5,7 @@ from pydantic import Field, model_validator
 
 from leglab.base.settings import Configuration
 from leglab.references.base import Joint, Motion, Samples, register_reference, rest_pose, selected
-from leglab.references.blending import product, smooth_step
+from leglab.references.blending import product, scaled, smooth_step
 
 
 class SineSweep(Configuration):
@@ -63,11 +63,6 @@ def sine_sweep(joints: tuple[Joint, ...], config: SineSweep) -> tuple[Motion, fl
         fall = smooth_step(times, config.duration - config.fade, config.fade)
         # The two ends do not overlap, so their difference is their product with 1 - fall.
         envelope = Samples(*(a - b for a, b in zip(rise, fall, strict=True)))
-        unit = product(envelope, wave)
-        return Samples(
-            rest + amplitude * unit.position,
-            amplitude * unit.velocity,
-            amplitude * unit.acceleration,
-        )
+        return scaled(rest, amplitude, product(envelope, wave))
 
     return sweep, 1 / min(config.start_frequency, config.end_frequency)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from leglab.base.scenario import Scenario
-from leglab.runs.metrics import joint_rms, settling_time, sliding_rms
+from leglab.runs.metrics import by_joint, joint_rms, settling_time, sliding_rms
 from leglab.runs.record import AdaptationMetrics
 
 # Errors before the change and at the end are taken over the whole strides in this share of the run.
@@ -58,30 +58,26 @@ def adaptation(
         `reason` says why.
     """
     quarter = QUARTER * scenario.duration
-    span = _whole(quarter, stride)
+    # As many whole strides as fit into it.
+    span = math.floor(quarter / stride + _ROUNDING) * stride
     figures: dict[str, Any] = dict.fromkeys(AdaptationMetrics.model_fields)
     figures.update(span_s=span, stride_s=stride)
 
     def error_of(values: np.ndarray, start: float, end: float) -> dict[str, float]:
         first, last = np.searchsorted(time, [start - _ROUNDING, end - _ROUNDING])
-        part = values[first:last]
-        by_joint = dict(zip(joints, joint_rms(part).tolist(), strict=True))
-        return {**by_joint, "all": float(joint_rms(part.reshape(-1, 1))[0])}
+        return by_joint(joint_rms, values[first:last], joints)
 
+    change = min(scenario.breakpoints, default=0.0)
+    done = max(scenario.breakpoints, default=0.0)
+    if span and not failure:
+        figures["end_rad"] = error_of(error, scenario.duration - span, math.inf)
     if failure:
         figures["reason"] = f"the run stopped early: {failure}"
     elif not span:
         figures["reason"] = (
             f"a quarter of the run, {quarter:g} s, is less than a stride, {stride:g} s"
         )
-    else:
-        figures["end_rad"] = error_of(error, scenario.duration - span, math.inf)
-    if figures["reason"]:
-        return AdaptationMetrics(**figures)
-
-    change = min(scenario.breakpoints, default=0.0)
-    done = max(scenario.breakpoints, default=0.0)
-    if not scenario.changes:
+    elif not scenario.changes:
         figures["reason"] = "nothing changes"
     elif change < span:
         figures["reason"] = f"the change at {change:g} s leaves less than {span:g} s before it"
@@ -114,8 +110,3 @@ def adaptation(
         level_rad=level,
     )
     return AdaptationMetrics(**figures)
-
-
-def _whole(length: float, stride: float) -> float:
-    """As many whole strides as fit into a length [s]."""
-    return math.floor(length / stride + _ROUNDING) * stride

@@ -1,8 +1,11 @@
 """Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
 
+import itertools
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,7 @@ from leglab.base.units import error_unit
 from leglab.jobs.engine import Progress, Results, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import check_tolerance
+from leglab.runs.folder import content_with
 from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
 from leglab.runs.sweeps.making import made
 from leglab.runs.sweeps.outcome import traces
@@ -137,7 +141,10 @@ def run_all(
         return kept
 
     with claimed_folder(folder):
-        found = {} if overwrite else {n: _stored(run, folder, code) for n, run in enumerate(runs)}
+        found = {
+            number: content_with({"settings": asdict(run), "code": code}, _path(run, folder))
+            for number, run in enumerate(() if overwrite else runs)
+        }
         results = Results({n: result for n, result in found.items() if result}, keep)
         problems = make_missing(
             executor(result_of, jobs, scheduler),
@@ -156,17 +163,6 @@ def run_all(
 def _path(settings: RunSettings, folder: Path) -> Path:
     model = Path(settings.model).stem
     return folder / f"{settings.scenario}-{settings.controller}-{model}-{settings.seed}.json"
-
-
-def _stored(settings: RunSettings, folder: Path, code: str) -> dict[str, Any] | None:
-    """Result of a run as it was stored; None if there is none with just these settings and code."""
-    try:
-        result = read_json(_path(settings, folder))
-    except LeglabError:
-        return None
-    wanted = {"settings": asdict(settings), "code": code}
-    same = isinstance(result, dict) and wanted.items() <= result.items()
-    return result if same else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,28 +219,15 @@ def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
         folder: Of the comparison.
     """
     found = []
-    for scenario in summary["scenarios"]:
-        for controller in summary["controllers"]:
-            for seed in range(summary["seeds"]):
-                settings = RunSettings(
-                    scenario=scenario, controller=controller, model=summary["model"], seed=seed
-                )
-                path, result = _path(settings, folder / RUNS), None
-                try:
-                    content = read_json(path)
-                    same = content["settings"]["seed"] == seed and "metrics" in content
-                    result = content if same else None
-                except (LeglabError, LookupError, TypeError, ValueError):
-                    pass
-                found.append(
-                    StoredRun(
-                        scenario=scenario,
-                        controller=controller,
-                        seed=seed,
-                        path=path,
-                        result=result,
-                    )
-                )
+    seeds = range(summary["seeds"])
+    for names in itertools.product(summary["scenarios"], summary["controllers"], seeds):
+        told = dict(zip(("scenario", "controller", "seed"), names, strict=True))
+        path, result = _path(RunSettings(**told, model=summary["model"]), folder / RUNS), None
+        with suppress(LeglabError, LookupError, TypeError):
+            content = read_json(path)
+            if content["settings"]["seed"] == told["seed"] and "metrics" in content:
+                result = content
+        found.append(StoredRun(**told, path=path, result=result))
     return found
 
 
@@ -275,10 +258,8 @@ def _failed(run: RunSettings, problem: str) -> dict[str, Any]:
     """The result of a run that came to nothing."""
     metrics = {"scenario": run.scenario, "controller": run.controller, "seed": run.seed}
     metrics |= {"completed": False, "failure": problem, "phases": []}
-    found = {"settings": asdict(run), "metrics": metrics, "window": None, "travel_rad": {}}
-    return found | {
-        name: [] for name in ("changes", "time", "windowed_error_rad", "safety_error_rad")
-    }
+    empty = dict.fromkeys(("changes", "time", "windowed_error_rad", "safety_error_rad"), ())
+    return {"settings": asdict(run), "metrics": metrics, "window": None, "travel_rad": {}, **empty}
 
 
 _CONFIDENCE = 0.95
@@ -293,12 +274,8 @@ class ComparisonResult(dict[str, Any]):
             f"on {self['model']}, {self['seeds']} seed{'s' * (self['seeds'] > 1)})"
         )
 
-    def _cells(self) -> list[tuple[str, str, dict[str, Any]]]:
-        return [
-            (scenario, controller, cell)
-            for scenario, cells in self["results"].items()
-            for controller, cell in cells.items()
-        ]
+    def _cells(self) -> dict[tuple[str, str], dict[str, Any]]:
+        return {(s, c): cell for s, cells in self["results"].items() for c, cell in cells.items()}
 
     def _repr_html_(self) -> str:
         def told(one: dict[str, Any], factor: float = 1.0) -> str:
@@ -309,13 +286,12 @@ class ComparisonResult(dict[str, Any]):
 
         rows = [
             (
-                scenario,
-                controller,
+                *names,
                 *(told(cell[f"{name}_rad"], 1e3) for name in ("before", "after", "end")),
                 told(cell["recovered"], 100.0),
                 told(cell["t90_s"]),
             )
-            for scenario, controller, cell in self._cells()
+            for names, cell in self._cells().items()
         ]
         head = ("scenario", "controller", "before", "after", "end", "undone [%]", "90 % undone [s]")
         return html_table(f"{self!r}; RMS error [{self['unit']}], mean ± half of 95 %", head, rows)
@@ -346,12 +322,12 @@ class ComparisonResult(dict[str, Any]):
             LeglabError: pandas is missing.
         """
         rows = {}
-        for scenario, controller, cell in self._cells():
+        for names, cell in self._cells().items():
             row: dict[str, Any] = {}
             for name, value in cell.items():
                 if isinstance(value, dict):
                     row |= {name: value["mean"], f"{name}_half": value["half_width"]}
-            rows[scenario, controller] = {**row, "runs": cell["runs"]}
+            rows[names] = {**row, "runs": cell["runs"]}
         return data_frame(list(rows.values()), index=data_index(rows, ("scenario", "controller")))
 
 
@@ -372,12 +348,10 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         tenths of their damage; `failures` has the reasons of runs that ended early, which are left
         out of all estimates.
     """
-    cells: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    cells: defaultdict[tuple[str, str], dict[int, dict[str, Any]]] = defaultdict(dict)
     results = list(results)
-    for result in results:
-        metrics = result["metrics"]
-        cell = cells.setdefault((metrics["scenario"], metrics["controller"]), {})
-        cell[metrics["seed"]] = metrics
+    for metrics in (result["metrics"] for result in results):
+        cells[metrics["scenario"], metrics["controller"]][metrics["seed"]] = metrics
     first = comparison.controllers[0]
     return ComparisonResult(
         **asdict(comparison),
@@ -385,9 +359,7 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         unit=unit_of_results(results),
         results={
             scenario: {
-                controller: _summary(
-                    cells.get((scenario, controller), {}), cells.get((scenario, first), {})
-                )
+                controller: _summary(cells[scenario, controller], cells[scenario, first])
                 for controller in comparison.controllers
             }
             for scenario in comparison.scenarios

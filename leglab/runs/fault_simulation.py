@@ -328,10 +328,7 @@ def _moments(
 def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Weighted squared errors of a fault, as the monitor weighs: with its shift, without, healthy.
 
-    Args:
-        changed: About the healthy map.
-        shift: Of that map, (joints, parameters).
-        normal: Mean square errors of the healthy machine, (joints,).
+    Moments and shift are about the healthy map, `normal` are its mean square errors.
     """
     powers = np.stack([changed.about(shift).power, changed.power, changed.count * normal])
     return powers @ changed.weight(normal, DISCREPANCY)

@@ -355,15 +355,19 @@ def _asked(settings: RunSettings) -> dict:
 
 
 def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
-    if not all((folder / name).is_file() for name in RUN_FILES):
-        return False
+    wanted = {"asked": _asked(settings), "code": code}
+    there = all((folder / name).is_file() for name in RUN_FILES)
+    return there and content_with(wanted, folder / CONFIGURATION) is not None
+
+
+def content_with(wanted: Mapping[str, Any], path: Path) -> dict[str, Any] | None:
+    """Returns the content of a JSON file; None where there is none with just these entries."""
     try:
-        stored = read_json(folder / CONFIGURATION)
+        content = read_json(path)
     except LeglabError:
-        return False
-    if not isinstance(stored, dict):
-        return False
-    return stored.get("asked") == _asked(settings) and stored.get("code") == code
+        return None
+    same = isinstance(content, dict) and wanted.items() <= content.items()
+    return content if same else None
 
 
 def make_folder(given: dict[str, Any]) -> None:

@@ -13,7 +13,14 @@ from leglab._native.loop import Reports
 from leglab._native.loop import Rows as RowTaker
 from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.scenario import Scenario
-from leglab.control import Controller, Measurement, ReferencePoint, check_command, make_controller
+from leglab.control import (
+    Controller,
+    Foreknowledge,
+    Measurement,
+    ReferencePoint,
+    check_command,
+    make_controller,
+)
 from leglab.control.contract import diagnostics_of
 from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.exact_inverse import ExactInverse
@@ -109,6 +116,7 @@ class Loop:
         machine: The machine as the controller meets it.
         period: Control period [s].
         count: Periods of the scenario's duration.
+        wanted: Samples of the reference, of the kept periods and `ahead` more.
         present: The period that `observe` began last; number -1 before the first.
         watch: Called with the number of each period, after its command and before it passes.
 
@@ -134,12 +142,17 @@ class Loop:
         self.preparation = preparation = preparation or prepared(settings)
         self.scenario = scenario = preparation.fitted(wanted)
         self.reference = preparation.reference(settings, scenario)
-        self._setup = preparation.setup(
-            scenario,
-            self.reference,
-            self._bench_runs,
-            self._exact_commands,
-            partial(fault_bank, settings, scenario, Loop),
+        foreknowledge = Foreknowledge(
+            first_change=min(scenario.breakpoints, default=math.inf),
+            last_change=max(scenario.breakpoints, default=math.inf),
+            bench_runs=self._bench_runs,
+            exact_commands=self._exact_commands,
+        )
+        self._setup = replace(
+            preparation.controller_setup,
+            reference_period=self.reference.period,
+            foreknowledge=foreknowledge,
+            fault_bank=partial(fault_bank, settings, scenario, Loop),
         )
         self.controller = controller
         if controlled and controller is None:
@@ -262,40 +275,32 @@ class Loop:
 
     def reference_now(self) -> ReferencePoint:
         """Returns where the joints should be in the next period, before it is observed."""
-        row, wanted = self._next - self._first, self._wanted
+        row, wanted = self._next - self._first, self.wanted
         if row == len(wanted.position):  # `observe` samples the next piece.
             row, wanted = 0, self.reference.sample(np.array([self._next * self.period]))
         return ReferencePoint(*(part[row] for part in wanted))
 
-    @property
-    def wanted(self) -> Samples:
-        """Samples of the reference, one a kept period and `ahead` more, each (periods, joints)."""
-        return self._wanted
-
     def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
         """Reference positions [rad] so many periods after the present one, (periods, joints)."""
-        return self._wanted.position[self.present.number - self._first + periods]
+        return self.wanted.position[self.present.number - self._first + periods]
 
     def run(
         self,
         progress: Progress | None = None,
         *,
-        freeze: bool = False,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> History:
         """Runs the scenario headless, from the present state to its end.
 
         Args:
             progress: As `stream`.
-            freeze: As `stream`.
             interrupted: As `stream`.
 
         Raises:
             LeglabError: If not even one period could be recorded.
         """
         whole = Whole(self.count)
-        ending = self.stream(whole.keep, progress, freeze=freeze, interrupted=interrupted)
-        return whole.history(ending)
+        return whole.history(self.stream(whole.keep, progress, interrupted=interrupted))
 
     def stream(
         self,
@@ -384,8 +389,8 @@ class Loop:
         times = (first - early + np.arange(early + count)) * self.period
         samples = self.reference.sample(times)
         self._first = first
-        self._wanted: Samples = Samples(*(part[early:] for part in samples))
-        self._points = map(ReferencePoint, *self._wanted)
+        self.wanted = Samples(*(part[early:] for part in samples))
+        self._points = map(ReferencePoint, *self.wanted)
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
         """Recordings of this machine before and after its changes, for identification offline."""
@@ -460,15 +465,7 @@ def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparati
 
 
 class _Records:
-    """Rows of everything that a run keeps, one a control period, until they are handed on.
-
-    Args:
-        loop: It runs.
-        most: Number of rows.
-
-    Attributes:
-        rows: Number of rows that there are.
-    """
+    """So many rows at most of all that a run keeps, one a control period, until handed on."""
 
     def __init__(self, loop: Loop, most: int) -> None:
         assert loop.machine is not None
@@ -531,12 +528,8 @@ class _Records:
             values.fill(np.nan)
 
     def cut(self, first: int, error: LeglabError) -> str:
-        """Says why a loop failed, and forgets rows from which on it is unsound.
-
-        Args:
-            first: Number of the first row's period.
-            error: How it showed: blow-ups are looked for now and then only.
-        """
+        """Says why a loop failed, and forgets rows from which on it is unsound."""
+        # The error may be late: blow-ups are looked for now and then only.
         for row, values in enumerate(self._qvel[: self.rows]):
             try:
                 self._simulation.check((first + row) * self._loop.period, values)
@@ -546,11 +539,7 @@ class _Records:
         return str(error)
 
     def given(self, first: int) -> Rows:
-        """Returns the rows.
-
-        Args:
-            first: Number of the first row's period.
-        """
+        """Returns the rows, of which the first is that of the period of this number."""
         rows, machine, qpos = self.rows, self._simulation, self._qpos[: self.rows]
         states = zip(self._columns, self._states[:rows].T, strict=True)
         keys = enumerate(self._schedule.others)

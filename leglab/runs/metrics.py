@@ -1,7 +1,6 @@
 """How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,28 +21,26 @@ def joint_rms(error: np.ndarray) -> np.ndarray:
     return np.asarray(rms(_samples(error), axis=0))
 
 
-def peak(error: np.ndarray) -> np.ndarray:
-    """Returns the largest magnitude over the samples. Shapes as in `joint_rms`."""
-    return np.max(np.abs(_samples(error)), axis=0)
-
-
-def percentile(error: np.ndarray, percent: float) -> np.ndarray:
-    """Returns the magnitude that this percentage of samples does not exceed, as in `joint_rms`.
-
-    Raises:
-        LeglabError: The percentage is outside [0, 100].
-    """
-    if not 0 <= percent <= 100:
-        told = f"percentile {percent!r} is outside "
-        raise SettingsError(told, given=percent, allowed="[0, 100]")
-    return np.percentile(np.abs(_samples(error)), percent, axis=0, overwrite_input=True)
-
-
+# Of errors (n, joints), by joint.
 _FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "rms_rad": joint_rms,
-    "peak_rad": peak,
-    "p95_rad": partial(percentile, percent=95),
+    "peak_rad": lambda error: np.max(np.abs(error), axis=0),
+    "p95_rad": lambda error: np.percentile(np.abs(error), 95, axis=0, overwrite_input=True),
 }
+
+
+def by_joint(
+    figure: Callable[[np.ndarray], np.ndarray], values: np.ndarray, joints: Sequence[str]
+) -> dict[str, float]:
+    """Returns a figure of samples by joint, and under "all" that of the samples of all joints.
+
+    Args:
+        figure: Of samples (n, joints), (joints,).
+        values: Samples, (n, joints).
+        joints: Names of the columns.
+    """
+    found = dict(zip(joints, figure(values).tolist(), strict=True))
+    return {**found, "all": float(figure(values.reshape(-1, 1))[0])}
 
 
 def phase_table(
@@ -78,10 +75,7 @@ def phase_table(
     table = []
     for phase, part in _parts(time, phases):
         row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
-        for key, figure in _FIGURES.items():
-            values = figure(error[part])
-            row[key] = dict(zip(joints, values.tolist(), strict=True))
-            row[key]["all"] = float(figure(error[part].reshape(-1, 1))[0])
+        row |= {key: by_joint(figure, error[part], joints) for key, figure in _FIGURES.items()}
         table.append(row)
     return table
 
@@ -119,11 +113,9 @@ def usage_table(
             rates /= np.diff(time[start - 1 : part.stop])[:, None]
         drawn = energy[part.stop - 1] - energy[start - 1]
         row = {
-            "effort": dict(zip(joints, joint_rms(command[part]).tolist(), strict=True)),
-            "valve_activity_per_s": dict(zip(joints, joint_rms(rates).tolist(), strict=True)),
+            "effort": by_joint(joint_rms, command[part], joints),
+            "valve_activity_per_s": by_joint(joint_rms, rates, joints),
         }
-        row["effort"]["all"] = float(joint_rms(command[part].reshape(-1, 1))[0])
-        row["valve_activity_per_s"]["all"] = float(joint_rms(rates.reshape(-1, 1))[0])
         spent = {j: e for j, e in zip(joints, drawn.tolist(), strict=True) if not np.isnan(e)}
         if spent:
             row["energy_j"] = {**spent, "all": float(sum(spent.values()))}
@@ -160,7 +152,8 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
     if not window > 0:
         raise SettingsError(f"window {window!r} s must be ", given=window, allowed="positive")
     error = _samples(error)
-    slack = _ROUNDING * _first_period(time)
+    period = float(time[1] - time[0]) if len(time) > 1 else 0.0
+    slack = _ROUNDING * period
     result = np.empty(len(time))
     # Extended precision: the sum over the whole run must not swamp a window of small errors.
     # `total` holds the sums of all samples before number `begin`, before the next one, and so on.
@@ -174,7 +167,8 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
         last = np.arange(part.start, part.stop) + 1
         mean = np.maximum(total[last - begin] - total[first - begin], 0) / (last - first)
         result[part] = np.sqrt(mean)
-    result[time - time[0] < _span(time, window)] = np.nan
+    # The first full window has its first sample a period after its beginning.
+    result[time - time[0] < window - (1 + _ROUNDING) * period] = np.nan
     return result
 
 
@@ -226,15 +220,6 @@ def excess_error_area(
         return None
     excess = np.maximum(windowed[first:] - windowed[first - 1], 0.0)
     return float(np.trapezoid(excess, time[first:]))
-
-
-def _first_period(time: np.ndarray) -> float:
-    return float(time[1] - time[0]) if len(time) > 1 else 0.0
-
-
-def _span(time: np.ndarray, window: float) -> float:
-    """Returns the least time from the first to the last sample of a full window [s]."""
-    return window - (1 + _ROUNDING) * _first_period(time)
 
 
 def _samples(error: np.ndarray) -> np.ndarray:

@@ -2,11 +2,9 @@
 
 import copy
 import json
-import math
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +18,7 @@ from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
-from leglab.control import ControllerSetup, Foreknowledge
 from leglab.control.contract import CONTROLLERS
-from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.machine.changes import (
     NATIVE_FIELDS,
     check_tolerance,
@@ -157,36 +153,6 @@ class Preparation:
         loop_timing(self.sensors, timestep)
         self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
-    def setup(
-        self,
-        scenario: Scenario,
-        reference: Reference,
-        bench_runs: Callable[[], Any],
-        exact_commands: Callable[[], np.ndarray],
-        fault_bank: Callable[[], FaultBank],
-    ) -> ControllerSetup:
-        """Returns what the controller of a run is made from.
-
-        Args:
-            scenario: Of the run.
-            reference: Of the run.
-            bench_runs: Makes recordings of the machine before and after its changes.
-            exact_commands: Finds the valve commands that the machine needs for its reference.
-            fault_bank: Makes the bank of faults of the nominal machine.
-        """
-        foreknowledge = Foreknowledge(
-            first_change=min(scenario.breakpoints, default=math.inf),
-            last_change=max(scenario.breakpoints, default=math.inf),
-            bench_runs=bench_runs,
-            exact_commands=exact_commands,
-        )
-        return replace(
-            self.controller_setup,
-            reference_period=reference.period,
-            foreknowledge=foreknowledge,
-            fault_bank=fault_bank,
-        )
-
     def fitted(self, scenario: Scenario) -> Scenario:
         """The scenario as the machine can carry it out, with a motion that it can make.
 
@@ -255,7 +221,6 @@ class Preparation:
 
 # Preparations that are kept for the next run with the same machine, by what decides them.
 _PREPARED = 8
-_preparations: OrderedDict[str, Preparation] = OrderedDict()
 
 
 def prepared(settings: RunSettings) -> Preparation:
@@ -272,18 +237,19 @@ def prepared(settings: RunSettings) -> Preparation:
         beside = {file, *(f for f in file.parent.glob("*.xml") if f.is_file())}
         changed = [str(file.resolve()), sorted(f"{f} {f.stat().st_mtime_ns}" for f in beside)]
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
-    key = json.dumps([changed, *(getattr(settings, name) for name in shared)], sort_keys=True)
-    if key not in _preparations:
-        _preparations[key] = Preparation(settings)
-        if len(_preparations) > _PREPARED:
-            _preparations.popitem(last=False)
-    _preparations.move_to_end(key)
-    return _preparations[key]
+    key = json.dumps([changed, {name: getattr(settings, name) for name in shared}], sort_keys=True)
+    return _prepared(key)
+
+
+@lru_cache(_PREPARED)
+def _prepared(key: str) -> Preparation:
+    _, settings = json.loads(key)
+    return Preparation(RunSettings(scenario="", **settings))
 
 
 def forget_preparations() -> None:
     """Frees the memory of all preparations that are kept."""
-    _preparations.clear()
+    _prepared.cache_clear()
 
 
 def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> None:

@@ -203,10 +203,9 @@ def _has_twin(loop: Loop) -> bool:
 def _twin(
     loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]
 ) -> tuple[np.ndarray, str]:
-    """The same run with adaptation stopped just before the first change.
+    """Tracking error [rad] of the same run with adaptation stopped just before the first change.
 
-    Returns:
-        Its tracking error [rad], (n, joints), and why it failed; empty if it did not.
+    And why it failed; empty if it did not.
     """
     half = loop.scenario.duration / 2
     loop.reset()
@@ -230,14 +229,7 @@ def _share(loop: Loop, progress: Progress | None) -> Progress | None:
 def _metrics(
     loop: Loop, recording: Recording, ending: Ending, twin: np.ndarray | None
 ) -> dict[str, Any]:
-    """Content of `metrics.json` beside the names: a summary of a run, as far as it came.
-
-    Args:
-        loop: The loop that was run.
-        recording: What it left behind.
-        ending: How it ended.
-        twin: Tracking error of the frozen twin [rad], (n, joints); None without one.
-    """
+    """Content of `metrics.json` beside the names: a summary of a run, as far as it came."""
     scenario, simulation, stride = loop.scenario, loop.simulation, loop.reference.period
     joints, length = simulation.joints, float(recording.time[-1])
     error = recording.stack(joints, "truth")

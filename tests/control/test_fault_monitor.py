@@ -9,7 +9,6 @@ from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.fault_names import ALL, UNKNOWN
 from leglab.base.scenario import get_scenario
-from leglab.cli.terminal import fault_lines
 from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.control.feedforward.fault_monitor import FaultMonitor
@@ -315,7 +314,7 @@ def test_events_are_in_the_metrics_and_in_words():
     )
     (event,) = result.metrics["events"]
     assert event["names"][-1]["fault"] == "seal_wear"
-    (line,) = fault_lines(result.metrics)
+    line = result.record.events[0].told()
     assert line.startswith("all cylinders: seal_wear")
     assert event["names"][-1]["size"] == pytest.approx(10.0, rel=0.05)
     assert "internal leakage ratio" in line
@@ -325,7 +324,7 @@ def test_events_are_in_the_metrics_and_in_words():
         RunSettings(scenario="seal_wear", controller="pd", model="knee_bench", duration=2.0)
     )
     assert "events" not in quiet.metrics
-    assert fault_lines(quiet.metrics) == []
+    assert quiet.record.events == quiet.record.health == []
 
 
 def test_a_bank_of_another_machine_is_refused():

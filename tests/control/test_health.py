@@ -8,7 +8,6 @@ import pytest
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
 from leglab.base.fault_names import ALL, UNKNOWN
-from leglab.cli.terminal import fault_lines
 from leglab.control.feedforward import health
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
@@ -281,7 +280,7 @@ def test_slow_wear_in_the_closed_loop_is_named_before_the_error_doubles():
     assert trend["low"] < 1 + 1.5 * (trend["seen"] - 60.0) / 60.0 < trend["high"]
     remaining = 60.0 + 180.0 - trend["seen"]
     assert trend["remaining_low"] < remaining < trend["remaining_high"]
-    (line,) = fault_lines(result.metrics)
+    line = result.record.health[0].told()
     assert line.startswith("all cylinders: seal_wear")
     assert "an hour; at 5.5 in" in line
     assert set(np.unique(result.recording["knee_health_fault"])) == {0.0, 1.0}

@@ -249,7 +249,7 @@ def test_every_controller_that_adapts_has_a_twin(controller):
 
 
 def test_the_terminal_tells_the_figures_of_the_file(adapting):
-    caption = str(metrics_table(adapting.metrics).caption)
+    caption = str(metrics_table(adapting.record).caption)
     found = adapting.metrics["adaptation"]
     assert f"90 % undone after {found['t90_s']:.2f} s" in caption
     assert f"{100 * found['recovered']:.0f} % undone in the last 4.8 s" in caption

@@ -11,8 +11,6 @@ from leglab.base.scenario import Phase
 from leglab.runs.metrics import (
     excess_error_area,
     joint_rms,
-    peak,
-    percentile,
     phase_table,
     settling_time,
     sliding_rms,
@@ -38,12 +36,14 @@ def windows_by_brute_force(time, error, window):
 
 @given(errors)
 def test_figures_follow_their_definition(error):
-    for joint in range(error.shape[1]):
-        samples = error[:, joint]
-        assert joint_rms(error)[joint] == pytest.approx(np.sqrt(sum(samples**2) / len(samples)))
-        assert peak(error)[joint] == max(abs(samples))
-        assert percentile(error, 100)[joint] == max(abs(samples))
-        assert percentile(error, 50)[joint] == pytest.approx(np.median(abs(samples)))
+    time, joints = np.arange(float(len(error))), "abcd"[: error.shape[1]]
+    (row,) = phase_table(time, error, joints, [Phase(name="whole", start=0, end=time[-1])])
+    for name, samples in (*zip(joints, error.T, strict=True), ("all", error.ravel())):
+        assert row["rms_rad"][name] == pytest.approx(np.sqrt(sum(samples**2) / len(samples)))
+        assert row["peak_rad"][name] == max(abs(samples))
+        below = np.mean(abs(samples) <= row["p95_rad"][name] + 1e-12)
+        assert 0.95 - 1 / len(samples) <= below
+        assert np.mean(abs(samples) < row["p95_rad"][name] - 1e-12) <= 0.95 + 1e-9
 
 
 def test_rms_of_a_sine():
@@ -95,11 +95,9 @@ def test_bad_errors_are_named(error, joints, message):
         phase_table(np.arange(3.0), error, joints, [Phase(name="whole", start=0, end=2)])
 
 
-def test_bad_window_and_percentile():
+def test_a_window_without_length_is_refused():
     with pytest.raises(LeglabError, match="window 0"):
         sliding_rms(np.arange(3.0), np.ones((3, 1)), 0)
-    with pytest.raises(LeglabError, match="percentile 101"):
-        percentile(np.ones((3, 1)), 101)
 
 
 @given(errors, st.integers(1, 70))

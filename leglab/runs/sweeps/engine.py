@@ -28,6 +28,18 @@ _MEDIANS = """SELECT scenario, controller, count(*), count(*) FILTER (status = '
  1e3 * median(rms_rad), 1e3 * median(end_rad), 100 * median(recovered), median(t90_s)
  FROM runs GROUP BY scenario, controller ORDER BY scenario, min(run)"""
 
+_HEAD = (
+    "scenario", "controller", "runs", "failed", "whole [mrad or mm]", "end [mrad or mm]",
+    "undone [%]", "90 % undone [s], where it was",
+)  # fmt: skip
+
+# What is wrong where the record of a sweep has another entry.
+_OTHER = {
+    "digest": "holds another sweep",
+    "code": "was begun with other code of leglab or of a plug-in",
+    "models": "was begun with other files of its models",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class SweepResult:
@@ -58,17 +70,7 @@ class SweepResult:
             (*row[:4], *("" if figure is None else f"{figure:.3g}" for figure in row[4:]))
             for row in ask(self.folder, _MEDIANS).rows
         ]
-        head = (
-            "scenario",
-            "controller",
-            "runs",
-            "failed",
-            "whole [mrad or mm]",
-            "end [mrad or mm]",
-        )
-        return html_table(
-            f"{self!r}; medians", (*head, "undone [%]", "90 % undone [s], where it was"), rows
-        )
+        return html_table(f"{self!r}; medians", _HEAD, rows)
 
     def plot(self) -> list[Any]:
         """Draws the RMS tracking error of every run by controller, the median as a bar.
@@ -81,11 +83,9 @@ class SweepResult:
         Raises:
             LeglabError: No run has an error yet.
         """
-        told = "at the end"
-        rows = ask(self.folder, _ERRORS.format("end_rad")).rows
-        if not rows:
-            told = "of the whole run"
-            rows = ask(self.folder, _ERRORS.format("rms_rad")).rows
+        asked = {"end_rad": "at the end", "rms_rad": "of the whole run"}
+        found = {told: ask(self.folder, _ERRORS.format(name)).rows for name, told in asked.items()}
+        told, rows = next((one for one in found.items() if one[1]), ("", ()))
         if not rows:
             told = f"{str(self.folder)!r} holds no run with an error to draw"
             raise RecordingError(told, given=self.folder)
@@ -246,16 +246,10 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
         store.put_aside(folder)
     if store.is_sweep(folder):
         there = store.read_record(folder)
-        problem = ""
-        if there.digest != record.digest:
-            problem = "holds another sweep"
-        elif there.code != record.code:
-            problem = "was begun with other code of leglab or of a plug-in"
-        elif there.models != record.models:
-            problem = "was begun with other files of its models"
-        if problem:
-            told = f"{str(folder)!r} {problem}: give another folder, or --overwrite to begin anew"
-            raise FileError(told, given=folder)
+        for name, problem in _OTHER.items():
+            if getattr(there, name) != getattr(record, name):
+                other = "give another folder, or --overwrite to begin anew"
+                raise FileError(f"{str(folder)!r} {problem}: {other}", given=folder)
         return
     try:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]

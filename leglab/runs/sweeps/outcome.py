@@ -90,6 +90,10 @@ FIGURES = tuple(
 )
 
 
+# Those that are as in `AdaptationMetrics`.
+_ADAPTATION = ("damage_rad", "twin_end_rad", "recovered", "t90_s", "level_rad")
+
+
 def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     """Figures of a run that came to its end, by name as `Outcome` has them.
 
@@ -108,17 +112,13 @@ def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     said = [n.time for event in metrics.events for n in event.names]
     after = [when - change for when in said if change is not None and when >= change]
     kept: dict[str, Any] = {
+        **{name: getattr(found, name) for name in _ADAPTATION},
         "came_to_s": metrics.duration,
         "rms_rad": float(np.sqrt(np.mean(error**2))),
         "peak_rad": float(np.max(np.abs(error))),
         "before_rad": found.before_rad and found.before_rad["all"],
         "after_rad": phases[-1].rms_rad["all"] if phases[-1].name != "before" else None,
         "end_rad": found.end_rad and found.end_rad["all"],
-        "damage_rad": found.damage_rad,
-        "twin_end_rad": found.twin_end_rad,
-        "recovered": found.recovered,
-        "t90_s": found.t90_s,
-        "level_rad": found.level_rad,
         "not_told": found.reason,
         "worst_2s_rad": _largest(since),
         "excess_error_area_rad_s": metrics.excess_error_area_rad_s,

@@ -1,6 +1,7 @@
 """The rows of a sweep's dataset: one a run, its settings, how it went, its figures."""
 
 import json
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 
 from leglab.base.errors import LeglabError
 from leglab.base.settings import first_problem
-from leglab.runs.preparation import RunSettings, scenario_of
+from leglab.runs.preparation import scenario_of
 from leglab.runs.sweeps.outcome import Outcome
 from leglab.runs.sweeps.plan import MAPPINGS, SweepPlan
 
@@ -95,48 +96,37 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
         answer: From `leglab.jobs`, of `leglab.runs.sweeps.making.figures_of`; not trusted.
         by: What made it.
     """
-    settings = plan.settings(number)
-    row = _settings_row(plan, number, settings)
-    row |= dict.fromkeys(_HOW)
-    outcome, problem = None, None
-    if "result" in answer:
-        try:
-            outcome = Outcome.model_validate(answer["result"])
-        except ValidationError as error:
-            where, reason = first_problem(error)
-            problem = "ended early", f"it gave no valid figures: {where}: {reason}"
-    else:
-        problem = str(answer.get("kind", "died")), str(answer.get("error", "it gave no answer"))
-    if outcome is None:
-        assert problem is not None
-        row |= {"status": FAILED, "failure": problem[0], "error": problem[1]}
-    else:
-        row["status"] = OK
-        row |= outcome.model_dump(exclude=set(_left_out(plan.keep)))
-    row |= {
+    row = {
+        **_settings_row(plan, number),
+        "status": FAILED,
+        "failure": str(answer.get("kind", "died")),
+        "error": str(answer.get("error", "it gave no answer")),
         "made_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "made_by": by,
         "made_wall_s": _time(answer.get("wall_s")),
         "made_cpu_s": _time(answer.get("cpu_s")),
     }
+    if "result" in answer:
+        try:
+            outcome = Outcome.model_validate(answer["result"])
+            row |= outcome.model_dump(exclude=set(_left_out(plan.keep)))
+            row |= {"status": OK, "failure": None, "error": None}
+        except ValidationError as error:
+            where, reason = first_problem(error)
+            told = f"it gave no valid figures: {where}: {reason}"
+            row |= {"failure": "ended early", "error": told}
     return row
 
 
-def _settings_row(plan: SweepPlan, number: int, settings: RunSettings) -> dict[str, Any]:
-    try:
+def _settings_row(plan: SweepPlan, number: int) -> dict[str, Any]:
+    settings, given = plan.settings(number), plan.values(number)
+    row: dict[str, Any] = {name: getattr(settings, name) for name in _SETTINGS if name != "run"}
+    row["run"] = number
+    row |= {name: json.dumps(dict(row[name]), sort_keys=True) for name in MAPPINGS}
+    with suppress(LeglabError):  # Checked before: only a plug-in that is not what it was.
         scenario = scenario_of(settings)
-    except LeglabError:  # Checked before: only a plug-in that is not what it was.
-        scenario = None
-    row: dict[str, Any] = {"run": number}
-    for name in _SETTINGS:
-        if name == "run":
-            continue
-        value = getattr(settings, name)
-        row[name] = json.dumps(dict(value), sort_keys=True) if name in MAPPINGS else value
-    if scenario is not None:
         row["severity"], row["duration"] = scenario.severity, scenario.duration
         row["reference"] = settings.reference or scenario.reference
-    given = plan.values(number)
     if plan.tuned:
         row["point"] = plan.point(number)
     for axis in plan.axes:

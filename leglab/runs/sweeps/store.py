@@ -24,10 +24,9 @@ from urllib.parse import quote
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 
 from leglab.base.errors import FileError
-from leglab.base.input import read_json
 from leglab.base.output import (
     cannot_write,
     has_locks,
@@ -35,7 +34,7 @@ from leglab.base.output import (
     write_atomically,
     writer_elsewhere,
 )
-from leglab.base.settings import first_problem
+from leglab.runs.record import read
 from leglab.runs.sweeps.plan import SweepPlan
 from leglab.runs.sweeps.rows import FAILED, PARTITION, row_of, schema
 
@@ -107,15 +106,7 @@ def read_record(folder: Path) -> SweepRecord:
     """
     if not is_sweep(folder):
         raise FileError(f"{str(folder)!r} holds no sweep: it has no {SWEEP}", given=folder)
-    return _read(SweepRecord, folder / SWEEP)
-
-
-def _read(model: Any, path: Path) -> Any:
-    try:
-        return model.model_validate(read_json(path))
-    except ValidationError as error:
-        where, reason = first_problem(error)
-        raise FileError(f"{path}: {where or 'content'}: {reason}", given=path) from error
+    return read(SweepRecord, folder / SWEEP)
 
 
 def read_plan_of(folder: Path) -> SweepPlan:
@@ -149,7 +140,7 @@ def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
         )
     made = (folder / ROWS).exists()  # It goes after the other has come.
     if (folder / DATASET).exists():
-        parts = _read(Dataset, folder / DATASET).parts
+        parts = read(Dataset, folder / DATASET).parts
         for part in parts:
             if problem := _problem(folder, part):
                 raise FileError(f"{problem}; leglab sweep removes it and makes its runs again")
@@ -185,7 +176,7 @@ def read_proposals(folder: Path) -> dict[int, dict[str, float]]:
         LeglabError: As `read_rows`.
     """
     if (folder / DATASET).exists():
-        return _read(Dataset, folder / DATASET).proposals
+        return read(Dataset, folder / DATASET).proposals
     if not (folder / ROWS).exists():
         return {}
     with _reading(folder) as database:
@@ -280,7 +271,7 @@ class Store:
         self.damaged: list[str] = []
         if (folder / DATASET).exists():
             self._remove_database()
-            dataset: Dataset = _read(Dataset, folder / DATASET)
+            dataset = read(Dataset, folder / DATASET)
             whole = [part for part in dataset.parts if not _problem(folder, part)]
             self.damaged = [
                 f"{part.file} is damaged; its {part.rows} runs are made again"
@@ -344,7 +335,7 @@ class Store:
     def forget_failed(self) -> None:
         """Drops the rows of failed runs, which are missing from then on."""
         if (self._folder / DATASET).exists():
-            dataset = _read(Dataset, self._folder / DATASET)
+            dataset = read(Dataset, self._folder / DATASET)
             self._reopen(dataset, dataset.parts)
         with self._opened() as database:
             database.execute("DELETE FROM runs WHERE status = ?", (FAILED,))
