@@ -10,6 +10,7 @@ as those of a sweep, kept, put together and read again.
 
 import argparse
 import resource
+import socket
 import subprocess
 import sys
 import tempfile
@@ -42,31 +43,42 @@ def plan_of(settings: dict[str, Any], runs: int) -> SweepPlan:
 
 
 @contextmanager
-def cluster(folder: Path) -> Iterator[str]:
-    """Address of a Dask scheduler on loopback with two workers of one thread."""
+def cluster(
+    folder: Path, workers: int = 2
+) -> Iterator[tuple[str, tuple[subprocess.Popen[bytes], ...]]]:
+    """A Dask scheduler on loopback with workers of one thread, as long as it is entered.
+
+    Args:
+        folder: Where workers put their files.
+        workers: How many.
+
+    Yields:
+        Its address; its process and those of the workers.
+    """
     from distributed import Client
 
-    address = "tcp://127.0.0.1:28786"
-    workers = [address, "--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
-    commands = [
-        ["dask_scheduler", "--host", "127.0.0.1", "--port", "28786"],
-        *[["dask_worker", *workers]] * 2,
-    ]
-    processes = [
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    address = f"tcp://127.0.0.1:{port}"
+    options = [address, "--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
+    scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", port]
+    processes = tuple(
         subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{c[0]}", *c[1:], "--no-dashboard"],
+            [sys.executable, "-m", f"distributed.cli.{name}", *own, "--no-dashboard"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
-        for c in commands
-    ]
+        for name, *own in (scheduler, *[["dask_worker", *options]] * workers)
+    )
     try:
         with Client(address, timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-        yield address
+            client.wait_for_workers(workers, timeout=60)
+        yield address, processes
     finally:
         for process in reversed(processes):
-            process.terminate()
+            process.kill()
             process.wait()
 
 
@@ -149,7 +161,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with cluster(folder) as address:
+        with cluster(folder) as (address, _):
             for case, (settings, option) in CASES.items():
                 runs = getattr(options, option)
                 found[case] = {"runs": runs, "ways": {}}

@@ -3,9 +3,8 @@
 import json
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from benchmarks.suite.suite import ROOT, Measured, Ratio, Value, machine
 from leglab.base.errors import FileError, SimulationError
@@ -91,27 +90,13 @@ def add(entry: Entry, path: Path | None = None) -> Path:
     entries = read_history(path)
     for i, other in enumerate(entries):
         if (other.commit, other.machine) == (entry.commit, entry.machine):
-            entries[i] = Entry(
-                commit=entry.commit,
-                date=entry.date,
-                machine=entry.machine,
-                ratios={**other.ratios, **entry.ratios},
-            )
+            entries[i] = replace(entry, ratios={**other.ratios, **entry.ratios})
             break
     else:
         entries.append(entry)
-    text = "".join(json.dumps(_plain(one), allow_nan=False) + "\n" for one in entries)
+    text = "".join(json.dumps(asdict(one), allow_nan=False) + "\n" for one in entries)
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
-
-
-def _plain(entry: Entry) -> dict[str, Any]:
-    return {
-        "commit": entry.commit,
-        "date": entry.date,
-        "machine": entry.machine,
-        "ratios": entry.ratios,
-    }
 
 
 def kept_value(ratio: Ratio, entries: Sequence[Entry], here: str) -> float | None:

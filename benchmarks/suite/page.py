@@ -41,10 +41,7 @@ def page(
     headline = f"{met} of {len(wanted)} ratios reach what is asked"
     if len(asked) < len(wanted):
         headline += f"; {len(wanted) - len(asked)} of them not measured"
-    parts = {}
-    for one in measured:
-        if one.record:
-            parts[one.part] = (one, markdown_tables(one.tables))
+    parts = {one.part: (one, markdown_tables(one.tables)) for one in measured if one.record}
     failures = Table(
         caption="Not measured",
         head=("part", "why"),

@@ -12,7 +12,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -241,7 +241,8 @@ def machine() -> dict[str, Any]:
         for line in _text(Path("/proc/cpuinfo")).splitlines()
         if line.startswith("model name")
     ]
-    known = {p: metadata.version(p) for p in PACKAGES if importlib.util.find_spec(_module(p))}
+    installed = (p for p in PACKAGES if importlib.util.find_spec(p.replace("-", "_")))
+    known = {package: metadata.version(package) for package in installed}
     return {
         "processor": names[0] if names else platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
@@ -249,10 +250,6 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": known,
     }
-
-
-def _module(package: str) -> str:
-    return package.replace("-", "_")
 
 
 def _text(path: Path) -> str:
@@ -271,8 +268,8 @@ class Measured:
     """
 
     part: str
-    record: dict[str, Any]
-    tables: str
+    record: dict[str, Any] = field(default_factory=dict)
+    tables: str = ""
     problem: str = ""
 
 
@@ -345,11 +342,11 @@ def _call(part: Benchmark, options: Sequence[str], file: Path) -> Measured:
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         problem = lines[-1].strip() if lines else f"it ended with status {done.returncode}"
-        return Measured(part=part.name, record={}, tables="", problem=problem)
+        return Measured(part=part.name, problem=problem)
     file.with_suffix(".md").write_text(done.stdout)
     found = _kept(part.name, file)
     if found is None:
-        return Measured(part=part.name, record={}, tables="", problem="it wrote no results")
+        return Measured(part=part.name, problem="it wrote no results")
     return found
 
 
@@ -360,7 +357,7 @@ def stored(parts: Sequence[Benchmark]) -> list[Measured]:
         kept = _kept(part.name, part.file) if part.file.is_file() else None
         if kept is None:
             problem = "docs/data keeps no results of it"
-            found.append(Measured(part=part.name, record={}, tables="", problem=problem))
+            found.append(Measured(part=part.name, problem=problem))
         else:
             found.append(replace(kept, tables=tables.get(part.name, "")))
     return found
@@ -389,15 +386,10 @@ class Value:
         return statistics.median(self.values)
 
 
-def values(found: Sequence[Measured], ratios: Sequence[Ratio] = RATIOS) -> list[Value]:
-    """All ratios that can be drawn from results; those of old scripts may lack some.
-
-    Args:
-        found: Results of parts.
-        ratios: Which ones.
-    """
+def values(found: Sequence[Measured]) -> list[Value]:
+    """All ratios that can be drawn from results of parts; those of old scripts may lack some."""
     known = []
-    for ratio in ratios:
+    for ratio in RATIOS:
         each = []
         for one in found:
             if one.part == ratio.part and one.record:

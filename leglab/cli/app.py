@@ -8,7 +8,7 @@ import typer
 
 from leglab import __version__
 from leglab.cli.catalogue import list_names, parameters
-from leglab.cli.conventions import Commands, execute, exit_status, explain
+from leglab.cli.conventions import Command, Commands, execute, exit_status, explain
 from leglab.cli.convert import convert, inspect
 from leglab.cli.diagnose import diagnose
 from leglab.cli.doctor import doctor
@@ -31,7 +31,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (
     index, view, run, list_names, tune, replicate, verify, parameters, doctor,
 )  # fmt: skip
 for _command in _COMMANDS:
-    app.command("list" if _command is list_names else None)(_command)
+    app.command("list" if _command is list_names else None, cls=Command)(_command)
 explain(app)
 
 

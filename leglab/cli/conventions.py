@@ -13,9 +13,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
+from leglab.base import plugins
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
 from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, errors
@@ -152,6 +153,16 @@ class Commands(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
+class Command(TyperCommand):
+    """A command; what its `--load` names is imported before it begins."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command."""
+        for source in ctx.params.get("load") or ():
+            plugins.load(source)
+        return super().invoke(ctx)
+
+
 def exit_status() -> str:
     """One line with all exit statuses."""
     return "Exit status: " + ", ".join(f"{code} {text}" for code, text in EXIT_STATUS.items())
@@ -160,17 +171,15 @@ def exit_status() -> str:
 def explain(app: typer.Typer) -> None:
     """Adds examples, panels, completion and allowed values to all commands of an application.
 
-    An example, panel or completion that a command sets itself stays; a second call changes nothing.
+    A second call changes nothing.
     """
     for command in app.registered_commands:
         assert command.callback is not None
-        name = command.name or command.callback.__name__.replace("_", "-")
-        if command.epilog is None and name in EXAMPLES:
-            # \b keeps the line breaks of a paragraph.
-            command.epilog = "\n".join(("\b", "Examples:", *(f"  {e}" for e in EXAMPLES[name])))
-        if command.help is None and command.callback.__doc__:
-            paragraphs = inspect.cleandoc(command.callback.__doc__).split("\n\n")
-            command.help = "\n\n".join(" ".join(text.split()) for text in paragraphs)
+        name = command.name or command.callback.__name__
+        # \b keeps the line breaks of a paragraph.
+        command.epilog = "\n".join(("\b", "Examples:", *(f"  {e}" for e in EXAMPLES[name])))
+        paragraphs = inspect.cleandoc(command.callback.__doc__ or "").split("\n\n")
+        command.help = "\n\n".join(" ".join(text.split()) for text in paragraphs)
         for parameter, hint in typing.get_type_hints(command.callback, include_extras=True).items():
             for info in getattr(hint, "__metadata__", ()):
                 if isinstance(info, ParameterInfo):
@@ -277,11 +286,10 @@ def spread(arguments: Sequence[str]) -> list[str]:
 
 
 def _explain(parameter: str, info: ParameterInfo) -> None:
-    if info.rich_help_panel is None and isinstance(info, OptionInfo):
+    if isinstance(info, OptionInfo):
         panels = (panel for panel, names in _PANELS.items() if parameter in names)
         info.rich_help_panel = next(panels, None)
-    if info.autocompletion is None and info.shell_complete is None:
-        info.autocompletion = _COMPLETION.get(parameter)
+    info.autocompletion = _COMPLETION.get(parameter)
     if parameter in _LISTED:
         also = ("an MJCF file",) if parameter == "model" else ()
         allowed = f"One of: {', '.join((*names_of(_LISTED[parameter]), *also))}."

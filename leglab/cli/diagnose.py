@@ -60,8 +60,7 @@ def diagnose(
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     check_apart(out, [Path(model), *recordings, *(healthy or [])])
-    named = read_recordings(recordings, columns)
-    named, held = split_held_out(model, named, held_out or [])
+    named, held = split_held_out(model, read_recordings(recordings, columns), held_out or [])
     before = read_recordings(healthy, columns) if healthy else None
     both = {path.resolve() for path in recordings} & {path.resolve() for path in healthy or []}
     if both:

@@ -22,12 +22,14 @@ _VARIABLES = ("MUJOCO_GL", "OMP_NUM_THREADS", "DISPLAY", "LEGLAB_DATA", "LEGLAB_
 
 def doctor(as_json: Json = False, load: Load = None) -> None:
     """Shows versions, OpenGL, cores, the plugin, extras and caches; status 1 where one fails."""
+    usable = len(os.sched_getaffinity(0))
+    given = [f"{name}={os.environ[name]}" for name in _VARIABLES if name in os.environ]
     found = {
         "leglab": f"{__version__}, {Path(__file__).parents[1]}",
         "python": f"{platform.python_version()}, {platform.platform()}",
         **{name: _version(name) or "missing" for name in _VERSIONS},
-        "cores": _cores(),
-        "environment": _environment(),
+        "cores": f"{os.cpu_count()}, {usable} for this process; {platform.machine()}",
+        "environment": " ".join(given) or f"none of {', '.join(_VARIABLES)}",
         "plugin": _plugin(),
         "opengl": _opengl(),
         "extras": _extras(),
@@ -49,16 +51,6 @@ def _version(package: str) -> str:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return ""
-
-
-def _cores() -> str:
-    usable = len(os.sched_getaffinity(0))
-    return f"{os.cpu_count()}, {usable} for this process; {platform.machine()}"
-
-
-def _environment() -> str:
-    given = [f"{name}={os.environ[name]}" for name in _VARIABLES if name in os.environ]
-    return " ".join(given) or f"none of {', '.join(_VARIABLES)}"
 
 
 def _plugin() -> str:

@@ -41,8 +41,7 @@ def improve(
 
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])
-    named = read_recordings(recordings, columns)
-    named, held = split_held_out(model, named, held_out or [])
+    named, held = split_held_out(model, read_recordings(recordings, columns), held_out or [])
     made = ("improved.xml",)
     with new_folder(out, mark="improvement.json", made=made, overwrite=overwrite) as partial:
         with progress("improvement") as show:
@@ -62,13 +61,10 @@ def improve(
         return
     output.print(result.words, markup=False, highlight=False)
     print_table(_table(result))
-    if better is None:
-        output.print("no improved.xml: no gain on held-out recordings", markup=False)
-    else:
-        output.print(
-            f"{result.closed_fraction:.0%} of the held-out gap closed; {out}/improved.xml",
-            markup=False,
-        )
+    told = "no improved.xml: no gain on held-out recordings"
+    if better is not None:
+        told = f"{result.closed_fraction:.0%} of the held-out gap closed; {out}/improved.xml"
+    output.print(told, markup=False)
 
 
 def _table(result: "Improvement") -> Table:

@@ -86,18 +86,9 @@ Columns = Annotated[
     Path | None, typer.Option(help="TOML file: what the columns are called here, and their units.")
 ]
 
-
-def _load(context: typer.Context, sources: list[str] | None) -> list[str] | None:
-    """Imports what `--load` names, before the command begins."""
-    for source in () if context.resilient_parsing else sources or ():
-        plugins.load(source)
-    return sources
-
-
 Load = Annotated[
     list[str] | None,
     typer.Option(
-        callback=_load,
         metavar="FILE_OR_MODULE",
         help="Python file or module that registers controllers, scenarios, references, effects or "
         "models; repeatable.",

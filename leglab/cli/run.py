@@ -71,7 +71,8 @@ def run(
     else:
         terminal.print_table(terminal.metrics_table(result.record))
         notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
-        told = [one.told() for one in (*result.record.events, *result.record.health)]
+        told = [event.told() for event in result.record.events]
+        told += [trend.told() for trend in result.record.health]
         for line in [*told, *notes]:
             terminal.output.print(line, soft_wrap=True)
         terminal.tell(f"written to {folder}")

@@ -37,20 +37,18 @@ _COMMANDS = {
 }
 
 
-def harmless(text: str) -> str:
-    """Returns a text with what a terminal would obey written out: names in files may hold it."""
-    return text.translate(_COMMANDS)
-
-
 class _Harmless(Console):
-    """A console that shows every text, whatever is in it; all output of the commands passes it."""
+    """A console that shows every text, what a terminal would obey written out; all output passes.
+
+    Names in files may hold such.
+    """
 
     def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
         for segment in super().render(*args, **options):
             if segment.control:
                 yield segment
             else:
-                yield Segment(harmless(segment.text), segment.style)
+                yield Segment(segment.text.translate(_COMMANDS), segment.style)
 
     def render_str(self, text: str, **options: Any) -> Text:
         try:

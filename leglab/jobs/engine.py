@@ -9,6 +9,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -139,7 +140,10 @@ def executor(
     terms = Terms(work=name_of(work), luggage=luggage, code=code, timeout=timeout, memory=memory)
     if scheduler is None:
         count = (os.cpu_count() or 1) if workers == -1 else workers
-        return _processes(count, terms.limited(count))
+        if memory is None:  # What asks for too much ends before the system ends any process.
+            total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+            terms = replace(terms, memory=max(0.9 * total / count, 1000.0))
+        return _processes(count, terms)
     from leglab.jobs.cluster import cluster
 
     return cluster(scheduler, terms)

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from leglab.base import plugins
@@ -59,16 +59,6 @@ class Terms:
     code: str
     timeout: float
     memory: float | None
-
-    def limited(self, processes: int) -> "Terms":
-        """The same with each process limited to its share of this machine, unless it is already.
-
-        So what asks for too much ends by itself, before the system ends any process.
-        """
-        if self.memory is not None:
-            return self
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
-        return replace(self, memory=max(0.9 * total / processes, 1000.0))
 
 
 class Runner:

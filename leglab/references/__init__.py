@@ -11,8 +11,6 @@ from leglab.references.base import (
     Samples,
     make_reference,
     reference_names,
-    reference_settings,
-    reference_summary,
     register_reference,
 )
 from leglab.references.gait import GAIT
@@ -40,7 +38,5 @@ __all__ = [
     "WalkingStride",
     "make_reference",
     "reference_names",
-    "reference_settings",
-    "reference_summary",
     "register_reference",
 ]

@@ -162,16 +162,6 @@ def reference_names() -> tuple[str, ...]:
     return REFERENCES.names()
 
 
-def reference_summary(name: str) -> str:
-    """Returns the line that describes a reference trajectory."""
-    return REFERENCES.get(name).summary
-
-
-def reference_settings(name: str) -> tuple[str, ...]:
-    """Returns the names of a reference trajectory's settings."""
-    return tuple(REFERENCES.get(name).configuration.model_fields)
-
-
 # Share of the knee's flexion that hip and ankle take. Thigh and shank are about equally long, so
 # the hip stays above the ankle, and the foot flat, when each flexes half as much as the knee.
 BEND_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}

@@ -45,9 +45,9 @@ def default_folder(settings: RunSettings) -> Path:
         value = getattr(settings, field.name)
         if field.name in told or value == field.default or isinstance(value, Mapping):
             continue
-        shown = "" if value is True else f"{value:.17g}" if isinstance(value, float) else value
-        if isinstance(value, float) and float(f"{value:g}") == value:
-            shown = f"{value:g}"
+        shown = "" if value is True else value
+        if isinstance(value, float):
+            shown = f"{value:g}" if float(f"{value:g}") == value else f"{value:.17g}"
         parts.append(value if isinstance(value, str) else f"{field.name}{shown}")
     parts += _told(settings)
     return Path("runs") / "-".join(parts)

@@ -62,16 +62,8 @@ class Ending:
 
 
 @dataclass(frozen=True, kw_only=True)
-class History(Rows):
-    """All rows of a closed loop, and how it ended.
-
-    Attributes:
-        wall_time: Of the loop alone [s].
-        failure: Why the loop ended early; empty if it did not.
-    """
-
-    wall_time: float
-    failure: str = ""
+class History(Rows, Ending):
+    """All rows of a closed loop, and how it ended."""
 
     def __repr__(self) -> str:
         rows, joints = self.position.shape
@@ -116,7 +108,7 @@ class Whole:
             else:
                 found[field] = kept
         found["reference"] = ReferencePoint(**found["reference"])
-        return History(**found, wall_time=ending.wall_time, failure=ending.failure)
+        return History(**found, **vars(ending))
 
 
 def _parts(rows: Rows) -> Iterator[tuple[tuple[str, str], np.ndarray]]:

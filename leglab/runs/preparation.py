@@ -35,8 +35,8 @@ from leglab.references import (
     Joint,
     Reference,
     make_reference,
-    reference_settings,
 )
+from leglab.references.base import REFERENCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,8 +267,9 @@ def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any
     Where the settings say so, the phase is the seed's.
     """
     own = settings.reference in (None, scenario.reference)
+    kind = REFERENCES.get(settings.reference or scenario.reference).configuration
     drawn = {}
-    if settings.vary and "phase" in reference_settings(settings.reference or scenario.reference):
+    if settings.vary and "phase" in kind.model_fields:
         drawn["phase"] = _draws(settings.seed)[1]
     known = scenario.reference_config if own else {}
     return {**drawn, **known, **settings.reference_config}

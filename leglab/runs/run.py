@@ -118,10 +118,7 @@ def run_scenario(
         recording = Recording(
             time=history.time, columns=columns, metadata=recorder.metadata(columns)
         )
-        ending = Ending(
-            rows=len(history.time), wall_time=history.wall_time, failure=history.failure
-        )
-        result = _result(loop, configuration, recording, ending, progress, hold.take)
+        result = _result(loop, configuration, recording, history, progress, hold.take)
     if result.record.failure:  # of the run of the frozen twin, too
         history = replace(history, failure=result.record.failure)
     return Run(**vars(result), history=history)

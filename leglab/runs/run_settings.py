@@ -1,6 +1,7 @@
 """Reads the settings of a run: TOML, the `run.json` of a run, `--set`."""
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -101,7 +102,7 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
     Raises:
         SettingsError: An entry has another form.
     """
-    found = {**values, **{name: _copied(values.get(name)) for name in SECTIONS.values()}}
+    found = {**values, **{name: deepcopy(values.get(name) or {}) for name in SECTIONS.values()}}
     for entry in entries:
         name, equals, text = entry.partition("=")
         section, dot, key = name.strip().partition(".")
@@ -144,11 +145,3 @@ def _value(text: str) -> Any:
         return parse_toml(f"value = {text}")["value"]
     except ValueError:
         return text
-
-
-def _copied(values: Any) -> dict[str, Any]:
-    """A copy of settings, tables in it included."""
-    return {
-        name: _copied(value) if isinstance(value, Mapping) else value
-        for name, value in dict(values or {}).items()
-    }

@@ -83,30 +83,6 @@ def test_list_as_markdown(capsys):
     assert "internal leakage ratio: 10 |" in printed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run", "seal_were"], "unknown scenario 'seal_were'"),
-        (["run", "nominal", "--controller", "lqr"], "unknown controller 'lqr'"),
-        (["run", "nominal", "--model", "arm"], "unknown model 'arm'"),
-        (["run", "nominal", "--model", "arm.xml"], "'arm.xml': there is no such file"),
-        (["run", "nominal", "--model", "knee_bench", "--timestep", "0.01"], "too long"),
-        (["run", "nominal", "--severity", "2"], "has no severity"),
-        (["replicate", "--instances", "0"], "instances is 0"),
-        (["parameters", "leglab.supplly"], "did you mean 'leglab.supply'"),
-        (["video", "nowhere"], "'nowhere' is not the folder of a run"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    status, _, errors = leglab(*arguments, capsys=capsys)
-    lines = [line for line in errors.splitlines() if line.strip()]
-    assert status == 2
-    assert len(lines) == 1
-    assert message in lines[0]
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_existing_folder_is_left_alone(tmp_path, capsys):
     out = tmp_path / "run"
     assert leglab(*RUN, "--out", str(out), capsys=capsys)[0] == 0

@@ -85,24 +85,6 @@ def test_json_of_tune(capsys):
     assert parse(printed)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("run",), ("run", "nominal", "--bogus"), ("nonsense",), ("run", "nominal", "--seed", "x"),
-        ("convert", "a.csv"), ("convert", "no.csv", "b.mat"), ("inspect", "no.csv"),
-        ("run", "no_such_scenario"), ("parameters", "no_such_plugin"),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_line_and_status_2(arguments, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    status, printed, errors = call(*arguments, capsys=capsys)
-    assert status == 2
-    assert printed == ""
-    assert errors.startswith("error: ")
-    assert errors.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("place", [0, 1, 3])
 @pytest.mark.parametrize("flag", ["-v", "--verbose"])
 def test_verbose_anywhere(place, flag, capsys):

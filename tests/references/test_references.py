@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leglab.base.errors import LeglabError
-from leglab.references import Joint, make_reference, reference_names, reference_summary
+from leglab.references import Joint, make_reference, reference_names
+from leglab.references.base import REFERENCES
 from leglab.references.gait import GAIT
 
 LEG = tuple(Joint(name=name, rest=0.05) for name in GAIT)
@@ -21,7 +22,7 @@ SMOOTH = {
 
 def test_every_reference_is_tested_here():
     assert set(SMOOTH) == set(reference_names())
-    assert all(reference_summary(name) for name in SMOOTH)
+    assert all(REFERENCES.get(name).summary for name in SMOOTH)
 
 
 @pytest.mark.parametrize("joints", [LEG, BENCH], ids=["leg", "bench"])

@@ -3,58 +3,20 @@
 import json
 import os
 import signal
-import socket
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
 
 import pytest
 from pydantic import TypeAdapter
 
 from benchmarks.self_test.outcomes import run_missing
 from benchmarks.self_test.rough import RoughTestCase
+from benchmarks.sweeps import cluster
 from leglab.base.errors import LeglabError
 from leglab.runs.sweeps.engine import read_sweep, run_sweep
 from tests.cli.test_cli import leglab as command_line
 from tests.runs.test_sweeps import BENCH, SweepPlan, rows, wrong  # noqa: F401
 
 distributed = pytest.importorskip("distributed")
-
-
-@contextmanager
-def program(name, *arguments, folder):
-    """A program of distributed that runs meanwhile."""
-    command = [sys.executable, "-m", f"distributed.cli.{name}", *arguments, "--no-dashboard"]
-    with open(folder / f"{name}-{time.monotonic_ns()}.log", "w") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-@contextmanager
-def cluster(folder, workers=2):
-    """Address of a scheduler on loopback, and its workers, as processes."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = str(probe.getsockname()[1])
-    address = f"tcp://127.0.0.1:{port}"
-    place = ("--local-directory", str(folder))
-    arguments = ("dask_scheduler", "--host", "127.0.0.1", "--port", port)
-    with program(*arguments, folder=folder) as scheduler:
-        options = (address, "--nthreads", "1", "--no-nanny", *place)
-        started = [program("dask_worker", *options, folder=folder) for _ in range(workers)]
-        processes = [worker.__enter__() for worker in started]
-        try:
-            with distributed.Client(address, timeout=60, set_as_default=False) as client:
-                client.wait_for_workers(workers, timeout=60)
-            yield address, (scheduler, *processes)
-        finally:
-            for worker in started:
-                worker.__exit__(None, None, None)
 
 
 def wait_for_each_worker(address, patience=60.0):

@@ -107,6 +107,7 @@ def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
     change = min(run.scenario.breakpoints, default=None)
     worst = sliding_rms(time, error, WORST_WINDOW)
     since = worst if change is None else worst[time >= change]
+    since = since[np.isfinite(since)]
     energy = [phase.energy_j.get("all") for phase in phases]
     names = [event.names[-1] for event in metrics.events if event.withdrawn is None]
     said = [n.time for event in metrics.events for n in event.names]
@@ -120,7 +121,7 @@ def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
         "after_rad": phases[-1].rms_rad["all"] if phases[-1].name != "before" else None,
         "end_rad": found.end_rad and found.end_rad["all"],
         "not_told": found.reason,
-        "worst_2s_rad": _largest(since),
+        "worst_2s_rad": float(since.max()) if since.size else None,
         "excess_error_area_rad_s": metrics.excess_error_area_rad_s,
         "valve_travel": float(np.abs(np.diff(history.command, axis=0)).sum()),
         "effort": float(np.sqrt(np.mean(history.command**2))),
@@ -152,11 +153,6 @@ def traces(run: Run) -> dict[str, Any]:
         "window_s": run.window,
         "travel_rad": json.dumps(dict(zip(run.joints, travel, strict=True))),
     }
-
-
-def _largest(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.max()) if known.size else None
 
 
 def _numbers(values: np.ndarray) -> list[float | None]:

@@ -235,7 +235,7 @@ class SweepPlan:
         found = validate_configuration(PlanFile, content, name)
         self.keep = tuple(sorted(set(found.keep)))
         self.timeout, self.memory = found.timeout, found.memory
-        shared = _settings(found.settings, f"{name}: settings")
+        shared = _checked(found.settings, f"{name}: settings")
         self._blocks: list[Runs] = []
         for i, block in enumerate(found.block):
             parts = _parts(block, shared, f"{name}: block {i + 1}")
@@ -450,7 +450,7 @@ def read_plan(path: str | Path) -> SweepPlan:
 
 def _parts(block: Block, shared: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Checks a block; returns `settings`, `grid` and `ranges` of its runs."""
-    settings = {**shared, **_settings(block.settings, f"{where}: settings")}
+    settings = {**shared, **_checked(block.settings, f"{where}: settings")}
     grid = {
         name: _list(name, value, f"{where}: grid")
         for name, value in _flat(block.grid, f"{where}: grid", leaf=_COUNT).items()
@@ -484,7 +484,7 @@ def _parts(block: Block, shared: Mapping[str, Any], where: str) -> dict[str, Any
     return {"settings": settings, "grid": grid, "ranges": ranges}
 
 
-def _settings(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _checked(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Settings by dotted name, with a value each."""
     found = _flat(table, where)
     for name, value in found.items():
