@@ -68,7 +68,9 @@ def run(benchmark: Benchmark, words: list[str]) -> None:
         results = module.measure(options)
         if results is None:
             return
-        record = json.loads(json.dumps(kept(origin, results), allow_nan=False))
+        origin["machine"] += f", {os.getloadavg()[0]:.1f} after"
+        kept = {**origin, "results": rounded(results)}
+        record = json.loads(json.dumps(kept, allow_nan=False))
     print(f"{module.tables(record['results']).rstrip()}\n\n{origin_line(record)}")
     if options.write:
         text = _lines(record) + "\n"
@@ -149,8 +151,7 @@ def origin_of(command: str) -> dict[str, Any]:
         command: What makes them, without `--write FILE`.
 
     Returns:
-        The entries of `RECORD`; `machine` has the load of the last minute, to which `kept` and
-        `ended` add the one after measuring.
+        The entries of `RECORD`; `machine` has the load of the last minute.
     """
     return {
         "command": command,
@@ -159,25 +160,6 @@ def origin_of(command: str) -> dict[str, Any]:
         "versions": {name: metadata.version(name) for name in ("leglab", "mujoco", "numpy")},
         "machine": f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before",
     }
-
-
-def kept(origin: dict[str, Any], results: Any) -> dict[str, Any]:
-    """Results with where they come from, to be called after they are measured.
-
-    Args:
-        origin: From `origin_of`.
-        results: As JSON holds them; they are rounded.
-    """
-    return {**ended(origin), "results": rounded(results)}
-
-
-def ended(origin: dict[str, Any]) -> dict[str, Any]:
-    """The record with the load after measuring, for a file that keeps its results in its own way.
-
-    Args:
-        origin: From `origin_of`.
-    """
-    return {**origin, "machine": f"{origin['machine']}, {os.getloadavg()[0]:.1f} after"}
 
 
 def origin_line(record: dict[str, Any]) -> str:

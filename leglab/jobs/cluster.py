@@ -19,8 +19,7 @@ from uuid import uuid4
 
 from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.input import parse_json
-from leglab.jobs.engine import Executor
-from leglab.jobs.runner import Answered, Runner, Task, Terms
+from leglab.jobs.runner import Answered, Executor, Runner, Task, Terms
 
 # Batches of work that the cluster knows of, for each of its threads: one is being done.
 _AHEAD = 3

@@ -16,14 +16,11 @@ from typing import Any, Protocol
 from leglab.base import plugins
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.jobs.fingerprint import fingerprint
-from leglab.jobs.runner import Answered, Runner, Task, Terms
+from leglab.jobs.runner import Answered, Executor, Runner, Task, Terms
 from leglab.jobs.work import Work, answer_of, error_of, name_of
 
 # Told after each result: how many are there, how many there will be, which one came.
 Progress = Callable[[int, int, str], None]
-
-# Has requests answered, several at a time; yields answers as they come. May be called again.
-Executor = Callable[[Iterator[Task]], Iterator[Answered]]
 
 # A piece may take so long [s].
 TIMEOUT = 3600.0

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,8 @@ _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_TH
 Task = tuple[int, dict[str, Any]]
 # Number of the piece, answer as `leglab.jobs.work.answer_of` has it, and what made it.
 Answered = tuple[int, dict[str, Any], str]
+# Has requests answered, several at a time; yields answers as they come. May be called again.
+Executor = Callable[[Iterator[Task]], Iterator[Answered]]
 
 
 class DiedError(Exception):

@@ -15,6 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from leglab.base.scale import rms
+from leglab.commissioning.calibration import ValveMap
+from leglab.controllers.static_feedforward import ValveMapTable
 
 # Low pass of errors and corrections, and of the random commands [Hz]; their RMS.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
@@ -83,23 +85,20 @@ def exact_commands(
 
 
 def valve_slopes(
-    command: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    full_speed: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
+    maps: Sequence[ValveMap], position: np.ndarray, velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Commands of calibrated valve maps along a motion, and their slope over speed.
 
     Args:
-        command: Valve commands (joints,) at positions [rad] and velocities [rad/s], (joints,) each.
-        full_speed: Of the joints [rad/s], (joints,).
+        maps: Of the joints.
         position: [rad], (n, joints).
         velocity: [rad/s], (n, joints).
 
     Returns:
         Commands, and command per speed [s/rad], each (n, joints).
     """
-    width = _SLOPE * full_speed
+    command = ValveMapTable(maps)
+    width = _SLOPE * np.array([valve_map.velocity[-1] for valve_map in maps])
 
     def along(shift: np.ndarray) -> np.ndarray:
         shifted = np.ascontiguousarray(velocity + shift)

@@ -25,7 +25,6 @@ from leglab.control.contract import diagnostics_of
 from leglab.control.feedforward.offline import BenchRun
 from leglab.controllers.exact_inverse import ExactInverse
 from leglab.controllers.pd import PdConfiguration
-from leglab.controllers.static_feedforward import ValveMapTable
 from leglab.machine.changes import Schedule
 from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
@@ -411,12 +410,7 @@ class Loop:
         controller = ExactInverse(self._setup, PdConfiguration())
         wanted = self.reference.sample(np.arange(self.count) * self.period)
         maps = self._setup.machine.valve_maps
-        start, slope = valve_slopes(
-            ValveMapTable(maps),
-            np.array([valve_map.velocity[-1] for valve_map in maps]),
-            wanted.position,
-            wanted.velocity,
-        )
+        start, slope = valve_slopes(maps, wanted.position, wanted.velocity)
         changes = [math.ceil(time / self.period) for time in self.scenario.breakpoints if time > 0]
         trial = Loop(exact, scenario=self.scenario, controller=controller)
 

@@ -353,9 +353,11 @@ class SweepPlan:
                 continue
             settings = self._settings(given)
             try:
-                models.setdefault(settings.model, checks(settings))
+                preparation = checks(settings)
             except LeglabError as error:
                 raise error.at(f"{self._name}: run {number} ({self._told(given)})") from error
+            if settings.model not in models:
+                models[settings.model] = model_digest(preparation.nominal).hex()
         return models
 
     def _told(self, given: Mapping[str, Any]) -> str:
@@ -383,9 +385,8 @@ class _Checks:
     def __init__(self) -> None:
         self._preparations: dict[Any, Preparation] = {}
         self._seen: set[Any] = set()
-        self._digests: dict[str, str] = {}
 
-    def __call__(self, settings: RunSettings) -> str:
+    def __call__(self, settings: RunSettings) -> Preparation:
         scenario = scenario_of(settings)
         check_tolerance(settings.tolerance)
         self._once(
@@ -413,9 +414,7 @@ class _Checks:
                 controlled=False,
             ),
         )
-        if settings.model not in self._digests:
-            self._digests[settings.model] = model_digest(preparation.nominal).hex()
-        return self._digests[settings.model]
+        return preparation
 
     def _once(self, key: Any, check: Callable[[], object]) -> None:
         if key not in self._seen:
