@@ -8,7 +8,7 @@ compares all of them with the registries.
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -119,6 +119,14 @@ _LISTED = {
 }
 
 
+def given_for(kind: type, context: typer.Context) -> dict[str, Any]:
+    """Returns the options of a command that are called like the fields of a dataclass."""
+    from dataclasses import fields
+
+    given = {**context.params, "ramp_duration": context.params["ramp"]}
+    return {field.name: given[field.name] for field in fields(kind) if field.name in given}
+
+
 def settings_of(context: typer.Context) -> "RunSettings":
     """Returns the settings of a run, from the options of a command that are called like them.
 
@@ -131,8 +139,7 @@ def settings_of(context: typer.Context) -> "RunSettings":
     from leglab.runs import run_settings
     from leglab.runs.preparation import RunSettings
 
-    given = {**context.params, "ramp_duration": context.params["ramp"]}
-    values = {name: given[name] for name in run_settings.NAMES if name in given}
+    values = given_for(RunSettings, context)
     file = Path(values["scenario"])
     if file.suffix in run_settings.SUFFIXES:
         sources = {name: context.get_parameter_source(name) for name in context.params}

@@ -84,6 +84,7 @@ def run(
 
 
 def compare(
+    context: typer.Context,
     scenarios: Annotated[list[str], typer.Argument(help="What happens to the machine.")],
     controllers: Annotated[
         str, typer.Option(help="Names, separated by commas; ratios refer to the first.")
@@ -119,19 +120,9 @@ def compare(
     from leglab.runs.comparison import compare as summarise
 
     options.check_jobs(jobs)
-    comparison = Comparison(
-        scenarios=tuple(scenarios),
-        controllers=tuple(options.split(controllers)),
-        seeds=seeds,
-        model=model,
-        duration=duration,
-        severity=severity,
-        ramp_duration=ramp,
-        element=element,
-        reference=reference,
-        tolerance=tolerance,
-        vary=vary,
-    )
+    given = options.given_for(Comparison, context)
+    given |= {"scenarios": tuple(scenarios), "controllers": tuple(options.split(controllers))}
+    comparison = Comparison(**given)
     runs = comparison.runs()
     there: list[int] = []
 

@@ -184,10 +184,12 @@ def test_true_step_has_no_ramp():
     assert not samples.velocity.any()
 
 
-def test_excitation_of_chosen_joints():
-    samples = make_reference("step", LEG, {"joints": ["knee"]}).sample(np.array([1.5]))
-    moved = samples.position[0] != 0.05
+@pytest.mark.parametrize("name", ["step", "sine_sweep", "multisine"])
+def test_excitation_of_chosen_joints(name):
+    samples = make_reference(name, LEG, {"joints": ["knee"]}).sample(np.linspace(0, 5, 99))
+    moved = np.ptp(samples.position, axis=0) > 0.1
     assert [joint.name for joint, m in zip(LEG, moved, strict=True) if m] == ["knee"]
+    np.testing.assert_array_equal(samples.position[:, ~moved], 0.05)
 
 
 @pytest.mark.parametrize(
@@ -210,9 +212,8 @@ def test_bad_settings(name, joints, config, message):
 
 def test_range_is_checked():
     reference = make_reference("squat", BENCH, {"depth": 1.2})
-    with pytest.raises(LeglabError, match=r"'squat': joint 'knee' goes to 1\.\d+ rad at .* s, its"):
-        reference.sample(np.linspace(0, 3, 100))
-    with pytest.raises(LeglabError, match=r"range is \[0, 1.8\] rad"):
+    told = r"'squat': joint 'knee' goes to 1\.\d+ rad at .* s, its range is \[0, 1.8\] rad"
+    with pytest.raises(LeglabError, match=told):
         reference.sample(np.linspace(0, 3, 100))
 
 
@@ -303,10 +304,3 @@ def test_multisine_stays_within_range_speed_and_acceleration_and_reaches_one_of_
     np.testing.assert_allclose(
         shifted.sample(times).position, motion.sample(times + 0.75).position, atol=1e-12
     )
-
-
-def test_multisine_moves_the_joints_that_are_named():
-    joints = (Joint(name="a"), Joint(name="b"))
-    position = make_reference("multisine", joints, {"joints": ("b",)}).sample(np.linspace(0, 5, 99))
-    np.testing.assert_array_equal(position.position[:, 0], 0.0)
-    assert np.ptp(position.position[:, 1]) > 0.1
