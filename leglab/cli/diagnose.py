@@ -7,13 +7,7 @@ import typer
 
 from leglab.base.errors import SettingsError
 from leglab.base.output import check_apart, check_folder, new_folder
-from leglab.cli.options import (
-    Columns,
-    HeldOut,
-    Json,
-    Load,
-    Overwrite,
-)
+from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite
 from leglab.cli.terminal import output, print_json, print_table, progress, tell
 
 

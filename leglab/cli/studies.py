@@ -8,16 +8,7 @@ from typing import Annotated
 import typer
 
 from leglab.base.output import claimed_folder
-from leglab.cli.options import (
-    Jobs,
-    Json,
-    Load,
-    Model,
-    ReplaceSweep,
-    Scheduler,
-    check_jobs,
-    split,
-)
+from leglab.cli.options import Jobs, Json, Load, Model, ReplaceSweep, Scheduler, check_jobs, split
 from leglab.cli.terminal import (
     FAILED,
     complain,

@@ -38,10 +38,7 @@ _COMMANDS = {
 
 
 class _Harmless(Console):
-    """A console that shows every text, what a terminal would obey written out; all output passes.
-
-    Names in files may hold such.
-    """
+    """A console that writes out what a terminal would obey; all output of commands passes it."""
 
     def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
         for segment in super().render(*args, **options):
