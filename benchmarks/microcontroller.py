@@ -399,46 +399,26 @@ def _cycles(counts: Counter[str]) -> float:
 
 def tables(kept: dict[str, Any]) -> str:
     """Periods with learning and without, worst ones; the monitor's parts; memory."""
-    budget = CLOCK / RATE
-    head = [
-        "period of six joints",
-        "instructions",
-        "cycles at most",
-        "a joint",
-        "of 2 ms at 400 MHz",
-    ]
-    head += list(CYCLES)
+
+    def numbers(instructions: float, *cycles: float) -> list[str]:
+        counts = (instructions, *cycles, cycles[-1] / JOINTS)
+        return [*(f"{n:,.0f}" for n in counts), f"{100 * cycles[-1] * RATE / CLOCK:.0f} %"]
+
+    shares = ["a joint", "of 2 ms at 400 MHz"]
+    head = ["period of six joints", "instructions", "cycles at most", *shares, *CYCLES]
+    learns, between = kept["learns"], kept["between"]
     rows = []
-    for name, label in (("learns", "learns (every second)"), ("between", "does not")):
-        own = kept[name]
-        rows.append(
-            [
-                label,
-                f"{own['instructions']:,.0f}",
-                f"{own['cycles']:,.0f}",
-                f"{own['cycles'] / JOINTS:,.0f}",
-                f"{100 * own['cycles'] / budget:.0f} %",
-                *(f"{own['kinds'][key]:,.0f}" for key in CYCLES),
-            ]
-        )
-    mean = 0.5 * (kept["learns"]["cycles"] + kept["between"]["cycles"])
-    number = 0.5 * (kept["learns"]["instructions"] + kept["between"]["instructions"])
-    share = f"{100 * mean / budget:.0f} %"
-    rows.append(["mean", f"{number:,.0f}", f"{mean:,.0f}", f"{mean / JOINTS:,.0f}", share])
-    rows[-1] += [""] * len(CYCLES)
+    for own, label in ((learns, "learns (every second)"), (between, "does not")):
+        by_kind = [f"{own['kinds'][key]:,.0f}" for key in CYCLES]
+        rows.append([label, *numbers(own["instructions"], own["cycles"]), *by_kind])
+    means = (0.5 * (learns[key] + between[key]) for key in ("instructions", "cycles"))
+    rows.append(["mean", *numbers(*means), *[""] * len(CYCLES)])
     cost = ["cycles an instruction", "", "", "", "", *(f"{c:g}" for c in CYCLES.values())]
     parts = [
-        [
-            label,
-            f"{kept[name]['instructions']:,.0f}",
-            f"{kept[name]['cycles']:,.0f}",
-            f"{kept[name]['mean_cycles']:,.0f}",
-            f"{kept[name]['mean_cycles'] / JOINTS:,.0f}",
-            f"{100 * kept[name]['mean_cycles'] / budget:.0f} %",
-        ]
+        [label, *numbers(*(kept[name][key] for key in ("instructions", "cycles", "mean_cycles")))]
         for name, label in _MONITOR.items()
     ]
-    part_head = ["monitor", "instructions", "cycles at most", "in the mean", *head[3:5]]
+    part_head = ["monitor", "instructions", "cycles at most", "in the mean", *shares]
     memory = [
         [f"learners, {JOINTS} of {kept['parameters']} parameters",
          f"{JOINTS * kept['learner_bytes'] / 1024:.0f}"],

@@ -94,6 +94,11 @@ class BsnnArxSettings(checks.Settings):
         super().__post_init__()
         self.guard.check_inputs(len(self.network.basis))
 
+    @property
+    def lags(self) -> int:
+        """Samples of history the regressor reaches back."""
+        return max(self.na, self.nb + self.nk - 1)
+
     @classmethod
     def paper_mode(cls) -> "BsnnArxSettings":
         """The constants adopted for the paper's experiment (docs: identification).
@@ -110,11 +115,6 @@ class BsnnArx(Identifier):
 
     _banks: ClassVar = {"float64": native.BsnnArx64, "float32": native.BsnnArx32}
     settings: BsnnArxSettings
-
-    @property
-    def lags(self) -> int:
-        """Samples of history the regressor reaches back."""
-        return max(self.settings.na, self.settings.nb + self.settings.nk - 1)
 
     def randomise(self, rng: Generator, spread: float = 0.25) -> None:
         """Draws all parameters uniformly from [-spread, spread], as Sec. 3.1 does."""

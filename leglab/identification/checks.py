@@ -1,7 +1,7 @@
 """Checks shared by the settings and the front-end; each raises `SettingsError` in one line."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, ClassVar, Literal, get_args, get_origin
@@ -19,7 +19,8 @@ class Settings:
         for part in fields(self):
             where, value = f"{self.owner} {part.name}".lstrip(), getattr(self, part.name)
             if get_origin(part.type) is Literal:
-                choice(where, value, get_args(part.type))
+                if value not in get_args(part.type):
+                    raise SettingsError.unknown(where, value, get_args(part.type))
             elif "check" in part.metadata:
                 part.metadata["check"](where, value)
 
@@ -59,13 +60,6 @@ def whole(where: str, value: int, *, least: int, most: int = 2**31 - 1) -> None:
     """Requires an integer in [least, most]."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise _wrong(where, value, f"an integer in [{least}, {most}]")
-
-
-def choice(where: str, value: object, known: Iterable[str]) -> None:
-    """Requires one of the known names."""
-    known = tuple(known)
-    if value not in known:
-        raise SettingsError.unknown(where, value, known)
 
 
 def interval(where: str, value: Sequence[float]) -> None:

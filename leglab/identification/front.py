@@ -178,7 +178,7 @@ class Identifier:
     @property
     def lags(self) -> int:
         """Samples of history the regressor reaches back."""
-        raise NotImplementedError
+        return int(self.settings.lags)
 
     @property
     def parameters(self) -> Array:

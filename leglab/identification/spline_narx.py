@@ -169,11 +169,6 @@ class SplineNarx(Identifier):
     settings: SplineNarxSettings
 
     @property
-    def lags(self) -> int:
-        """Samples of history the regressor reaches back."""
-        return self.settings.lags
-
-    @property
     def theta(self) -> Array:
         """Parameters of all features, in their order and in scaled units, (..., n)."""
         count = sum(block.count for block in self.settings.blocks)
