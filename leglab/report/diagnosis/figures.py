@@ -333,7 +333,7 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
     if rivals is None:
         return None
     count = len(rivals.names)
-    labels = [f"{short(words.set_words(n), 40)}  {i}" for i, n in enumerate(rivals.names, start=1)]
+    labels = [f"{short(readable(n), 40)}  {i}" for i, n in enumerate(rivals.names, start=1)]
     left = 0.08 * max(map(len, labels)) + 0.2
     height, above = 0.36 * count, 0.75
     share = 100.0 * np.asarray(rivals.preference, dtype=np.float64)

@@ -15,12 +15,6 @@ from leglab.report.page.wording import capital, number, readable
 _MOST_DEPARTED = 12
 # Figures that lay measured over simulated come before all others.
 _FIRST = ("overlay", "whole")
-_KINDS = {
-    "named": "named",
-    "confusion_set": "confusion set",
-    "unexplained": "unexplained",
-    "nothing_missing": "nothing missing",
-}
 
 
 def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
@@ -62,7 +56,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         "diagnosis.html",
         kind="diagnosis",
         model=model,
-        verdict=_KINDS[result.verdict],
+        verdict=readable(result.verdict),
         headline=words.headline(result),
         facts=[(term, text.splitlines()) for term, text in words.facts(result)],
         sections=words.sections(result, model),
@@ -72,7 +66,12 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             _gap_table(result),
             *_calibration_tables(result),
             _nuisance_table(result),
-            _untestable_table(result),
+            Table(
+                caption="What these recordings hardly show",
+                head=("effect", "element", "to see it"),
+                rows=[[readable(n.name), n.element, n.reason] for n in result.not_testable],
+                words=3,
+            ),
         ),
         improved=result.model,
         improved_words=words.improved_words(result),
@@ -156,9 +155,3 @@ def _nuisance_table(result: Diagnosis) -> Table:
     head = ("parameter", "unit", "refitted", "tolerance, 95 %", result.nominal_words)
     caption = "Parameters refitted within their tolerance"
     return Table(caption=caption, head=head, rows=rows, words=2)
-
-
-def _untestable_table(result: Diagnosis) -> Table:
-    rows = [[readable(n.name), n.element, n.reason] for n in result.not_testable]
-    head = ("effect", "element", "to see it")
-    return Table(caption="What these recordings hardly show", head=head, rows=rows, words=3)

@@ -4,6 +4,7 @@ All texts are plain: whoever puts them into a page escapes them.
 """
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -63,8 +64,7 @@ def percent(share: float) -> str:
 def finite_rms(arrays: Sequence[np.ndarray]) -> float:
     """Root mean square of all finite values; NaN where there is none."""
     values = np.concatenate([np.ravel(a) for a in arrays])
-    values = values[np.isfinite(values)]
-    return float(rms(values))
+    return float(rms(values[np.isfinite(values)]))
 
 
 def headline(result: Diagnosis) -> str:
@@ -137,7 +137,10 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         missing = ";\n".join(_fitted(effect, result.nominal_words) for effect in result.effects)
         if result.verdict == "unexplained":
             missing = f"nothing that can be named; nearest comes {missing}"
-        sure = "; ".join(_confidence(e, alone=len(result.effects) == 1) for e in result.effects)
+        each = [f"{_at(effect)} {percent(effect.confidence)}" for effect in result.effects]
+        sure = "; ".join(each)
+        if len(each) == 1:
+            sure = f"{percent(result.effects[0].confidence)} that the name is right"
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
     else:
@@ -235,8 +238,8 @@ def improved_words(result: Diagnosis) -> str:
     return text
 
 
-def main_channels(result: Diagnosis, joints: int = 1) -> tuple[str, ...]:
-    """Positions and pressures of the joints that matter most: with an effect, or most in error."""
+def main_channels(result: Diagnosis) -> tuple[str, ...]:
+    """Position and pressures of the joint that matters most: with an effect, or most in error."""
     remaining = {one.channel: one for one in result.remaining}
     channels = list(dict.fromkeys([*remaining, *(t.channel for t in result.traces)]))
     elements = [e.element for e in result.effects]
@@ -250,8 +253,8 @@ def main_channels(result: Diagnosis, joints: int = 1) -> tuple[str, ...]:
         return near, finite_rms([t.before for t in result.traces if t.channel == channel])
 
     positions = [c for c in channels if c.endswith("_position")] or channels[:1]
-    chosen = [joint_of(c) for c in sorted(positions, key=weight, reverse=True)[:joints]]
-    return tuple(c for joint in chosen for c in channels if joint_of(c) == joint)[: 3 * joints]
+    chosen = [joint_of(channel) for channel in sorted(positions, key=weight, reverse=True)[:1]]
+    return tuple(channel for channel in channels if joint_of(channel) in chosen)[:3]
 
 
 def in_order(result: Diagnosis) -> tuple[RecordingGap, ...]:
@@ -273,10 +276,7 @@ def after_start(result: Diagnosis) -> str:
 
 def joint_of(channel: str) -> str:
     """The joint that a column belongs to."""
-    for ending in ("_position", "_pressure_a", "_pressure_b", "_velocity"):
-        if channel.endswith(ending):
-            return channel.removesuffix(ending)
-    return channel
+    return re.sub(r"_(position|pressure_[ab]|velocity)$", "", channel)
 
 
 def after_words(result: Diagnosis) -> str:
@@ -298,11 +298,6 @@ def _parameter_unit(p: Estimate) -> tuple[float, str]:
     if 0.0 < largest < limit:
         return factor, name
     return 1.0, "" if p.unit == "1" else p.unit
-
-
-def set_words(name: str) -> str:
-    """The name of a set of effects."""
-    return " + ".join(map(readable, name.split(" + ")))
 
 
 def _at(effect: NamedEffect) -> str:
@@ -330,11 +325,6 @@ def _fitted(effect: NamedEffect, nominal: str) -> str:
     """An effect with its values."""
     told = _values(effect, nominal)
     return f"{_named(effect)}: {', '.join(told)}" if told else _named(effect)
-
-
-def _confidence(effect: NamedEffect, *, alone: bool) -> str:
-    told = f"{percent(effect.confidence)} that the name is right"
-    return told if alone else f"{_at(effect)} {percent(effect.confidence)}"
 
 
 def _gap_of(result: Diagnosis) -> str:
@@ -467,7 +457,7 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 def _tried(result: Diagnosis) -> tuple[str, ...]:
     """Treatment of an error that no effect explains."""
     sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
-    closest = listed(tuple(dict.fromkeys(map(set_words, sets)))[:_CLOSEST])
+    closest = listed(tuple(dict.fromkeys(map(readable, sets)))[:_CLOSEST])
     gap = result.gap
     lines = [
         f"{len(result.ranking)} possible effects, alone and together"
@@ -533,7 +523,7 @@ _RESIDUALS = {
 }
 
 
-def where_words(result: Diagnosis) -> tuple[str, ...]:
+def _where(result: Diagnosis) -> tuple[str, ...]:
     """Where simulation and data disagree, a line an element."""
     lines = []
     for w in result.where:
@@ -541,13 +531,9 @@ def where_words(result: Diagnosis) -> tuple[str, ...]:
         worst = place if place.startswith("everywhere") else f"worst {place}"
         told = _RESIDUALS.get(w.residual, f"{capital(w.residual)} balance of {{}}")
         lines.append(f"{told.format(w.element)}: {number(w.level)} noise levels, {worst}.")
-    return tuple(lines)
-
-
-def _where(result: Diagnosis) -> tuple[str, ...]:
-    if not result.where:
+    if not lines:
         return ("No joint was measured in a way that says where.",)
-    return (*where_words(result), "This is the model as it was, along the measured motion.")
+    return (*lines, "This is the model as it was, along the measured motion.")
 
 
 def _untold(result: Diagnosis) -> tuple[str, ...]:

@@ -41,7 +41,6 @@ class Picture:
 
     def __init__(self, folders: Sequence[Path], span: tuple[float, float], camera: str) -> None:
         tracks = [load_track(folder) for folder in folders]
-        names = [str(track.settings["controller"]) for track in tracks]
         colors = look.RUNS[: len(tracks)]
         self._panels = look.panels(len(tracks))
         size = self._panels[0].size
@@ -56,7 +55,7 @@ class Picture:
         self._frame(machines, np.linspace(*span, _POSES), camera, size)
         left, right = look.traces()
         self._error = ErrorTrace(tracks, colors, left, span)
-        self._command = CommandTrace(tracks, colors, names, right, span)
+        self._command = CommandTrace(tracks, colors, right, span)
         columns = (tracks, details(tracks), colors, self._panels, self._error.errors)
         self._writers = [_PanelWriter(*row, scale) for row in zip(*columns, strict=True)]
         self._base = Image.new("RGB", look.SIZE, PAPER)
@@ -217,8 +216,8 @@ def _title_of(tracks: Sequence[Track]) -> tuple[str, str]:
     return readable(" / ".join(scenarios)), readable(" · ".join(filter(None, parts)))
 
 
-def _wrapped(text: str, width: float, most: int = 4) -> list[str]:
-    """The text in lines no wider than `width` [px] unless a word is; at most so many."""
+def _wrapped(text: str, width: float) -> list[str]:
+    """The text in lines no wider than `width` [px] unless a word is; at most four."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else ""
@@ -226,7 +225,7 @@ def _wrapped(text: str, width: float, most: int = 4) -> list[str]:
             lines[-1] = longer
         else:
             lines.append(word)
-    return lines[:most]
+    return lines[:4]
 
 
 class _Gauges:

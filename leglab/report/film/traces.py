@@ -38,7 +38,10 @@ class ErrorTrace:
         values = np.concatenate(shown)
         values = values[np.isfinite(values) & (values > 0)]
         low, high = (values.min(), values.max()) if values.size else (1.0, 10.0)
-        self._low, self._high = _log_bounds(float(low), float(high))
+        # Exponents of the axis: a little room, and a decade at least.
+        low, high = np.log10(float(low)) - 0.08, np.log10(float(high)) + 0.08
+        missing = max(1.0 - (high - low), 0.0)
+        self._low, self._high = low - 0.5 * missing, high + 0.5 * missing
         unit = shared_unit(track.recording.error_unit(track.joints) for track in tracks)
         windows = sorted({f"{track.window:.3g}" for track in tracks})
         self._note = f"RMS of all joints over {' / '.join(windows)} s, {unit}"
@@ -99,30 +102,27 @@ class ErrorTrace:
 class CommandTrace:
     """The feed-forward command of one joint, the last seconds of it moving past.
 
-    Where no run has a feed-forward, the valve command is shown; `names` say which runs have none.
-    `rect` and `span` as those of `ErrorTrace`.
+    Where no run has a feed-forward, the valve command is shown. `rect` and `span` are those of
+    `ErrorTrace`.
     """
 
     def __init__(
-        self,
-        tracks: Sequence[Track],
-        colors: Sequence[Rgb],
-        names: Sequence[str],
-        rect: Rect,
-        span: tuple[float, float],
+        self, tracks: Sequence[Track], colors: Sequence[Rgb], rect: Rect, span: tuple[float, float]
     ) -> None:
         self._rect, self._tracks, self._colors = rect, tracks, colors
         window = float(np.clip(2.5 * max(track.window for track in tracks), 1.0, 4.0))
         self._window = min(window, max(span[1] - span[0], 0.2))
         self._origin = span[0] - self._window
-        self._joint = _shown_joint(tracks)
-        self._signals = [track.column(f"{self._joint}_feedforward") for track in tracks]
-        self._title, self._note = "feed-forward command", readable(self._joint)
-        without = [n for n, s in zip(names, self._signals, strict=True) if s is None]
+        shared = [j for j in tracks[0].joints if all(j in track.joints for track in tracks)]
+        joint = "knee" if "knee" in shared else (shared or tracks[0].joints)[0]
+        self._signals = [track.column(f"{joint}_feedforward") for track in tracks]
+        self._title, self._note = "feed-forward command", readable(joint)
+        pairs = zip(tracks, self._signals, strict=True)
+        without = [str(track.settings["controller"]) for track, signal in pairs if signal is None]
         if len(without) == len(tracks):
             valves = all(track.recording.actuators_are_valves for track in tracks)
             self._title, without = "valve command" if valves else "command", []
-            self._signals = [track.command(self._joint) for track in tracks]
+            self._signals = [track.command(joint) for track in tracks]
         if without:
             self._note += f"; {', '.join(without)}: none"
         top = 0.0
@@ -131,7 +131,7 @@ class CommandTrace:
                 shown = signal[track.row(span[0]) : track.row(span[1]) + 1]
                 top = max(top, float(np.abs(shown[np.isfinite(shown)]).max(initial=0.0)))
         self._limit = 1.1 * (top or 1.0)
-        self._tiles: dict[int, Image.Image] = {}
+        self._tile = functools.lru_cache(maxsize=8)(self._drawn_tile)
 
     def draw_static(self, image: Image.Image) -> None:
         """Axes."""
@@ -173,14 +173,9 @@ class CommandTrace:
         share = np.clip(np.asarray(value) / self._limit, -1.02, 1.02)
         return self._rect.height * 0.5 * (1.0 - share)
 
-    def _tile(self, index: int) -> Image.Image:
-        """Pixels `index * _TILE` on, counted from a window before the film; kept while in use."""
-        if index not in self._tiles:
-            for old in [key for key in self._tiles if abs(key - index) > 3]:
-                del self._tiles[old]
-            paint = functools.partial(self._paint, index)
-            self._tiles[index] = _smooth_lines((_TILE, self._rect.height), paint)
-        return self._tiles[index]
+    def _drawn_tile(self, index: int) -> Image.Image:
+        """Pixels `index * _TILE` on, counted from a window before the film."""
+        return _smooth_lines((_TILE, self._rect.height), functools.partial(self._paint, index))
 
     def _paint(self, index: int, draw: ImageDraw.ImageDraw, scale: int) -> None:
         per_second = self._rect.width / self._window
@@ -227,19 +222,6 @@ def _smooth_dot(color: Rgb) -> Image.Image:
             draw.ellipse((low, low, high, high), fill=(*ink, 255))
 
     return _smooth_lines((13, 13), paint)
-
-
-def _shown_joint(tracks: Sequence[Track]) -> str:
-    """The knee where all runs have one, or the first joint that all runs share."""
-    shared = [j for j in tracks[0].joints if all(j in track.joints for track in tracks)]
-    return "knee" if "knee" in shared else (shared or list(tracks[0].joints))[0]
-
-
-def _log_bounds(low: float, high: float) -> tuple[float, float]:
-    """Exponents of the axis: a little room, and a decade at least."""
-    low, high = np.log10(low) - 0.08, np.log10(high) + 0.08
-    missing = max(1.0 - (high - low), 0.0)
-    return low - 0.5 * missing, high + 0.5 * missing
 
 
 def _nice_ticks(low: float, high: float, most: int) -> np.ndarray:
