@@ -18,7 +18,7 @@ from typer.models import OptionInfo, ParameterInfo
 
 from leglab.base import plugins
 from leglab.base.errors import LeglabError, SettingsError
-from leglab.cli.options import RECORDINGS, completion, list_completion, names_of, path_completion
+from leglab.cli.options import RECORDINGS, completion, controllers_after, names_of, path_completion
 from leglab.cli.terminal import BAD_INPUT, DONE, FAILED, INTERRUPTED, complain, errors
 
 EXIT_STATUS = {
@@ -117,7 +117,7 @@ _LISTED = {
 
 _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     **{parameter: completion(kind) for parameter, kind in _LISTED.items()},
-    "controllers": list_completion("controllers"),
+    "controllers": controllers_after,
     "scenario": path_completion(".toml", ".json", kind="scenarios"),
     "model": path_completion(".xml", kind="models"),
     "models": completion("models"),

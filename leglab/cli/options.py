@@ -187,19 +187,11 @@ def completion(kind: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def list_completion(kind: str) -> Callable[[str], list[str]]:
-    """Returns a completion function for names separated by commas; none is offered twice."""
-
-    def complete(incomplete: str) -> list[str]:
-        before, comma, last = incomplete.rpartition(",")
-        taken = before.split(",")
-        return [
-            before + comma + name
-            for name in names_of(kind)
-            if name.startswith(last) and name not in taken
-        ]
-
-    return complete
+def controllers_after(incomplete: str) -> list[str]:
+    """Offers controllers after what is typed, names separated by commas; none is offered twice."""
+    before, comma, last = incomplete.rpartition(",")
+    left = (name for name in names_of("controllers") if name not in before.split(","))
+    return [before + comma + name for name in left if name.startswith(last)]
 
 
 def path_completion(*suffixes: str, kind: str | None = None) -> Callable[[str], list[str]]:

@@ -23,8 +23,6 @@ SECTIONS = {
     "sensors": "sensors",
 }
 NAMES = tuple(field.name for field in fields(RunSettings))
-# TOML takes no table and name of one key: a table says the name itself.
-_NAME = "name"
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -130,8 +128,8 @@ def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
             continue
         del found[section]
         own = dict(table)
-        if _NAME in own:
-            found[section] = own.pop(_NAME)
+        if "name" in own:  # TOML takes no table and name of one key: a table says the name itself.
+            found[section] = own.pop("name")
         beside = found.get(SECTIONS[section], {})
         if not isinstance(beside, dict):
             told = f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: "

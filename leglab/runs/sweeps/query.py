@@ -117,14 +117,10 @@ def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
                 names = tuple(column[0] for column in found.description or ())
                 return Answer(names=names, rows=tuple(found.fetchall()))
             except duckdb.Error as error:
-                raise SettingsError(f"SQL: {_line(error)}", given=sql) from error
+                told = " ".join(str(error).partition("\n\nLINE ")[0].split())
+                raise SettingsError(f"SQL: {told}", given=sql) from error
 
         yield answered
-
-
-def _line(error: Exception) -> str:
-    text = str(error).partition("\n\nLINE ")[0]
-    return " ".join(text.split())
 
 
 def _plain(value: Any) -> Any:
