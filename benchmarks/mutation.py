@@ -155,8 +155,10 @@ def changes(node: ast.AST) -> Iterator[Callable[[ast.AST], None]]:
     elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign) and type(node.op) in _OPERATORS:
         other = _OPERATORS[type(node.op)]
         yield lambda n, other=other: setattr(n, "op", other())
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
-        yield lambda n: setattr(n, "op", ast.UAdd() if isinstance(n.op, ast.USub) else _Truth())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield lambda n: setattr(n, "op", ast.UAdd())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        yield lambda n: setattr(n, "operand", ast.UnaryOp(ast.Not(), n.operand))
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
         yield lambda n: setattr(n, "value", n.value + 1)
     elif isinstance(node, ast.Call):
@@ -164,16 +166,6 @@ def changes(node: ast.AST) -> Iterator[Callable[[ast.AST], None]]:
         key = "attr" if isinstance(node.func, ast.Attribute) else "id"
         if name in _CALLS:
             yield lambda n, key=key, name=name: setattr(n.func, key, _CALLS[name])
-
-
-class _Truth(ast.Not):
-    """Stands for "not not", which `ast.unparse` writes as "not" and a pass below takes away."""
-
-
-class _WithoutNot(ast.NodeTransformer):
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        self.generic_visit(node)
-        return node.operand if isinstance(node.op, _Truth) else node
 
 
 def mutants(source: str) -> list[tuple[str, str]]:
@@ -194,8 +186,7 @@ def mutants(source: str) -> list[tuple[str, str]]:
             target = next(n for i, n in enumerate(ast.walk(other)) if i == place)
             before = ast.unparse(target)
             list(changes(target))[which](target)
-            other = ast.fix_missing_locations(_WithoutNot().visit(other))
-            after = ast.unparse(_WithoutNot().visit(target))
+            after = ast.unparse(target)
             found.append((f"line {node.lineno}: {before} -> {after}", ast.unparse(other)))
     return found
 
