@@ -24,13 +24,12 @@ namespace {
 struct Shape {
   int to_sample, to_command;  // time steps from command to sample, and from sample to command
   double speed_limit;         // beyond it a simulation has blown up [rad/s or m/s]
-  int counts;                 // of encoders, see loop::SensingSettings
-  double gain, keep;
+  loop::SensingSettings sensing;
 };
 
 // What one episode of one machine reads; rows are control periods.
 struct Series {
-  Input noise, shift, pressure_noise;  // (periods, joints), the same, (periods, pressures)
+  Input noise, shift, pressure_noise;      // (periods, joints), the same, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
   Input position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
 };
@@ -49,8 +48,9 @@ class Batch {
   Batch(std::size_t machines, int threads, nb::dict timing, Index qpos, Index dof, Input centre,
         Input half, Index pressures, std::int64_t supply, Index preview, nb::dict out)
       : shape_{nb::cast<int>(timing["to_sample"]), nb::cast<int>(timing["to_command"]),
-               nb::cast<double>(timing["speed_limit"]), nb::cast<int>(timing["counts"]),
-               nb::cast<double>(timing["gain"]), nb::cast<double>(timing["keep"])},
+               nb::cast<double>(timing["speed_limit"]),
+               {qpos.size(), nb::cast<int>(timing["counts"]), nb::cast<double>(timing["gain"]),
+                nb::cast<double>(timing["keep"])}},
         qpos_(std::move(qpos)), dof_(std::move(dof)), centre_(std::move(centre)),
         half_(std::move(half)), pressures_(std::move(pressures)), supply_(supply),
         preview_(std::move(preview)), joints_(qpos_.size()), machines_(machines),
@@ -79,9 +79,9 @@ class Batch {
   }
 
   // Begins an episode of a machine, whose model and data stand where a run starts.
-  void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Input noise,
-             Input shift, Array<const bool> lost, Input pressure_noise, Input position,
-             Input velocity, Input acceleration) {
+  void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Input noise, Input shift,
+             Array<const bool> lost, Input pressure_noise, Input position, Input velocity,
+             Input acceleration) {
     Machine& m = machines_.at(i);
     m.model = reinterpret_cast<const mjModel*>(model);
     m.data = reinterpret_cast<mjData*>(data);
@@ -99,9 +99,8 @@ class Batch {
     require_inside(pressures_, std::size_t(m.model->npluginstate));
     if (std::size_t(m.model->nu) != joints_) throw nb::value_error("another number of controls");
     const std::size_t at = i * joints_;
-    m.sensing = std::make_unique<loop::Sensing>(
-        loop::SensingSettings{joints_, shape_.counts, shape_.gain, shape_.keep},
-        measured_.data() + at, speed_.data() + at);
+    m.sensing = std::make_unique<loop::Sensing>(shape_.sensing, measured_.data() + at,
+                                                speed_.data() + at);
     m.sample.resize(joints_);
     m.pressures.resize(pressures_.size());
     m.row = 0;
