@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """One remark on a recording."""
+    """One remark on a recording by its name, its text the same for all places.
 
-    text: str  #: What is remarked, the same for all places
-    recording: str  #: Name
-    #: Column in quotes, with what is special about it; "" for the recording as a whole.
+    A place is a column in quotes, with what is special about it; "" for the recording as a whole.
+    """
+
+    text: str
+    recording: str
     place: str = ""
 
 
