@@ -89,7 +89,7 @@ class Outcome:
     named: tuple[str, ...]
     alternatives: tuple[tuple[str, ...], ...]  #: Effects that each is not told apart from
     confidence: tuple[float, ...]  #: Of each
-    #: For each parameter whose true value is known: whether its interval holds it.
+    #: Whether its interval holds each parameter whose true value is known.
     covered: tuple[bool, ...]
     onsets: tuple[float, ...]  #: Estimated onsets [s]; empty where none was found
     before: float  #: Gap on the held-out recording

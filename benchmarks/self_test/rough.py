@@ -79,7 +79,7 @@ class RoughOutcome:
     faults: tuple[str, ...]  #: That were there
     severities: tuple[tuple[str, float], ...]  #: Parameter and true value of each
     diagnosis: dict[str, Any]  #: What diagnosis.json holds; empty where the diagnosis failed
-    ranking: tuple[tuple[str, str, float], ...]  #: Best effects alone: name, element, gain
+    ranking: tuple[tuple[str, str, float], ...]  #: Name, element and gain of the best effects alone
     seconds: float  #: Time of the diagnosis on one thread
     error: str = ""  #: Why it failed
 

@@ -50,7 +50,7 @@ class NamedEffect:
     indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings as well
     #: Normalised replay error on the held-out recordings where it alone is taken out.
     without: float = math.nan
-    #: Recording, earliest and latest time [s] of an onset: in between it shows in no motion.
+    #: Recording, earliest and latest time [s] of an onset; in between it shows in no motion.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
     #: By how much directions differ that the effect says do; surer than each alone.
     differences: tuple[Estimate, ...] = ()

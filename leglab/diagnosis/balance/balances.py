@@ -34,8 +34,8 @@ class Balance:
     oil: bool  #: Whether it is an oil balance
     #: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
     lacking: np.ndarray
-    #: d(lacking)/d(what is learned), (windows, samples): 1 for a force, rate of pressure an opening
-    #: of the valve.
+    #: d(lacking)/d(what is learned), 1 for a force, (windows, samples); for oil a rate of pressure
+    #: by an opening of the valve.
     gain: np.ndarray
     inputs: dict[str, np.ndarray]  #: By variable, each (windows, samples)
     moving: np.ndarray  #: Whether the joint moves all the while, (windows,)

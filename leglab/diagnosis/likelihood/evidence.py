@@ -50,7 +50,7 @@ class Score:
 
     members: tuple[Member, ...]  #: The set
     log: float  #: Log evidence
-    fit: float  #: The same but for what the members cost: their priors and how well they are known
+    fit: float  #: The same but for what members cost, their priors and how well they are known
     size: int  #: Place of the most probable size of the model's own error
     spread: int  #: Place of the most probable spread of machines
     values: np.ndarray  #: Departures of the members, (members,)

@@ -25,7 +25,7 @@ class Priors:
     #: Standard deviations of good machines about the specimen, in smallest trials, all as probable;
     #: of parameters with a tolerance, that tolerance, and more on machines that depart more. Those
     #: beyond the roughest machines' hold beside a large fault alone, and without healthy recordings
-    #: there are none: a rough machine would buy its own departures by any large fault.
+    #: there are none, since a rough machine would buy its own departures by any large fault.
     spreads: tuple[float, ...] = SPREADS
     tolerances: float = 1.0  #: Share of the tolerances that counts
     #: Of all single unknowns, by healthy recordings, (single, single); None without.

@@ -55,7 +55,7 @@ class Shown:
     """Largest quantities that recordings show."""
 
     joints: Mapping[str, Motion]  #: By joint
-    #: Half the range of what each actuator acts on, by actuator: its command, or of a position
+    #: Half the range of what each actuator acts on, by actuator; its command, or of a position
     #: servo the error of its position.
     commands: Mapping[str, float]
     period: float  #: Sampling period [s]

@@ -43,7 +43,7 @@ class Variant:
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]  #: Joint that a passive instance acts on, by instance
     drawn_by: dict[str, tuple[str, ...]]  #: Cylinders that draw from each supply, by its instance
-    plugin_state: np.ndarray  #: After a reset, shape (npluginstate,): parameters and initial states
+    plugin_state: np.ndarray  #: Parameters and initial states after a reset, (npluginstate,)
 
     def slot(self, element: str, name: str) -> int:
         """Index in `plugin_state` of a parameter or state.
@@ -92,7 +92,7 @@ class Machine:
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
-        #: Joints that each actuator moves, by actuator: those of its moments.
+        #: Joints that each actuator moves, those of its moments, by actuator.
         self.driven = {
             name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
             for name, row in zip(self.actuators, self.moments, strict=True)
@@ -216,8 +216,8 @@ class Measured:
     pressure: dict[str, np.ndarray]
     samples: np.ndarray  #: Where windows start, shape (windows,)
     start: float = 0.0  #: Time of the first sample [s]
-    #: Part of the velocity by commands of native actuators that act at once, by joint, each (n,):
-    #: its slope jumps with them.
+    #: Part of the velocity by commands of native actuators that act at once, by joint, each (n,),
+    #: whose slope jumps with them.
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
     #: Whether something touches what a joint carries, (n,) by joint, where it can.
     touched: dict[str, np.ndarray] = field(default_factory=dict)

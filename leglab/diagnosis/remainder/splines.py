@@ -12,7 +12,7 @@ DEGREE = 3
 class CubicSpline:
     """A cubic B-spline of one variable, constant beyond its knots."""
 
-    knots: np.ndarray  #: Increasing, shape (knots,): range of the data
+    knots: np.ndarray  #: Increasing over the range of the data, (knots,)
     coefficients: np.ndarray  #: Shape (knots + 2,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:

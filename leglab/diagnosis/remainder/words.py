@@ -28,7 +28,7 @@ class Shape:
     parity: Parity | None
     one_sided: Side | None  #: Sign of the inputs on which it changes; None for both
     saturating: bool  #: Whether it is nearly flat in the outer halves of its range
-    rising: bool  #: Whether it grows with the variable on the whole: against motion it falls
+    rising: bool  #: Whether it grows with the variable on the whole; against motion it falls
     period: Periodicity | None  #: Of a position
 
 

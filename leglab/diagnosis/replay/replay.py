@@ -83,7 +83,7 @@ class Replay:
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
         self.samples, self.bins = window_length(period, thresholds)  #: of a window
-        self.window = self.samples * period  #: how long one lasts [s]
+        self.window = self.samples * period  # how long one lasts [s]
         self.rest_time = max(thresholds.rest_time, period)  #: s
         chambers = sum(1 for c in channels if c.chamber)
         #: Whether chamber pressures are not measured; they are then replayed as well.
@@ -96,7 +96,7 @@ class Replay:
             machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
         )
         counts = [cut.firsts.size for cut in self.cuts]
-        #: Of each window, (windows,): index of its recording, and time at which it starts [s].
+        #: Index of each window's recording, and time at which it starts [s], (windows,).
         self.recording = np.repeat(np.arange(len(self.cuts)), counts)
         self.start = np.concatenate([c.series.time[c.firsts] for c in self.cuts])
         if not self.start.size:

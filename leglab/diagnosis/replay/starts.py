@@ -70,7 +70,7 @@ class Instances:
     measured: Measured  #: Series of one recording
     variant: Variant  #: Compiled model
     state: np.ndarray  #: Parameters and states at window starts, shape (windows, npluginstate)
-    #: Along the recording by element and name, each (n,), as far as they are reconstructed:
+    #: Along the recording by element and name, each (n,), as far as they are reconstructed, are
     #: "spool_position", "bristle", and what presses on it, "carried": the load of a joint, or the
     #: sum of a cylinder's gauge pressures.
     followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)

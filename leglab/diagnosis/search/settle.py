@@ -47,7 +47,7 @@ class Fit:
     ended: tuple[int, ...]  #: Members that ended at a bound
     finished: bool  #: Whether another turn would gain nothing
     unkept: float  #: What tangents promise where it ended, and no replay keeps [nats]
-    #: What its turns have gained where it is not finished [nats]: it may gain as much.
+    #: What its turns have gained where it is not finished [nats]; it may gain as much.
     gained: float
 
 
