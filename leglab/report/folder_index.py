@@ -19,7 +19,6 @@ from leglab.report.page.shell import asset, file_link, render, write_page
 from leglab.runs.comparison import SUMMARY, read_comparison
 from leglab.runs.folder import read_metrics
 
-State = Literal["whole", "stopped", "broken"]
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
@@ -50,7 +49,7 @@ class Entry:
     name: str
     link: str
     kind: str
-    state: State = "whole"
+    state: Literal["whole", "stopped", "broken"] = "whole"
     told: str = ""
     written: str = ""
     scenario: str = ""

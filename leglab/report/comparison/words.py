@@ -34,18 +34,15 @@ def rows(summary: dict[str, Any]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
         for controller, cell in controllers.items():
             failed, runs = len(cell["failures"]), cell["runs"]
             early = f", failed {failed}/{runs}" if failed else ""
-            yield (
-                scenario,
-                controller,
-                (
-                    interval(cell["before_rad"], 1e3, 2),
-                    interval(cell["after_rad"], 1e3, 2) + early,
-                    interval(cell["ratio"], 1.0, 3),
-                    interval(cell["end_rad"], 1e3, 2),
-                    interval(cell["recovered"], 100.0, 0),
-                    _undone(cell),
-                ),
+            cells = (
+                interval(cell["before_rad"], 1e3, 2),
+                interval(cell["after_rad"], 1e3, 2) + early,
+                interval(cell["ratio"], 1.0, 3),
+                interval(cell["end_rad"], 1e3, 2),
+                interval(cell["recovered"], 100.0, 0),
+                _undone(cell),
             )
+            yield scenario, controller, cells
 
 
 def failures(summary: dict[str, Any]) -> list[str]:
@@ -128,8 +125,7 @@ def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
 
 
 def _undone(cell: dict[str, Any]) -> str:
-    text = interval(cell["t90_s"], 1.0, 2)
-    never = cell["never_undone"]
+    text, never = interval(cell["t90_s"], 1.0, 2), cell["never_undone"]
     if not never:
         return text
     of_all = f"never {never}/{cell['runs']}"

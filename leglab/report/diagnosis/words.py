@@ -134,7 +134,8 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     """
     changed = "Changed" if result.calibration else "Missing"
     if result.effects:
-        missing = ";\n".join(_fitted(effect, result.nominal_words) for effect in result.effects)
+        told = ([_named(e), *_values(e, result.nominal_words)] for e in result.effects)
+        missing = ";\n".join(f"{name}: {', '.join(v)}" if v else name for name, *v in told)
         if result.verdict == "unexplained":
             missing = f"nothing that can be named; nearest comes {missing}"
         each = [f"{_at(effect)} {percent(effect.confidence)}" for effect in result.effects]
@@ -294,7 +295,7 @@ def _parameter_unit(p: Estimate) -> tuple[float, str]:
     if p.unit in _OIL:
         name, factor = _OIL[p.unit]
         return factor, name
-    name, factor, limit = _SMALL.get(p.unit, (p.unit, 1.0, 0.0))
+    name, factor, limit = _SMALL.get(p.unit, ("", 1.0, 0.0))
     if 0.0 < largest < limit:
         return factor, name
     return 1.0, "" if p.unit == "1" else p.unit
@@ -321,12 +322,6 @@ def _values(effect: NamedEffect, nominal: str) -> list[str]:
     return told
 
 
-def _fitted(effect: NamedEffect, nominal: str) -> str:
-    """An effect with its values."""
-    told = _values(effect, nominal)
-    return f"{_named(effect)}: {', '.join(told)}" if told else _named(effect)
-
-
 def _gap_of(result: Diagnosis) -> str:
     """The gap that named effects may close, in words."""
     held = result.gap.held_out
@@ -349,11 +344,11 @@ def _left(result: Diagnosis) -> str:
 def _error_words(one: Remaining) -> str:
     factor, unit = shown_unit(one.unit)
     before, after = (number(factor * v) for v in (one.before, one.after))
-    told = [f"before {before} {unit}"]
+    told = f"before {before} {unit}, "
     if one.learned is not None:
-        told.append(f"with what was learned {number(factor * one.learned)} {unit}")
-    told.append(f"sensor noise {noise_words(one)}")
-    return f"{readable(one.channel)} {after} {unit} off ({', '.join(told)})"
+        told += f"with what was learned {number(factor * one.learned)} {unit}, "
+    told += f"sensor noise {noise_words(one)}"
+    return f"{readable(one.channel)} {after} {unit} off ({told})"
 
 
 def noise_words(one: Remaining) -> str:
