@@ -79,7 +79,12 @@ def tracking_figure(
     error = recording.stack(joints, "reference")
     error -= recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
-    part = slice(None) if span is None else _rows_between(recording, *span)
+    part = slice(None)
+    if span is not None:
+        first, last = np.searchsorted(recording.time, span)
+        if first >= last:
+            recording.between(*span)  # says what there is
+        part = slice(int(first), int(last))
     time = recording.time[part]
     with style():
         figure, panels = add_panels(len(joints), heights=(1.35, 0.85))
@@ -89,10 +94,12 @@ def tracking_figure(
             unit = recording.error_unit((joint,))
             top.set_ylabel(f"position [{unit.removeprefix('m')}]")
             top.set_title(readable(joint), fontweight="bold")
-            if table:
-                top.set_title(
-                    _rms_by_phase(table, joint, unit), loc="right", color=DARK_GREY, fontsize=8
-                )
+            told = ", ".join(
+                f"{row['start']:.4g} to {row['end']:.4g} s {_MILLI * row['rms_rad'][joint]:.3g}"
+                for row in table
+            )
+            if told:
+                top.set_title(f"RMS [{unit}]: {told}", loc="right", color=DARK_GREY, fontsize=8)
             _draw(bottom, time, error[part, i], scale=_MILLI, color=BLUE, linewidth=0.6)
             if window is not None:
                 moving = sliding_rms(recording.time, error[:, [i]], window)
@@ -262,14 +269,6 @@ def _change(phases: Sequence[Phase]) -> tuple[float, float] | None:
     return (during or after)[0], after[0]
 
 
-def _rms_by_phase(table: list[dict], joint: str, unit: str) -> str:
-    parts = [
-        f"{row['start']:.4g} to {row['end']:.4g} s {_MILLI * row['rms_rad'][joint]:.3g}"
-        for row in table
-    ]
-    return f"RMS [{unit}]: {', '.join(parts)}"
-
-
 def _line(label: str, color: str, width: float = 1.4) -> Line2D:
     return Line2D([], [], color=color, linewidth=width, label=label)
 
@@ -293,7 +292,11 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
     with style():
         figure, ((axes,),) = add_panels(1, heights=(3.0,))
         for controller, (dashes, color) in zip(controllers, looks, strict=False):
-            time, errors = _stack([r for r in results if r["metrics"]["controller"] == controller])
+            own = [r for r in results if r["metrics"]["controller"] == controller]
+            count = min(len(result["time"]) for result in own)  # as far as all of the runs came
+            time = np.array(own[0]["time"][:count])
+            kept = [result["windowed_error_rad"][:count] for result in own]
+            errors = _MILLI * np.array(kept, dtype=np.float64)
             axes.plot(time, errors.mean(axis=0), color=color, linestyle=dashes, linewidth=1.4)
             if len(errors) > 1:
                 low, high = errors.min(axis=0), errors.max(axis=0)
@@ -355,18 +358,6 @@ def _draw(
     axes.plot(time[rows], scale * values[rows], **look)
 
 
-def _rows_between(recording: Recording, start: float, end: float) -> slice:
-    """Rows with start <= time < end [s].
-
-    Raises:
-        LeglabError: There is no such row.
-    """
-    first, last = np.searchsorted(recording.time, (start, end))
-    if first >= last:
-        recording.between(start, end)  # says what there is
-    return slice(int(first), int(last))
-
-
 def png(figure: Figure) -> bytes:
     """The figure as a page shows it."""
     stream = io.BytesIO()
@@ -379,13 +370,6 @@ def _save(figure: Figure, path: Path) -> Path:
     with style():
         write_atomically(path, partial(figure.savefig, format="png"))
     return path
-
-
-def _stack(results: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s], (n,), and errors [mrad or mm], (runs, n), as far as all of the runs came."""
-    count = min(len(result["time"]) for result in results)
-    errors = [result["windowed_error_rad"][:count] for result in results]
-    return np.array(results[0]["time"][:count]), _MILLI * np.array(errors, dtype=np.float64)
 
 
 def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple[Axes, ...]]]:
