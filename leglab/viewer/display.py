@@ -105,12 +105,10 @@ class Display:
         return False
 
     def draw_ghost(self, scene: mujoco.MjvScene, eye: np.ndarray) -> None:
-        """Draws the driven joints at their reference, everything else as it is.
+        """Draws the driven joints at their reference into a scene, in place of what it held.
 
-        Args:
-            scene: Where to; what it held goes.
-            eye: Place of the camera [m], (3,). The ghost is moved away from it a little, so that it
-                does not flicker on the surface of a leg that is where it should be.
+        The ghost is moved a little away from the camera at `eye` [m], (3,), so that it does not
+        flicker on the surface of a leg that is where it should be.
         """
         ghost, simulation = self._ghost, self._session.simulation
         ghost.qpos[:] = self.data.qpos
