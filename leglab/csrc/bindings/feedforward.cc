@@ -123,14 +123,13 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
             {int(joints()), get<Numbers>(parts, "kernel")},
             {int(joints()), get<double>(parts, "control_period"), get<double>(parts, "lead"),
              get<double>(parts, "position_delay"), get<double>(parts, "velocity_delay")},
-            tables(), read_valves(parts)),
-        pressures_(parts.contains("lever")) {}
+            tables(), read_valves(parts)) {}
 
   using ValveTables::joints;
 
   // The banks must outlive this object: Python keeps them. The second one is that of the loads.
   void reset(SplineNarxBank64& bank, SplineNarxBank64* loads, SplineNarxBank64* slopes) {
-    if (pressures_ != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
+    if (with_pressures() != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
     const auto learners = [](SplineNarxBank64* some) {
       return some ? some->models() : std::vector<Learner*>{};
     };
@@ -147,7 +146,7 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
     require_size(reported * n, out);
     ff::Pressures pressures;
     Input a, b;
-    if (pressures_) {
+    if (with_pressures()) {
       a = nb::cast<Input>(pressure_a);
       b = nb::cast<Input>(pressure_b);
       require_size(n, a, b);
@@ -166,7 +165,6 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
   }
 
   static constexpr std::size_t reported = 5;
-  bool with_pressures() const { return pressures_; }
 
   void propose(SplineNarxBank64& bank, double odds, double error, int play) {
     AdaptiveFeedforward::propose(bank.models(), odds, error, play);
@@ -194,9 +192,6 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
     require_size(joints(), command);
     sent(command.data());
   }
-
- private:
-  bool pressures_;
 };
 
 // Feed-forwards of many machines, stepped together in threads.

@@ -97,6 +97,9 @@ class AdaptiveFeedforward {
     contenders_.add(learners, proofs(learners), odds, error, play < 0 ? play_ : play);
   }
 
+  // Whether it takes data sheets and pressures.
+  bool with_pressures() const { return cascade_.any(); }
+
   // Width of hysteresis that the map in use takes a valve to have [valve command].
   double play(std::size_t j) const { return plays_.width(play_, j); }
 

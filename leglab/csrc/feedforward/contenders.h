@@ -13,8 +13,8 @@ struct ContenderSettings {
   double contest_time = 0.0;    // time constant of mean squared errors [s]
   double contest_gather = 0.0;  // the same of the logarithms of their ratios [s]
   double contest_errors = 0.0;  // independent errors that each of both has
-  double contest_floor = 0.0;   // squared error of a joint that is noise [share of full speed squared]
-  double contest_window = 0.0;  // mean squared error, over that of the map without any, at which one is out
+  double contest_floor = 0.0;   // squared error of a joint that is noise [square of full speed]
+  double contest_window = 0.0;  // mean squared error, over that of the map without, at which one is out
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each

@@ -15,7 +15,7 @@ struct PlaySettings {
   std::vector<double> plays;  // widths that are tried, beside none [valve command]
   double turn = 0.0;          // change of a command that is a turn [valve command]
   double play_step = 0.0;     // of a width, over which it is seen what more of it would do
-  double play_time = 0.0;     // time constant of a width in use; of a command's travel ten of them [s]
+  double play_time = 0.0;     // time constant of a width in use; of a command's travel tenfold [s]
   double play_noise = 0.0;    // flow of that step which is noise [share of full speed]
 };
 

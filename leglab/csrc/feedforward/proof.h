@@ -13,7 +13,7 @@ struct ProofSettings {
   double proof_time = 0.0;     // time constant of the means below [s]
   double proof_horizon = 0.0;  // from one snapshot of what was learned to the next [s]
   double proof_doubt = 0.0;    // squared errors that count as evidence for it, of their mean
-  double proof_noise = 0.0;    // predictions that differ by less need no proof [share of full speed]
+  double proof_noise = 0.0;    // predictions that differ by less need no proof [of full speed]
 };
 
 // A learner whose gain is open follows its errors within a few samples. Through the machine that is

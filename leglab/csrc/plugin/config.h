@@ -31,8 +31,8 @@ std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Element of a kind that an attribute names, which is called like the kind; refuses what names none of
-// the first `count`.
+// Element of a kind that an attribute called like the kind names; refuses what names none of the
+// first `count`.
 int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count);
 
 // Joint that the attribute `joint` names; hinge or slide.

@@ -64,8 +64,8 @@ bool is_instance(const mjModel* m, int instance) {
   return std::strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, T::Table::plugin) == 0;
 }
 
-// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and, where
-// they exist, advance, visualize and, of a sensor, its number of values.
+// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and,
+// where they exist, advance, visualize and, of a sensor, its number of values.
 template <class T>
 void register_plugin(int capability) {
   static std::vector<const char*> names(T::Table::texts);
