@@ -65,10 +65,8 @@ class Site:
 class Hypothesis(Mapping[Key, np.ndarray]):
     """Values of effects by effect and element; every other effect is absent. Immutable.
 
-    Attributes:
-        onsets: Time [s] in every recording at which an effect begins, shape (recordings,), by
-            effect; -inf where it is there from the start, inf where it never is. Effects without
-            an entry are there throughout.
+    An effect begins at its onset [s] in every recording, (recordings,), -inf where it is there from
+    the start, inf where it never is; those without one are there throughout.
     """
 
     def __init__(
