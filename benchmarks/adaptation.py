@@ -1,4 +1,4 @@
-"""What adapting gains on a changing machine: every scenario and controller, many seeds.
+"""Gain of adapting on a changing machine: every scenario and controller, many seeds.
 
 A seed draws the specimen about the machine that controllers know, the phase of the stride, the time
 of the change and the sensor noise. Errors are RMS over joints and time in mrad, of the true
@@ -38,25 +38,16 @@ SIZES = {"seal_wear": (2.0, 50.0)}
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A machine with a motion.
+    """A machine with a motion."""
 
-    Attributes:
-        model: Name of the model.
-        reference: Name of the reference; None for the scenario's own.
-        controllers: Which ones run in every scenario.
-        seeds: Number of them.
-        peer_seeds: Number of them for controllers that no claim but the comparison needs.
-        only: Scenarios; None for all.
-        exact: Whether the machine is the one that controllers know, and no seed draws more than
-            sensor noise.
-    """
-
-    model: str
-    reference: str | None
-    controllers: tuple[str, ...]
-    seeds: int = 3
-    peer_seeds: int = 2
-    only: tuple[str, ...] | None = None
+    model: str  #: Name of the model
+    reference: str | None  #: Name of the reference; None for the scenario's own
+    controllers: tuple[str, ...]  #: Which ones run in every scenario
+    seeds: int = 3  #: Number of them
+    peer_seeds: int = 2  #: Number of them for controllers that no claim but the comparison needs
+    only: tuple[str, ...] | None = None  #: Scenarios; None for all
+    #: Whether the machine is the one that controllers know, and no seed draws more than sensor
+    #: noise.
     exact: bool = False
 
     def runs(self) -> dict[tuple[str, float | None], list[RunSettings]]:

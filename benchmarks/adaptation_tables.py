@@ -128,7 +128,7 @@ def degraded(cells: Cells, rig: str) -> str:
 
 
 def undone(cells: Cells, rig: str) -> str:
-    """What the change cost, how much of it was undone, and how soon."""
+    """Added error after a change, share of it undone, and time until it was."""
     columns = ("scenario", "damage, mrad", "undone, %", "least, %", "90 % after, s", "worst, s")
     rows, note = [], ""
     every: list[float] = []

@@ -53,7 +53,7 @@ def library(folder: str) -> ctypes.CDLL:
 
 
 def works(native: ctypes.CDLL) -> dict[str, tuple[Callable[[], object], int]]:
-    """What is timed, and how many samples each call takes."""
+    """Calls to be timed, each with its number of samples."""
     rng = np.random.default_rng(1)
     u, y = rng.uniform(0, 0.8, SAMPLES), np.zeros(SAMPLES)
     for t in range(2, SAMPLES):

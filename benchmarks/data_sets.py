@@ -30,28 +30,18 @@ from leglab.studies.shared_data import shared_data
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """A recording, its published split, and what others reached.
+    """A recording, its published split, and what others reached."""
 
-    Attributes:
-        name: Of the benchmark.
-        u: Input, shape (n,).
-        y: Output, shape (n,).
-        train: Samples of the online pass.
-        tests: Samples of each free run, by name.
-        given: Outputs at the head of a test that are given and not scored.
-        unit: Unit of the table, and the factor that turns units of y into it.
-        ranges: Declared half ranges of u and y around zero, known from the training part.
-        published: Free-run RMSE of others in `unit`, by model, in the order of `tests`.
-    """
-
-    name: str
-    u: Array
-    y: Array
-    train: slice
-    tests: dict[str, slice]
-    given: int
-    unit: tuple[str, float]
+    name: str  #: Of the benchmark
+    u: Array  #: Input, shape (n,)
+    y: Array  #: Output, shape (n,)
+    train: slice  #: Samples of the online pass
+    tests: dict[str, slice]  #: Samples of each free run, by name
+    given: int  #: Outputs at the head of a test that are given and not scored
+    unit: tuple[str, float]  #: Unit of the table, and the factor that turns units of y into it
+    #: Declared half ranges of u and y around zero, known from the training part.
     ranges: tuple[float, float]
+    #: Free-run RMSE of others in `unit`, by model, in the order of `tests`.
     published: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 

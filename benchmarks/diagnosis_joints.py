@@ -158,14 +158,14 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def _elements(rig: RoughRig, joint: int) -> list[str]:
-    """What a fault of a joint may sit on: the joint, its drive, its body."""
+    """Elements on which a fault of a joint may sit: the joint, its drive, its body."""
     model = mujoco.MjModel.from_xml_path(str(rig.model))
     body = model.body(int(model.joint(rig.joints[joint]).bodyid[0]))
     return [rig.joints[joint], rig.drives[joint], body.name]
 
 
 def summary(rows: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    """What was asked of the names, and how often it holds."""
+    """Requirements on the names, and how often they hold."""
     single = [row for row in rows if len(row["hidden"]) == 1]
     several = [row for row in rows if len(row["hidden"]) > 1]
     nothing = [row for row in rows if not row["hidden"]]

@@ -1,4 +1,4 @@
-"""What environments cost beside bare physics.
+"""Cost of environments beside bare physics.
 
 On one core: bare stepping of a model, and environments in one process. On all cores: bare stepping
 in a process a core, the batch in threads, and what Gymnasium and dm_control offer, in processes.

@@ -99,7 +99,7 @@ def _begun(
 
 
 def _judged(last: FaultTrend, scenario: str, element: str | None, rate: float) -> dict[str, Any]:
-    """What was said last beside what is true."""
+    """Last prediction beside the truth."""
     healthy = _healthy(scenario)
     size = healthy + rate * (last.seen - START)
     right = last.fault == scenario and last.element == (element or "all")
@@ -127,7 +127,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def tables(found: list[dict[str, Any]]) -> str:
-    """What wears; then what is sound."""
+    """Tables of worn machines; then of sound ones."""
     head = ["wears", "specimen", "named", "after, s", "true size then", "error then, times"]
     head += ["size at the end", "true", "life left, s", "true"]
     rows = []

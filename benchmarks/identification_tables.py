@@ -28,7 +28,7 @@ def recovery() -> str:
 
 
 def asked() -> str:
-    """What was asked of the identifiers, and what they reach."""
+    """Requirements on the identifiers, and what they reach."""
     paper_run, real = results.load("replication"), results.load("real_data")
     silverbox, actuator = (
         _deployed_errors(real[name]) for name in ("Silverbox", "hydraulic actuator")

@@ -1,4 +1,4 @@
-"""What six cylinders cost. Ratios of one run on one core.
+"""Cost of six cylinders. Ratios of one run on one core.
 
 The step of leg.xml against the same leg with native motors on the same tendons, and the closed
 loop against real time, with PD and with six adaptive identifiers. Measurements alternate and each

@@ -1,4 +1,4 @@
-"""What naming a fault first gains.
+"""Gain of naming a fault before learning it.
 
 Walking leg, specimens of tolerance 0.1, one fault each, of all cylinders or of one; its size is
 drawn between the bank's smallest and largest, its time within a stride, the machine, the phase of
@@ -130,7 +130,7 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
 
 
 def _told(events: list[FaultEvent], fault: str, element: str, change: float) -> dict[str, Any]:
-    """What was said by when: confidence, and whether fault and element were right."""
+    """Names by time: confidence, and whether fault and element were right."""
     names = [name for event in events for name in event.names if name.time >= change]
     told: dict[str, Any] = {
         "early": sum(e.names[0].time < change for e in events),
@@ -154,7 +154,7 @@ def _told(events: list[FaultEvent], fault: str, element: str, change: float) -> 
 
 
 def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
-    """What is said where nothing breaks."""
+    """Names that are said while nothing breaks."""
     label, seed = task
     settings, duration = PEACE[label]
     loop = Loop(specimen(seed, controller=BANK, duration=duration, **settings))
@@ -165,7 +165,7 @@ def peace(task: tuple[str, int]) -> tuple[str, int, list[str]]:
 
 
 def back_again(task: tuple[str, float, float, int]) -> dict[str, Any]:
-    """What is said of a fault that comes and is repaired, as of a payload up and down."""
+    """Names of a fault that comes and is repaired, as of a payload up and down."""
     fault, size, healthy, seed = task
     duration = GOES + 8.0
     comes = changed_at(COMES, fault, duration, severity=size)
@@ -232,7 +232,7 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
 
 
 def measure_elsewhere(options: argparse.Namespace) -> dict[str, Any]:
-    """What comes and goes, and the conditions that are asked for."""
+    """Measures faults that come and go, and the conditions that are asked for."""
     seeds = range(FIRST_SEED, FIRST_SEED + options.specimens)
     labels = [label for label in ELSEWHERE if label in options.elsewhere.split(",")]
     tasks = [(label, *fault, seed) for label in labels for fault in TRIED for seed in seeds]
@@ -247,7 +247,7 @@ def measure_elsewhere(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def tables_elsewhere(kept: dict[str, Any]) -> str:
-    """What is said of what comes and goes; then errors and names under other conditions."""
+    """Names of faults that come and go; then errors and names under other conditions."""
     parts = []
     for fault, size in CARRIED:
         own = [x for x in kept["back"] if x["fault"] == fault]

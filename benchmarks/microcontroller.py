@@ -207,7 +207,7 @@ def _symbols(elf: Path) -> dict[str, int]:
 
 
 def _listing(elf: Path) -> dict[int, Counter[str]]:
-    """What the instruction at every address takes."""
+    """Kinds of operations of the instruction at every address."""
     found = {}
     for line in _tool("objdump", "-d", "--no-show-raw-insn", str(elf)).splitlines():
         match = re.match(r"\s*([0-9a-f]+):\t(\S+)\s*(.*)", line)

@@ -27,21 +27,13 @@ SOURCES = mutation.ROOT / "leglab" / "csrc"
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part of the core.
+    """A part of the core."""
 
-    Attributes:
-        module: Of `leglab._native`, made of it.
-        headers: Their folder.
-        sources: Of `bindings`, that see the headers.
-        tests: That run on the module.
-        others: Sources of the module that do not; they are compiled once.
-    """
-
-    module: str
-    headers: str
-    sources: tuple[str, ...]
-    tests: tuple[str, ...]
-    others: tuple[str, ...] = ()
+    module: str  #: Of `leglab._native`, made of it
+    headers: str  #: Their folder
+    sources: tuple[str, ...]  #: Of `bindings`, that see the headers
+    tests: tuple[str, ...]  #: That run on the module
+    others: tuple[str, ...] = ()  #: Sources of the module that do not; they are compiled once
 
 
 PARTS = {

@@ -1,4 +1,4 @@
-"""What the slow map beside the learned one is for.
+"""Purpose of the slow map beside the learned one.
 
 Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, of the bank's largest size
 and of one drawn below it. `bsnn_arx` stands beside itself without the slow map. Over any two

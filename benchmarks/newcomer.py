@@ -29,19 +29,14 @@ _MIRRORS = ("PIP_", "UV_", "HTTP", "http", "SSL_")
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A numbered section of the page.
+    """A numbered section of the page."""
 
-    Attributes:
-        title: Its heading.
-        blocks: What is typed or saved, in order.
-    """
-
-    title: str
-    blocks: tuple[Block, ...]
+    title: str  #: Its heading
+    blocks: tuple[Block, ...]  #: What is typed or saved, in order
 
     @property
     def commands(self) -> list[str]:
-        """What is typed, a command each, without comments."""
+        """Typed commands, one each, without comments."""
         typed = "".join(block.text for block in self.blocks if block.file is None)
         lines = typed.replace("\\\n", " ").splitlines()
         return [" ".join(line.partition(" #")[0].split()) for line in lines if line.strip()]

@@ -1,4 +1,4 @@
-"""What measured pressures gain.
+"""Gain of measured pressures.
 
 Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, sizes and times drawn as
 in `live_names.py`. `bsnn_arx_pressure` stands beside `bsnn_arx` and `bsnn_arx_bank`, with positions

@@ -1,4 +1,4 @@
-"""What limits re-adaptation.
+"""Limits of re-adaptation.
 
 Learning is stopped some time after the change; the error of the last strides tells how much of the
 changed machine had been seen by then. A stride takes 1.2 s: what a joint does in the rest of it has

@@ -21,28 +21,21 @@ class Benchmark:
     Its script has `measure(options)`, which gives the results as JSON holds them (None if it shows
     nothing), and `tables(results)`, their Markdown; where needed `add_options(parser)` and
     `wrong(results)`, true where the command must fail. Or it has a `main()` that does all.
-
-    Attributes:
-        name: After `python -m benchmarks`; the stem of its file, where it keeps one.
-        minutes: About how long it takes on two cores; None where that depends on its options.
-        kept: Whether docs/data keeps its results.
-        script: Its module in `benchmarks`; empty where that has the benchmark's name.
-        options: That come before those of the command line.
-        quick: Options for a look of a few seconds; None where `bench` leaves it out.
-        title: What it measures; empty where the first line of its script says it.
     """
 
-    name: str
+    name: str  #: After `python -m benchmarks`; the stem of its file, where it keeps one
+    #: About how long it takes on two cores; None where that depends on its options.
     minutes: float | None = None
-    kept: bool = False
-    script: str = ""
-    options: str = ""
+    kept: bool = False  #: Whether docs/data keeps its results
+    script: str = ""  #: Its module in `benchmarks`; empty where that has the benchmark's name
+    options: str = ""  #: That come before those of the command line
+    #: Options for a look of a few seconds; None where `bench` leaves it out.
     quick: str | None = None
-    title: str = ""
+    title: str = ""  #: What it measures; empty where the first line of its script says it
 
     @property
     def command(self) -> str:
-        """What runs it."""
+        """Command that runs it."""
         return f"python -m benchmarks {self.name}"
 
     @property
@@ -56,7 +49,7 @@ class Benchmark:
         return Path(__file__).parent / f"{self.script or self.name}.py"
 
     def measures(self) -> str:
-        """What it measures, a line."""
+        """Measured quantity, in one line."""
         told = self.title or ast.get_docstring(ast.parse(self.path.read_text())) or ""
         return re.split(r": `python|\. |\n", told)[0].rstrip(".")
 

@@ -17,7 +17,7 @@ from leglab.studies.replication.run import REALISATIONS
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """What `leglab replicate --json` prints, without paths."""
+    """Output of `leglab replicate --json`, without paths."""
     found = replicate(options.instances, options.out).to_json()
     return {key: value for key, value in found.items() if key not in ("page", "figures")}
 

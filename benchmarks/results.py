@@ -190,7 +190,7 @@ def commit(root: Path = ROOT) -> str:
 
 
 def record(name: str) -> dict[str, Any]:
-    """What docs/data keeps under this name: results and where they come from."""
+    """Results that docs/data keeps under this name, and their origin."""
     found: dict[str, Any] = json.loads((DATA / f"{name}.json").read_text())
     return found
 

@@ -156,7 +156,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def wrong(found: dict[str, Any]) -> list[str]:
-    """What does not hold."""
+    """Requirements that do not hold."""
     first, last = found["memory_mb"]
     checks = {
         f"memory grew by {last - first:.1f} MB": last - first <= MOST_GROWTH,

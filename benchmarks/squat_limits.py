@@ -1,4 +1,4 @@
-"""What limits adaptation in the squat.
+"""Limits of adaptation in the squat.
 
 First table: the map learned online against the one fitted offline on the changed machine
 (`oracle`), the longer the squat goes on after the change. Second table: seals wear further and

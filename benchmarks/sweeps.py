@@ -1,4 +1,4 @@
-"""What a sweep costs beside its runs. Two processes on two cores.
+"""Cost of a sweep beside its runs. Two processes on two cores.
 
 One-second runs of the knee bench, and runs of about a second of wall time on the leg, by
 one process, by two, and by two workers of a Dask cluster on this machine (a scheduler and two
@@ -110,7 +110,7 @@ def sweep(plan: SweepPlan, folder: Path, way: str, address: str) -> dict[str, fl
 
 
 def books(folder: Path, count: int) -> dict[str, float]:
-    """What the books cost a row: CPU time of keeping it [s], size [B], time of reading [s]."""
+    """Cost of storing a row: CPU time [s], size [B], time of reading [s]."""
     small = run_sweep(plan_of(SHORT, 20), folder / "small", workers=2)
     templates = small.table().to_pylist()
     plan = plan_of(SHORT, count)
@@ -215,7 +215,7 @@ def tables(found: dict[str, Any]) -> str:
 
 
 def million(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """What a sweep of a million runs takes, from what was measured."""
+    """Time and size of a sweep of a million runs, from the measured ones."""
     told = found["books"]
     rows = []
     for case in CASES:

@@ -1,4 +1,4 @@
-"""What sensors and valves leave to any controller.
+"""Error that sensors and valves leave to any controller.
 
 `exact_inverse` plays the commands that the very machine of the run needs, beside PD with the run's
 sensors. The learned map (`bsnn_arx`) and the same map identified offline (`oracle`) stand beside

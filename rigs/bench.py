@@ -47,35 +47,24 @@ def bench(pump: Mapping[str, float] | None = None) -> mujoco.MjModel:
 
 @dataclass(kw_only=True)
 class FaultyBench:
-    """The knee bench with the faults that are written here.
+    """The knee bench with the faults that are written here."""
 
-    Attributes:
-        model: Compiled with the fine step; faults may change it.
-        tuning: Plugin parameters of this good machine, by element and name.
-        parameters: Plugin parameters that faults set, likewise.
-        torques: Further generalised forces on the knee.
-        fields: The same, by position.
-        command_delay: s.
-        encoder_scale: Gain of the position sensor.
-        encoder_offset: Of the position sensor [rad].
-        encoder_delay: Of the position sensor [s].
-        pressure_scale: Gains of the pressure sensors of chambers A and B.
-        pressure_offset: Of the same [Pa].
-        onset: Time at which parameters, torques and command delay set in [s].
-    """
-
+    #: Compiled with the fine step; faults may change it.
     model: mujoco.MjModel = field(default_factory=bench)
+    #: Plugin parameters of this good machine, by element and name.
     tuning: dict[tuple[str, str], float] = field(default_factory=dict)
+    #: Plugin parameters that faults set, likewise.
     parameters: dict[tuple[str, str], float] = field(default_factory=dict)
-    torques: list[Torque] = field(default_factory=list)
-    fields: list[Field] = field(default_factory=list)
-    command_delay: float = 0.0
-    encoder_scale: float = 1.0
-    encoder_offset: float = 0.0
-    encoder_delay: float = 0.0
+    torques: list[Torque] = field(default_factory=list)  #: Further generalised forces on the knee
+    fields: list[Field] = field(default_factory=list)  #: The same, by position
+    command_delay: float = 0.0  #: s
+    encoder_scale: float = 1.0  #: Gain of the position sensor
+    encoder_offset: float = 0.0  #: Of the position sensor [rad]
+    encoder_delay: float = 0.0  #: Of the position sensor [s]
+    #: Gains of the pressure sensors of chambers A and B.
     pressure_scale: tuple[float, float] = (1.0, 1.0)
-    pressure_offset: tuple[float, float] = (0.0, 0.0)
-    onset: float = 0.0
+    pressure_offset: tuple[float, float] = (0.0, 0.0)  #: Of the same [Pa]
+    onset: float = 0.0  #: Time at which parameters, torques and command delay set in [s]
 
     def record(self, reference: np.ndarray, rng: np.random.Generator) -> Recording:
         """Follows a reference, shape (n,) at the sampling period, and records it."""
@@ -214,15 +203,10 @@ NULL_SHIFT = 0.002  # standard deviation of the valve's null, of full command
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenValue:
-    """The drawn size of a fault.
+    """The drawn size of a fault."""
 
-    Attributes:
-        parameter: Of the effect, as the diagnosis calls it; empty where it has another form.
-        value: True value of the parameter.
-    """
-
-    parameter: str
-    value: float
+    parameter: str  #: Of the effect, as the diagnosis calls it; empty where it has another form
+    value: float  #: True value of the parameter
 
 
 Fault = Callable[[FaultyBench, np.random.Generator], HiddenValue]

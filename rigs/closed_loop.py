@@ -56,7 +56,7 @@ def bench_loop(settings: RunSettings, benches: Sequence[tuple[float, RoughBench]
 
 
 def run_bench(settings: RunSettings, benches: Sequence[tuple[float, RoughBench]]) -> History:
-    """What a run on a bench records.
+    """Runs a controller on a bench and returns the recorded history.
 
     Args:
         settings: Of the run, of the nominal scenario; its machine is not used but for

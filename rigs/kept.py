@@ -1,4 +1,4 @@
-"""What the simulators recorded is kept in $LEGLAB_CACHE, where a test session has one."""
+"""Keeps recordings of the simulators in $LEGLAB_CACHE, where a test session has one."""
 
 import hashlib
 import os

@@ -25,30 +25,18 @@ Pair = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Hidden:
-    """What the machine has and its model lacks, by joint; SI units.
+    """Effects that the machine has and its model lacks, by joint; SI units."""
 
-    Attributes:
-        viscous: Damping that is added.
-        quadratic: Force over the square of the speed.
-        stiffness: Of a spring to the zero position.
-        armature: Inertia that turns with the drive.
-        gain: Of the drive's force.
-        delay: Of the command, a multiple of 0.2 ms.
-        offset: Added to what the encoder shows.
-        force: Constant.
-        payload: Mass on the outer link and its distance from the link's joint.
-        ripple: Force on the first joint that is a sine of its position: amplitude, period, phase.
-    """
-
-    viscous: Pair = (0.0, 0.0)
-    quadratic: Pair = (0.0, 0.0)
-    stiffness: Pair = (0.0, 0.0)
-    armature: Pair = (0.0, 0.0)
-    gain: Pair = (1.0, 1.0)
-    delay: Pair = (0.0, 0.0)
-    offset: Pair = (0.0, 0.0)
-    force: Pair = (0.0, 0.0)
-    payload: Pair = (0.0, 0.0)
+    viscous: Pair = (0.0, 0.0)  #: Damping that is added
+    quadratic: Pair = (0.0, 0.0)  #: Force over the square of the speed
+    stiffness: Pair = (0.0, 0.0)  #: Of a spring to the zero position
+    armature: Pair = (0.0, 0.0)  #: Inertia that turns with the drive
+    gain: Pair = (1.0, 1.0)  #: Of the drive's force
+    delay: Pair = (0.0, 0.0)  #: Of the command, a multiple of 0.2 ms
+    offset: Pair = (0.0, 0.0)  #: Added to what the encoder shows
+    force: Pair = (0.0, 0.0)  #: Constant
+    payload: Pair = (0.0, 0.0)  #: Mass on the outer link and its distance from the link's joint
+    #: Force on the first joint that is a sine of its position: amplitude, period, phase.
     ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
@@ -58,40 +46,24 @@ Mechanism = Callable[[Pair, Pair, Pair], tuple[float, float, float, float, float
 
 @dataclass(frozen=True, kw_only=True)
 class Driven:
-    """A machine with one or two joints as its maker knows it; SI units.
+    """A machine with one or two joints as its maker knows it; SI units."""
 
-    Attributes:
-        model: MJCF of the same machine.
-        joints: Their names; one alone where the second is not there.
-        drives: Names of the drives of the first joints.
-        damping: Viscous, of the joints.
-        reach: Size of the references.
-        gains: Of each drive: of position and velocity.
-        limits: Largest force of each drive.
-        servo: Whether gains are the drives' own and commands are positions.
-    """
-
-    model: Path
-    joints: tuple[str, ...]
-    drives: tuple[str, ...]
-    damping: Pair
-    reach: Pair
-    gains: tuple[Pair, ...]
-    limits: tuple[float, ...]
-    servo: bool = False
+    model: Path  #: MJCF of the same machine
+    joints: tuple[str, ...]  #: Their names; one alone where the second is not there
+    drives: tuple[str, ...]  #: Names of the drives of the first joints
+    damping: Pair  #: Viscous, of the joints
+    reach: Pair  #: Size of the references
+    gains: tuple[Pair, ...]  #: Of each drive: of position and velocity
+    limits: tuple[float, ...]  #: Largest force of each drive
+    servo: bool = False  #: Whether gains are the drives' own and commands are positions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linkage(Driven):
-    """One that moves as a mechanism.
+    """One that moves as a mechanism."""
 
-    Attributes:
-        mechanism: Inertia and weight under a payload.
-        noise: RMS of the encoders' noise.
-    """
-
-    mechanism: Mechanism
-    noise: Pair = (1e-4, 1e-4)
+    mechanism: Mechanism  #: Inertia and weight under a payload
+    noise: Pair = (1e-4, 1e-4)  #: RMS of the encoders' noise
 
 
 def _arm(q: Pair, v: Pair, payload: Pair) -> tuple[float, float, float, float, float]:

@@ -28,21 +28,14 @@ _PRESSURES = {"cap_bar": "%.3f", "rod_bar": "%.3f"}
 
 @dataclass(frozen=True, kw_only=True)
 class RigSettings:
-    """Hidden faults, motions and sensors of the rig.
+    """Hidden faults, motions and sensors of the rig."""
 
-    Attributes:
-        effects: Names of the hidden faults; severities are drawn by the seed.
-        motions: Which recordings to make, of those of `references`.
-        seconds: Length of each [s].
-        pressures: Whether the rig has pressure sensors.
-        seed: Of everything random.
-    """
-
-    effects: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()  #: Names of the hidden faults; severities are drawn by the seed
+    #: Which recordings to make, of those of `references`.
     motions: tuple[str, ...] = ("multisine", "slow", "walk")
-    seconds: float = 6.0
-    pressures: bool = True
-    seed: int = 0
+    seconds: float = 6.0  #: Length of each [s]
+    pressures: bool = True  #: Whether the rig has pressure sensors
+    seed: int = 0  #: Of everything random
 
 
 def record(settings: RigSettings) -> tuple[dict[str, Recording], tuple[HiddenValue, ...]]:

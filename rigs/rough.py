@@ -25,21 +25,14 @@ KINDS = ("multisine", "fast", "slow", "stairs")
 
 @dataclass(frozen=True, kw_only=True)
 class RoughRig(Driven):
-    """One of links in a vertical plane.
+    """One of links in a vertical plane."""
 
-    Attributes:
-        links: Mass, distance of its centre from the joint and inertia about the centre, by link.
-        length: From the first joint to the second.
-        armature: By joint, as all that follows.
-        coulomb: Dry friction.
-        torque: What the joint usually bears; faults and small irregularities are shares of it.
-    """
-
+    #: Mass, distance of its centre from the joint and inertia about the centre, by link.
     links: tuple[tuple[float, float, float], ...]
-    length: float
-    armature: Pair
-    coulomb: Pair
-    torque: Pair
+    length: float  #: From the first joint to the second
+    armature: Pair  #: By joint, as all that follows
+    coulomb: Pair  #: Dry friction
+    torque: Pair  #: What the joint usually bears; faults and small irregularities are shares of it
 
 
 ROUGH_ARM = RoughRig(

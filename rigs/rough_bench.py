@@ -24,17 +24,12 @@ SIZES = ("gross", "visible")
 
 @dataclass(frozen=True, kw_only=True)
 class RoughBench:
-    """One specimen.
+    """One specimen."""
 
-    Attributes:
-        values: Parameters of the simulator that are not nominal, by name; SI units.
-        position_noise: rad rms.
-        pressure_noise: Pa rms.
-    """
-
+    #: Parameters of the simulator that are not nominal, by name; SI units.
     values: Mapping[str, float] = field(default_factory=dict)
-    position_noise: float = 2e-5
-    pressure_noise: float = 1.5e4
+    position_noise: float = 2e-5  #: rad rms
+    pressure_noise: float = 1.5e4  #: Pa rms
 
     def __getitem__(self, name: str) -> float:
         return self.values.get(name, NOMINAL[name])
@@ -187,23 +182,14 @@ Change = Callable[[RoughBench, float, np.random.Generator], Changed]
 
 @dataclass(frozen=True)
 class RoughFault:
-    """A fault of the bench, of a size that is drawn log-uniform.
+    """A fault of the bench, of a size that is drawn log-uniform."""
 
-    Attributes:
-        visible: Size that is just visible on a rough specimen.
-        low: From here on gross.
-        high: Largest; smaller than the others where a smaller value is worse.
-        change: The bench with it, and its true value as the diagnosis would call it.
-        signed: Whether either sign is drawn.
-        effect: What the diagnosis calls it, where that is not the fault's own name.
-    """
-
-    visible: float
-    low: float
-    high: float
-    change: Change
-    signed: bool = False
-    effect: str = ""
+    visible: float  #: Size that is just visible on a rough specimen
+    low: float  #: From here on gross
+    high: float  #: Largest; smaller than the others where a smaller value is worse
+    change: Change  #: The bench with it, and its true value as the diagnosis would call it
+    signed: bool = False  #: Whether either sign is drawn
+    effect: str = ""  #: What the diagnosis calls it, where that is not the fault's own name
 
     def draw(self, rng: np.random.Generator, sizes: str) -> float:
         """A size; `sizes` is "gross", or "visible" for everything from just visible on."""
@@ -404,7 +390,7 @@ FAULTS: dict[str, RoughFault] = {
 
 
 def effect_of(fault: str) -> str:
-    """What the diagnosis calls a fault."""
+    """Effect by which a diagnosis names a fault."""
     return FAULTS[fault].effect or fault
 
 
@@ -455,17 +441,11 @@ def record(
 
 @dataclass(frozen=True, kw_only=True)
 class RoughCase:
-    """Recordings of one specimen before and with its faults.
+    """Recordings of one specimen before and with its faults."""
 
-    Attributes:
-        recordings: With the faults.
-        healthy: Before; of other references.
-        severities: True sizes of the faults.
-    """
-
-    recordings: dict[str, Recording]
-    healthy: dict[str, Recording]
-    severities: tuple[HiddenValue, ...]
+    recordings: dict[str, Recording]  #: With the faults
+    healthy: dict[str, Recording]  #: Before; of other references
+    severities: tuple[HiddenValue, ...]  #: True sizes of the faults
 
 
 def rough_case(

@@ -22,33 +22,19 @@ _FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A machine with one joint as its maker knows it; SI units, N m and rad on a hinge.
+    """A machine with one joint as its maker knows it; SI units, N m and rad on a hinge."""
 
-    Attributes:
-        model: MJCF of the same machine.
-        joint: Name of the joint.
-        load: Inertia of the moved body.
-        motor: Inertia of the motor, reflected.
-        pull: Gravity at a right angle, m g l.
-        viscous: Damping.
-        coulomb: Dry friction.
-        limit: Largest motor force.
-        reach: Size of the references.
-        gains: Of the PD loop.
-        noise: RMS of the encoder's noise.
-    """
-
-    model: Path
-    joint: str
-    load: float
-    motor: float
-    pull: float
-    viscous: float
-    coulomb: float
-    limit: float
-    reach: float
-    gains: tuple[float, float]
-    noise: float
+    model: Path  #: MJCF of the same machine
+    joint: str  #: Name of the joint
+    load: float  #: Inertia of the moved body
+    motor: float  #: Inertia of the motor, reflected
+    pull: float  #: Gravity at a right angle, m g l
+    viscous: float  #: Damping
+    coulomb: float  #: Dry friction
+    limit: float  #: Largest motor force
+    reach: float  #: Size of the references
+    gains: tuple[float, float]  #: Of the PD loop
+    noise: float  #: RMS of the encoder's noise
 
 
 SLIDE_AXIS = Rig(
@@ -81,29 +67,19 @@ PENDULUM = Rig(
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What the machine has and its model lacks.
+    """Effects that the machine has and its model lacks."""
 
-    Attributes:
-        forward: Viscous friction that is added for v > 0.
-        backward: The same for v < 0.
-        offset: Constant force.
-        gear_loss: Friction per motor force, in the bearing of the gear.
-        play: Total backlash.
-        soft: Stiffness and damping of the gear or coupling between motor and load; 0 = rigid.
-        viscous_factor: Of the damping, a tolerance of good machines.
-        ripple: Force that is a sine of the position: amplitude, period, phase.
-        second: Amplitude of its second harmonic, of the first.
-    """
-
-    forward: float = 0.0
-    backward: float = 0.0
-    offset: float = 0.0
-    gear_loss: float = 0.0
-    play: float = 0.0
+    forward: float = 0.0  #: Viscous friction that is added for v > 0
+    backward: float = 0.0  #: The same for v < 0
+    offset: float = 0.0  #: Constant force
+    gear_loss: float = 0.0  #: Friction per motor force, in the bearing of the gear
+    play: float = 0.0  #: Total backlash
+    #: Stiffness and damping of the gear or coupling between motor and load; 0 = rigid.
     soft: tuple[float, float] = (0.0, 0.0)
-    viscous_factor: float = 1.0
+    viscous_factor: float = 1.0  #: Of the damping, a tolerance of good machines
+    #: Force that is a sine of the position: amplitude, period, phase.
     ripple: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    second: float = 0.0
+    second: float = 0.0  #: Amplitude of its second harmonic, of the first
 
 
 def _reference(kind: str, t: float, reach: float) -> float:

@@ -41,7 +41,7 @@ _RANKED = 5  # effects of the screening that are kept
 
 @dataclass(frozen=True, kw_only=True)
 class RoughTestSettings:
-    """What is hidden where."""
+    """Effects that are hidden, and their places."""
 
     rough: bool = True  #: Rough specimens; else exact ones
     sizes: str = "gross"  #: "gross", or "visible" for everything from just visible to gross

@@ -18,19 +18,12 @@ LAST, MARGIN = 5, 0.10
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """What one measurement gave.
+    """Result of one measurement."""
 
-    Attributes:
-        commit: Of the checkout, with "+" where code was changed.
-        date: Day.
-        machine: Processor and number of cores.
-        ratios: Medians by name.
-    """
-
-    commit: str
-    date: str
-    machine: str
-    ratios: dict[str, float]
+    commit: str  #: Of the checkout, with "+" where code was changed
+    date: str  #: Day
+    machine: str  #: Processor and number of cores
+    ratios: dict[str, float]  #: Medians by name
 
 
 def this_machine() -> str:

@@ -8,20 +8,13 @@ from leglab.report.page.shell import Table, render
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """A section of the page.
+    """A section of the page."""
 
-    Attributes:
-        name: For links within the page.
-        title: Its heading.
-        tables: What is seen at once; those without rows are left out.
-        text: A sentence or two above them.
-        folds: What can be opened: title, text, tables.
-    """
-
-    name: str
-    title: str
-    tables: Sequence[Table] = ()
-    text: str = ""
+    name: str  #: For links within the page
+    title: str  #: Its heading
+    tables: Sequence[Table] = ()  #: What is seen at once; those without rows are left out
+    text: str = ""  #: A sentence or two above them
+    #: What can be opened: title, text, tables.
     folds: Sequence[tuple[str, str, Sequence[Table]]] = ()
 
 

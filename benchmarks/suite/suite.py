@@ -36,24 +36,15 @@ PARTS = tuple(one for one in BENCHMARKS.values() if one.quick is not None)
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """A figure of leglab over one of a peer, or over what is asked.
+    """A figure of leglab over one of a peer, or over what is asked."""
 
-    Attributes:
-        name: For files.
-        title: What over what.
-        part: Script that measures it.
-        value: Of the script's results.
-        better: Whether it is better low or high.
-        asked: What it must reach.
-        absolute: Whether it depends on the machine, and is compared on the same one only.
-    """
-
-    name: str
-    title: str
-    part: str
-    value: Callable[[Any], float]
-    better: Literal["low", "high"]
-    asked: float | None = None
+    name: str  #: For files
+    title: str  #: What over what
+    part: str  #: Script that measures it
+    value: Callable[[Any], float]  #: Of the script's results
+    better: Literal["low", "high"]  #: Whether it is better low or high
+    asked: float | None = None  #: What it must reach
+    #: Whether it depends on the machine, and is compared on the same one only.
     absolute: bool = False
 
     def met(self, value: float) -> bool | None:
@@ -235,7 +226,7 @@ RATIOS = tuple(
 
 
 def machine() -> dict[str, Any]:
-    """What the benchmark runs on; JSON can hold it."""
+    """Machine that the benchmark runs on, as JSON can hold it."""
     names = [
         line.partition(":")[2].strip()
         for line in _text(Path("/proc/cpuinfo")).splitlines()
@@ -258,19 +249,13 @@ def _text(path: Path) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """What one call of a part gave.
+    """Result of one call of a part."""
 
-    Attributes:
-        part: Its name.
-        record: As `benchmarks/results.py` keeps it; empty where it failed.
-        tables: What it printed, Markdown.
-        problem: Why it failed, one line.
-    """
-
-    part: str
+    part: str  #: Its name
+    #: As `benchmarks/results.py` keeps it; empty where it failed.
     record: dict[str, Any] = field(default_factory=dict)
-    tables: str = ""
-    problem: str = ""
+    tables: str = ""  #: What it printed, Markdown
+    problem: str = ""  #: Why it failed, one line
 
 
 def chosen_parts(names: Sequence[str] | None) -> list[Benchmark]:
@@ -351,7 +336,7 @@ def _call(part: Benchmark, options: Sequence[str], file: Path) -> Measured:
 
 
 def stored(parts: Sequence[Benchmark]) -> list[Measured]:
-    """What docs/data keeps of the parts, with their tables."""
+    """Results of the parts in docs/data, with their tables."""
     tables, found = kept_tables(), []
     for part in parts:
         kept = _kept(part.name, part.file) if part.file.is_file() else None
@@ -370,15 +355,10 @@ def kept_tables() -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """A ratio as it was measured.
+    """A ratio as it was measured."""
 
-    Attributes:
-        ratio: Which one.
-        values: Of each call.
-    """
-
-    ratio: Ratio
-    values: tuple[float, ...]
+    ratio: Ratio  #: Which one
+    values: tuple[float, ...]  #: Of each call
 
     @property
     def median(self) -> float:

@@ -5,19 +5,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause that has several names.
+    """A cause that has several names."""
 
-    Attributes:
-        live: Its name as a scenario, and while driving.
-        effect: Its name in a diagnosis.
-        attributes: Attributes of the MJCF elements that it changes.
-        size: How a size while driving becomes the values of a diagnosis.
-    """
-
-    live: str
-    effect: str
-    attributes: str
-    size: str
+    live: str  #: Its name as a scenario, and while driving
+    effect: str  #: Its name in a diagnosis
+    attributes: str  #: Attributes of the MJCF elements that it changes
+    size: str  #: How a size while driving becomes the values of a diagnosis
 
 
 CAUSES = tuple(Cause(*row) for row in (

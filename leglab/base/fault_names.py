@@ -19,49 +19,33 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 
 
 class FaultRival(BaseModel):
-    """A fault that may be the one in place of what is named.
+    """A fault that may be the one in place of what is named."""
 
-    Attributes:
-        fault: Its name.
-        element: Joint, or "all".
-        size: In the fault's own unit.
-        confidence: Its probability among all of the bank [1].
-    """
-
-    fault: Name
-    element: Name
-    size: FiniteFloat
-    confidence: FiniteFloat
+    fault: Name  #: Its name
+    element: Name  #: Joint, or "all"
+    size: FiniteFloat  #: In the fault's own unit
+    confidence: FiniteFloat  #: Its probability among all of the bank [1]
 
 
 class NamedFault(BaseModel):
-    """A fault by its name, as a controller tells it at one time.
+    """A fault by its name, as a controller tells it at one time."""
 
-    Attributes:
-        time: When it was said first [s].
-        fault: Its name in the bank, "oil_temperature", or "unknown change".
-        element: Joint whose cylinder or spring has it, or "all"; joints by commas where unknown.
-        size: In the fault's own unit; None where unknown.
-        low: Lower end of the size's 90 % interval; of a condition that joints differ in, the
-            lowest.
-        high: Upper end; the highest.
-        meaning: What the size says, with its unit.
-        confidence: Probability of fault and element among all of the bank [1]; of an unknown
-            change, the share of the squared error that the best fault of the bank leaves.
-        explained: Share of the weighted squared error beyond a sound machine's that it takes away
-            [1]; of an unknown change, what the best fault would.
-        rivals: Faults that are hardly less probable, the most probable first.
-    """
-
-    time: FiniteFloat
-    fault: Name
+    time: FiniteFloat  #: When it was said first [s]
+    fault: Name  #: Its name in the bank, "oil_temperature", or "unknown change"
+    #: Joint whose cylinder or spring has it, or "all"; joints by commas where unknown.
     element: Name
-    size: FiniteFloat | None = None
+    size: FiniteFloat | None = None  #: In the fault's own unit; None where unknown
+    #: Lower end of the size's 90 % interval; of a condition that joints differ in, the lowest.
     low: FiniteFloat | None = None
-    high: FiniteFloat | None = None
-    meaning: str = ""
+    high: FiniteFloat | None = None  #: Upper end; the highest
+    meaning: str = ""  #: What the size says, with its unit
+    #: Probability of fault and element among all of the bank [1]; of an unknown change, the share
+    #: of the squared error that the best fault of the bank leaves.
     confidence: FiniteFloat
+    #: Share of the weighted squared error beyond a sound machine's that it takes away [1]; of an
+    #: unknown change, what the best fault would.
     explained: FiniteFloat
+    #: Faults that are hardly less probable, the most probable first.
     rivals: list[FaultRival] = Field(default_factory=list)
 
     @property
@@ -105,27 +89,20 @@ def _place(element: str) -> str:
 
 
 class FaultName(NamedFault):
-    """Name of a change at once.
+    """Name of a change at once."""
 
-    Attributes:
-        onset: When the change began [s].
-        undoes: Onset of the change that this one takes back, all or in part [s]; None of a new one.
-    """
-
-    onset: FiniteFloat
+    onset: FiniteFloat  #: When the change began [s]
+    #: Onset of the change that this one takes back, all or in part [s]; None of a new one.
     undoes: FiniteFloat | None = None
 
 
 class FaultEvent(BaseModel):
-    """A change and what was said of it.
+    """A change and what was said of it."""
 
-    Attributes:
-        names: In the order in which they were said; a name follows where fault or element differ
-            from the last one's, and the last one, in force, is kept up to date.
-        withdrawn: When the last name was taken back [s]; None if it stands.
-    """
-
+    #: In the order in which they were said; a name follows where fault or element differ from the
+    #: last one's, and the last one, in force, is kept up to date.
     names: Annotated[list[FaultName], Field(min_length=1)]
+    #: When the last name was taken back [s]; None if it stands.
     withdrawn: FiniteFloat | None = None
 
     def short(self) -> str:
@@ -151,31 +128,23 @@ class FaultEvent(BaseModel):
 
 
 class FaultTrend(NamedFault):
-    """A slow change of the machine.
+    """A slow change of the machine."""
 
-    Attributes:
-        condition: Whether a sound machine passes through it, as through temperatures of the oil.
-        since: When it began [s].
-        seen: When it was looked at last, and had its size [s].
-        rate: Growth of the size in an hour; None where too few looks show it.
-        rate_low: Lower end of its 90 % interval.
-        rate_high: Upper end.
-        end_of_life: Size at which the part is worn out; None for a condition.
-        remaining: Until the line of the sizes is there, from `seen` on [s]; None where it is not
-            on its way there.
-        remaining_low: Lower end of its 90 % interval [s].
-        remaining_high: Upper end; None where growth may as well have ended.
-    """
-
+    #: Whether a sound machine passes through it, as through temperatures of the oil.
     condition: bool = False
-    since: FiniteFloat
-    seen: FiniteFloat
+    since: FiniteFloat  #: When it began [s]
+    seen: FiniteFloat  #: When it was looked at last, and had its size [s]
+    #: Growth of the size in an hour; None where too few looks show it.
     rate: FiniteFloat | None = None
-    rate_low: FiniteFloat | None = None
-    rate_high: FiniteFloat | None = None
+    rate_low: FiniteFloat | None = None  #: Lower end of its 90 % interval
+    rate_high: FiniteFloat | None = None  #: Upper end
+    #: Size at which the part is worn out; None for a condition.
     end_of_life: FiniteFloat | None = None
+    #: Until the line of the sizes is there, from `seen` on [s]; None where it is not on its way
+    #: there.
     remaining: FiniteFloat | None = None
-    remaining_low: FiniteFloat | None = None
+    remaining_low: FiniteFloat | None = None  #: Lower end of its 90 % interval [s]
+    #: Upper end; None where growth may as well have ended.
     remaining_high: FiniteFloat | None = None
 
     def short(self) -> str:

@@ -100,17 +100,11 @@ class Registry(Generic[Entry]):
 
 @dataclass(frozen=True, kw_only=True)
 class Configured(Generic[Entry]):
-    """An entry that is made from settings.
+    """An entry that is made from settings."""
 
-    Attributes:
-        factory: Makes it.
-        summary: One line for listings.
-        configuration: The settings that the factory takes.
-    """
-
-    factory: Entry
-    summary: str
-    configuration: type[Configuration]
+    factory: Entry  #: Makes it
+    summary: str  #: One line for listings
+    configuration: type[Configuration]  #: The settings that the factory takes
 
 
 class FactoryRegistry(Registry[Configured[Entry]]):

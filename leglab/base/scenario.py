@@ -85,17 +85,11 @@ class ParameterChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Phase:
-    """A named part of a run.
+    """A named part of a run."""
 
-    Attributes:
-        name: "whole", or "before", "during" and "after" a change.
-        start: First time [s].
-        end: Last time [s], not included where another phase follows.
-    """
-
-    name: str
-    start: float
-    end: float
+    name: str  #: "whole", or "before", "during" and "after" a change
+    start: float  #: First time [s]
+    end: float  #: Last time [s], not included where another phase follows
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,21 +73,13 @@ def validate_configuration(
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A setting as listings show it.
+    """A setting as listings show it."""
 
-    Attributes:
-        name: As `--set` takes it after the section; that of a part after the part's and a dot.
-        default: As text; "required" without one.
-        allowed: Bounds or choices, "" where the type is all.
-        unit: "" without one.
-        meaning: From the docs of its class.
-    """
-
-    name: str
-    default: str
-    allowed: str
-    unit: str
-    meaning: str
+    name: str  #: As `--set` takes it after the section; that of a part after the part's and a dot
+    default: str  #: As text; "required" without one
+    allowed: str  #: Bounds or choices, "" where the type is all
+    unit: str  #: "" without one
+    meaning: str  #: From the docs of its class
 
 
 def documented_settings(model: type[Configuration]) -> tuple[Setting, ...]:
@@ -130,7 +122,7 @@ def documented_units(owner: type) -> dict[str, str]:
 
 
 def _meanings(owner: type) -> dict[str, str]:
-    """What the docs of a class and its bases say of each attribute, on one line."""
+    """Description of each attribute from the docs of a class and its bases, on one line."""
     found: dict[str, str] = {}
     for base in reversed(owner.__mro__):
         if not base.__module__.startswith("pydantic"):

@@ -34,25 +34,17 @@ from leglab.machine.simulation import Simulation
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint:
-    """The plant of one joint around a pose and a piston speed, sampled.
+    """The plant of one joint around a pose and a piston speed, sampled."""
 
-    Attributes:
-        a: State matrix with the measurement's memory, (9, 9).
-        b: Of the spool command, (9, 1).
-        disturbance: Of a force on the piston against extension, in shares of the force at supply
-            pressure, (9, 1).
-        c: To piston position and both pressures, as measured, (3, 9).
-        spool_per_speed: Of the inverted valve [s/m].
-        spool_per_force: Change of spool per unit of phi [1/m], by the pressures at the valve.
-        spool_per_sum: Change of spool with the measured pressures by their sum mode, (2,) [1/Pa].
-    """
-
-    a: np.ndarray
-    b: np.ndarray
+    a: np.ndarray  #: State matrix with the measurement's memory, (9, 9)
+    b: np.ndarray  #: Of the spool command, (9, 1)
+    #: Of a force on the piston against extension, in shares of the force at supply pressure, (9,
+    #: 1).
     disturbance: np.ndarray
-    c: np.ndarray
-    spool_per_speed: float
-    spool_per_force: float
+    c: np.ndarray  #: To piston position and both pressures, as measured, (3, 9)
+    spool_per_speed: float  #: Of the inverted valve [s/m]
+    spool_per_force: float  #: Change of spool per unit of phi [1/m], by the pressures at the valve
+    #: Change of spool with the measured pressures by their sum mode, (2,) [1/Pa].
     spool_per_sum: np.ndarray
 
 

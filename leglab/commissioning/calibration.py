@@ -20,17 +20,11 @@ POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
 
 @dataclass(frozen=True, kw_only=True)
 class ValveMap:
-    """Steady command against position and velocity of one joint: of a valve or a native actuator.
+    """Steady command against position and velocity of one joint: of a valve or a native actuator."""
 
-    Attributes:
-        position: Joint positions [rad], increasing, shape (p,).
-        velocity: Joint velocities [rad/s], increasing, shape (v,).
-        command: Commands in [-1, 1], shape (p, v).
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    command: np.ndarray
+    position: np.ndarray  #: Joint positions [rad], increasing, shape (p,)
+    velocity: np.ndarray  #: Joint velocities [rad/s], increasing, shape (v,)
+    command: np.ndarray  #: Commands in [-1, 1], shape (p, v)
 
 
 def drive_signs(simulation: Simulation) -> np.ndarray:

@@ -24,19 +24,12 @@ Gains = TypeVar("Gains")
 
 @dataclass(frozen=True, kw_only=True)
 class GainsFile:
-    """A file of tuned gains beside this module.
+    """A file of tuned gains beside this module."""
 
-    Attributes:
-        path: The file.
-        head: What its comment says.
-        timing: Fields of the sensors that the gains are tuned for.
-        formats: How a row has each figure, by name.
-    """
-
-    path: Path
-    head: Sequence[str]
-    timing: Sequence[str]
-    formats: Mapping[str, str]
+    path: Path  #: The file
+    head: Sequence[str]  #: What its comment says
+    timing: Sequence[str]  #: Fields of the sensors that the gains are tuned for
+    formats: Mapping[str, str]  #: How a row has each figure, by name
 
     def table(
         self, simulation: Simulation, sensors: SensorConfiguration, rows: Sequence[Row]
@@ -90,14 +83,11 @@ class GainsFile:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerGains(GainsFile, Generic[Gains]):
-    """Gains of a controller: stored for the shipped models, tuned when asked for others.
+    """Gains of a controller: stored for the shipped models, tuned when asked for others."""
 
-    Attributes:
-        kind: What the controller takes: a dataclass with an array (joints,) a field.
-        tune: Tunes a machine that is named, and changes its positions; a row a joint.
-    """
-
+    #: What the controller takes: a dataclass with an array (joints,) a field.
     kind: Callable[..., Gains]
+    #: Tunes a machine that is named, and changes its positions; a row a joint.
     tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
 
     def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> Gains:

@@ -173,20 +173,16 @@ class NominalMachine:
 
 @dataclass(frozen=True, kw_only=True)
 class Foreknowledge:
-    """Knowledge that no real controller has: for controllers that serve as a yardstick only.
+    """Knowledge that no real controller has: for controllers that serve as a yardstick only."""
 
-    Attributes:
-        first_change: When the machine begins to change [s]; infinite if it never does.
-        last_change: When its last change begins [s].
-        bench_runs: Makes recordings of the machine before and after its changes; None without a
-            machine that could be recorded.
-        exact_commands: Finds the valve commands that the machine of the run needs for its
-            reference, (periods, joints); None as above.
-    """
-
+    #: When the machine begins to change [s]; infinite if it never does.
     first_change: float = math.inf
-    last_change: float = math.inf
+    last_change: float = math.inf  #: When its last change begins [s]
+    #: Makes recordings of the machine before and after its changes; None without a machine that
+    #: could be recorded.
     bench_runs: Callable[[], Any] | None = None
+    #: Finds the valve commands that the machine of the run needs for its reference, (periods,
+    #: joints); None as above.
     exact_commands: Callable[[], np.ndarray] | None = None
 
 
@@ -316,7 +312,7 @@ def make_controller(
 
 
 def diagnostics_of(controller: Controller) -> dict[str, np.ndarray]:
-    """What a controller reports of the last period; nothing where it reports nothing."""
+    """Returns the diagnostics of the last period; empty where a controller has none."""
     report = getattr(controller, "diagnostics", None)
     return {} if report is None else report()
 

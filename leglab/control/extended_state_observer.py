@@ -16,20 +16,15 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class DisturbanceGains:
-    """Tuning of `DisturbanceRejection`, one value a joint.
+    """Tuning of `DisturbanceRejection`, one value a joint."""
 
-    Attributes:
-        control_bandwidth: omega_c, with which an error decays [rad/s], (joints,).
-        observer_bandwidth: omega_o, of all poles of the observer [rad/s], (joints,).
-        plant_gain: b_0, what a command gives the calibrated joint, (joints,): speed [rad/s] where
-            the order is 1, acceleration [rad/s^2] where it is 2.
-        order: How often a joint integrates its command, (joints,): 1 behind a valve, which gives a
-            flow, 2 behind a native actuator, which gives a force.
-    """
-
-    control_bandwidth: np.ndarray
-    observer_bandwidth: np.ndarray
+    control_bandwidth: np.ndarray  #: omega_c, with which an error decays [rad/s], (joints,)
+    observer_bandwidth: np.ndarray  #: omega_o, of all poles of the observer [rad/s], (joints,)
+    #: b_0, what a command gives the calibrated joint, (joints,): speed [rad/s] where the order is
+    #: 1, acceleration [rad/s^2] where it is 2.
     plant_gain: np.ndarray
+    #: How often a joint integrates its command, (joints,): 1 behind a valve, which gives a flow, 2
+    #: behind a native actuator, which gives a force.
     order: np.ndarray
 
 

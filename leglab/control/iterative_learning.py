@@ -27,17 +27,13 @@ _TRANSFORM = 1 << 14
 
 @dataclass(frozen=True, kw_only=True)
 class LearningFilter:
-    """Tuning of `IterativeLearning`, one value a joint.
+    """Tuning of `IterativeLearning`, one value a joint."""
 
-    Attributes:
-        cutoff: Frequency up to which the Q-filter passes everything; from twice it on it passes
-            nothing [rad/s], (joints,).
-        lead: d, delay of the plant that is made good [s], (joints,).
-        speed_per_command: b_0, speed that a command gives the calibrated joint [rad/s], (joints,).
-    """
-
+    #: Frequency up to which the Q-filter passes everything; from twice it on it passes nothing
+    #: [rad/s], (joints,).
     cutoff: np.ndarray
-    lead: np.ndarray
+    lead: np.ndarray  #: d, delay of the plant that is made good [s], (joints,)
+    #: b_0, speed that a command gives the calibrated joint [rad/s], (joints,).
     speed_per_command: np.ndarray
 
 

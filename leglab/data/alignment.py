@@ -14,19 +14,13 @@ _GAP = 3.5
 
 @dataclass(frozen=True, eq=False)
 class TopicSeries:
-    """The numbers of one topic.
+    """The numbers of one topic."""
 
-    Attributes:
-        topic: The topic.
-        stamps: Time of each message [ns]. Shape (m,), int64.
-        columns: Numbers by column name, NaN where a message has none. Each of shape (m,).
-        stamped_by: "header" or "log".
-    """
-
-    topic: str
-    stamps: np.ndarray
+    topic: str  #: The topic
+    stamps: np.ndarray  #: Time of each message [ns]. Shape (m,), int64.
+    #: Numbers by column name, NaN where a message has none. Each of shape (m,).
     columns: Mapping[str, np.ndarray]
-    stamped_by: str
+    stamped_by: str  #: "header" or "log"
 
     @property
     def span(self) -> str:

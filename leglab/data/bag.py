@@ -23,19 +23,14 @@ METADATA_NAME = "leglab"
 
 @dataclass
 class Bag:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        schemas: Message definitions by id.
-        channels: Channels by id; several may share a topic.
-        messages: Raw messages of supported types, in file order.
-        metadata: Of the recording, if it was written here.
-    """
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)  #: Message definitions by id
+    #: Channels by id; several may share a topic.
     channels: dict[int, Channel] = field(default_factory=dict)
+    #: Raw messages of supported types, in file order.
     messages: list[Message] = field(default_factory=list)
-    metadata: dict = field(default_factory=dict)
+    metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
 
     def kind(self, channel: Channel) -> str:
         """Returns the type of a channel's messages."""

@@ -22,22 +22,15 @@ _FATAL = frozenset({"empty", "no_time", "missing_time", "repeated_time", "revers
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong with a table.
+    """One thing that is wrong with a table."""
 
-    Attributes:
-        kind: "empty", "no_time", "missing_time", "repeated_time", "repeated_row",
-            "reversed_time", "gap", "nan_run", "infinite" or "constant".
-        column: The column.
-        row: The first row, from 0.
-        count: How many rows it covers.
-        message: One line with the row, the column, the value and what is usual.
-    """
-
+    #: "empty", "no_time", "missing_time", "repeated_time", "repeated_row", "reversed_time", "gap",
+    #: "nan_run", "infinite" or "constant".
     kind: str
-    column: str
-    row: int
-    count: int
-    message: str
+    column: str  #: The column
+    row: int  #: The first row, from 0
+    count: int  #: How many rows it covers
+    message: str  #: One line with the row, the column, the value and what is usual
 
     @property
     def fatal(self) -> bool:

@@ -38,19 +38,15 @@ class _MapFile(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnMap:
-    """Names and units of a foreign recording.
+    """Names and units of a foreign recording."""
 
-    Attributes:
-        rules: Name and conversion of columns by name in the recording; other columns stay.
-        source: Where the map came from, for messages.
-        clock: MCAP alone: the JointState topic whose stamps become the time axis. None: the only
-            one, or `/joint_states`.
-        stamps: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
-    """
-
+    #: Name and conversion of columns by name in the recording; other columns stay.
     rules: Mapping[str, ColumnRule] = field(default_factory=dict)
-    source: str = "column map"
+    source: str = "column map"  #: Where the map came from, for messages
+    #: MCAP alone: the JointState topic whose stamps become the time axis. None: the only one, or
+    #: `/joint_states`.
     clock: str | None = None
+    #: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
     stamps: Literal["header", "log"] = "header"
 
     def __post_init__(self) -> None:

@@ -12,46 +12,27 @@ from leglab.data.checks import Finding, inspect
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """One column.
+    """One column."""
 
-    Attributes:
-        name: The column.
-        unit: Its unit, "" where nothing is known.
-        smallest: Smallest finite sample; None without one.
-        largest: Largest finite sample; None without one.
-        missing: Samples that are no finite numbers.
-    """
-
-    name: str
-    unit: str
-    smallest: float | None
-    largest: float | None
-    missing: int
+    name: str  #: The column
+    unit: str  #: Its unit, "" where nothing is known
+    smallest: float | None  #: Smallest finite sample; None without one
+    largest: float | None  #: Largest finite sample; None without one
+    missing: int  #: Samples that are no finite numbers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """A table as it was read, unrepaired.
+    """A table as it was read, unrepaired."""
 
-    Attributes:
-        samples: Rows.
-        start: First finite time [s]; None without one.
-        duration: From the first to the last finite time [s]; None without one.
-        period: Median interval [s]; None where time does not go forward.
-        rate: Its inverse [Hz].
-        columns: The columns without the time.
-        findings: Errors in the data, see `leglab.data.inspect`.
-        metadata: Of the file.
-    """
-
-    samples: int
-    start: float | None
-    duration: float | None
-    period: float | None
-    rate: float | None
-    columns: tuple[ColumnSummary, ...]
-    findings: tuple[Finding, ...]
-    metadata: Mapping[str, Any]
+    samples: int  #: Rows
+    start: float | None  #: First finite time [s]; None without one
+    duration: float | None  #: From the first to the last finite time [s]; None without one
+    period: float | None  #: Median interval [s]; None where time does not go forward
+    rate: float | None  #: Its inverse [Hz]
+    columns: tuple[ColumnSummary, ...]  #: The columns without the time
+    findings: tuple[Finding, ...]  #: Errors in the data, see `leglab.data.inspect`
+    metadata: Mapping[str, Any]  #: Of the file
 
     @property
     def gaps(self) -> tuple[Finding, ...]:

@@ -20,16 +20,13 @@ Draw = Callable[[np.random.RandomState], Mapping[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One episode.
+    """One episode."""
 
-    Attributes:
-        settings: Of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
-        onset: When the first change begins [s]; None for the scenario's own time.
-        drawn: Whether the scenario was drawn: one that changes nothing then has no onset.
-    """
-
+    #: Of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
     settings: RunSettings
+    #: When the first change begins [s]; None for the scenario's own time.
     onset: float | None = None
+    #: Whether the scenario was drawn: one that changes nothing then has no onset.
     drawn: bool = False
 
     def scenario(self) -> Scenario:

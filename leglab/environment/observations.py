@@ -16,17 +16,11 @@ _COMMANDS = ("previous_command", "controller_command")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scale:
-    """Scale of one part of an observation: (value - offset) / unit, clipped to [-limit, limit].
+    """Scale of one part of an observation: (value - offset) / unit, clipped to [-limit, limit]."""
 
-    Attributes:
-        offset: In the unit of the part, float32, (size,) or () for all alike.
-        unit: Value above the offset that becomes 1, as offset.
-        limit: [1], as offset.
-    """
-
-    offset: np.ndarray
-    unit: np.ndarray
-    limit: np.ndarray | float
+    offset: np.ndarray  #: In the unit of the part, float32, (size,) or () for all alike
+    unit: np.ndarray  #: Value above the offset that becomes 1, as offset
+    limit: np.ndarray | float  #: [1], as offset
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Scales values in SI units, (..., size); float32, in which a batch reckons as well."""

@@ -21,30 +21,20 @@ PREVIEW = (0.02, 0.05, 0.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """Settings of an environment or a batch of them.
+    """Settings of an environment or a batch of them."""
 
-    Attributes:
-        preparation: Of the runs.
-        base: The episode to vary.
-        periods: Control periods of an episode.
-        residual_scale: Valve command that an action of 1 adds to the controller's; None without a
-            controller.
-        cylinders: Data sheets, where an action is a torque; None where it is a valve command.
-        reward: Of a transition.
-        ahead: Control periods ahead of now at which the observation shows the reference, (n,).
-        error_limit: True error of a joint [rad] beyond which an episode terminates.
-        normalize: Whether observations are scaled to about one.
-    """
-
-    preparation: Preparation
-    base: Episode
-    periods: int
+    preparation: Preparation  #: Of the runs
+    base: Episode  #: The episode to vary
+    periods: int  #: Control periods of an episode
+    #: Valve command that an action of 1 adds to the controller's; None without a controller.
     residual_scale: float | None
+    #: Data sheets, where an action is a torque; None where it is a valve command.
     cylinders: NominalCylinders | None
-    reward: Reward
+    reward: Reward  #: Of a transition
+    #: Control periods ahead of now at which the observation shows the reference, (n,).
     ahead: np.ndarray
-    error_limit: float
-    normalize: bool
+    error_limit: float  #: True error of a joint [rad] beyond which an episode terminates
+    normalize: bool  #: Whether observations are scaled to about one
 
     @property
     def period(self) -> float:

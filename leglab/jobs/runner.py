@@ -46,21 +46,13 @@ class TimedOutError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Terms:
-    """On what terms processes work; JSON can hold them.
+    """On what terms processes work; JSON can hold them."""
 
-    Attributes:
-        work: Name of the function that they call, of `leglab.jobs.work.name_of`.
-        luggage: What plug-ins they load.
-        code: Digest of leglab's code that they must have.
-        timeout: Wall time that a piece of work may take [s].
-        memory: Memory that a process may take [MB]; None without a limit.
-    """
-
-    work: str
-    luggage: plugins.Carried
-    code: str
-    timeout: float
-    memory: float | None
+    work: str  #: Name of the function that they call, of `leglab.jobs.work.name_of`
+    luggage: plugins.Carried  #: What plug-ins they load
+    code: str  #: Digest of leglab's code that they must have
+    timeout: float  #: Wall time that a piece of work may take [s]
+    memory: float | None  #: Memory that a process may take [MB]; None without a limit
 
 
 class Runner:

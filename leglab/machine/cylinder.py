@@ -30,17 +30,11 @@ CONTINUOUS_STATES = (
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyState:
-    """Valve and pressures at a steady piston speed.
+    """Valve and pressures at a steady piston speed."""
 
-    Attributes:
-        spool: Relative spool position, in [-1, 1].
-        pressure_a: Cap side [Pa].
-        pressure_b: Rod side [Pa].
-    """
-
-    spool: float
-    pressure_a: float
-    pressure_b: float
+    spool: float  #: Relative spool position, in [-1, 1]
+    pressure_a: float  #: Cap side [Pa]
+    pressure_b: float  #: Rod side [Pa]
 
 
 class Cylinder:

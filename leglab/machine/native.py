@@ -34,22 +34,14 @@ class NativeActuator:
     """A motor, position, velocity or general actuator that drives one joint.
 
     Values are read from the model when they are asked for: a fault may have changed them.
-
-    Attributes:
-        model: The MuJoCo model.
-        id: Number of the actuator.
-        name: Its name; that of its joint where it has none.
-        joint: Number of the joint that it drives.
-        centre: Control in the middle of its range, in the control's own unit.
-        half: Half the width of that range: control = centre + half x command.
     """
 
-    model: mujoco.MjModel
-    id: int
-    name: str
-    joint: int
-    centre: float
-    half: float
+    model: mujoco.MjModel  #: The MuJoCo model
+    id: int  #: Number of the actuator
+    name: str  #: Its name; that of its joint where it has none
+    joint: int  #: Number of the joint that it drives
+    centre: float  #: Control in the middle of its range, in the control's own unit
+    half: float  #: Half the width of that range: control = centre + half x command
 
     @classmethod
     def of(cls, model: mujoco.MjModel, number: int, moments: np.ndarray) -> "NativeActuator":

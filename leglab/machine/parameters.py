@@ -27,28 +27,18 @@ _ALLOWED = re.compile(r"; allowed:? (.*)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter of a plugin instance: a row of its table.
+    """One physical parameter of a plugin instance: a row of its table."""
 
-    Attributes:
-        name: Attribute name in MJCF and in `Simulation.set_parameter`.
-        unit: SI unit (temperatures in degC); where it acts on a joint, that at a hinge, unless
-            the table is of an instance on a slide.
-        nominal: Default, NaN where MJCF must give it.
-        minimum: Smallest value; excluded itself if `minimum_allowed` is false.
-        maximum: Largest value.
-        minimum_allowed: Whether `minimum` itself is allowed.
-        description: Meaning, with its source.
-        offset: Place in the plugin state of the instance.
-    """
-
-    name: str
+    name: str  #: Attribute name in MJCF and in `Simulation.set_parameter`
+    #: SI unit (temperatures in degC); where it acts on a joint, that at a hinge, unless the table
+    #: is of an instance on a slide.
     unit: str
-    nominal: float
-    minimum: float
-    maximum: float
-    minimum_allowed: bool
-    description: str
-    offset: int = 0
+    nominal: float  #: Default, NaN where MJCF must give it
+    minimum: float  #: Smallest value; excluded itself if `minimum_allowed` is false
+    maximum: float  #: Largest value
+    minimum_allowed: bool  #: Whether `minimum` itself is allowed
+    description: str  #: Meaning, with its source
+    offset: int = 0  #: Place in the plugin state of the instance
 
     @property
     def allowed(self) -> str:

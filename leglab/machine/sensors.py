@@ -212,17 +212,11 @@ def delayed_sensor(joint: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncoderFaults:
-    """Faults that a model gives the encoders of some joints; arrays of shape (joints,).
+    """Faults that a model gives the encoders of some joints; arrays of shape (joints,)."""
 
-    Attributes:
-        offset: Added to every reading [rad or m].
-        scale: Factor on the true position.
-        delay: Age of what is shown [s].
-    """
-
-    offset: np.ndarray
-    scale: np.ndarray
-    delay: np.ndarray
+    offset: np.ndarray  #: Added to every reading [rad or m]
+    scale: np.ndarray  #: Factor on the true position
+    delay: np.ndarray  #: Age of what is shown [s]
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "EncoderFaults":
@@ -266,14 +260,10 @@ class PressureFaults:
     """Faults that a model gives the pressure sensors of some joints.
 
     Arrays hold chamber A of every joint, then chamber B, shape (2 joints,).
-
-    Attributes:
-        offset: Added to every reading [Pa].
-        scale: Factor on the true pressure.
     """
 
-    offset: np.ndarray
-    scale: np.ndarray
+    offset: np.ndarray  #: Added to every reading [Pa]
+    scale: np.ndarray  #: Factor on the true pressure
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "PressureFaults":

@@ -14,21 +14,13 @@ from leglab.base.settings import Configuration
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """A joint that follows a reference.
+    """A joint that follows a reference."""
 
-    Attributes:
-        name: Name in the model.
-        rest: Position in the rest pose [rad], where every trajectory starts.
-        lower: Smallest position [rad].
-        upper: Largest position [rad].
-        velocity_limit: Largest speed that its cylinder can give it [rad/s].
-    """
-
-    name: str
-    rest: float = 0.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity_limit: float = math.inf
+    name: str  #: Name in the model
+    rest: float = 0.0  #: Position in the rest pose [rad], where every trajectory starts
+    lower: float = -math.inf  #: Smallest position [rad]
+    upper: float = math.inf  #: Largest position [rad]
+    velocity_limit: float = math.inf  #: Largest speed that its cylinder can give it [rad/s]
 
     def __post_init__(self) -> None:
         if not self.lower <= self.rest <= self.upper:
@@ -54,20 +46,14 @@ Motion = Callable[[np.ndarray], Samples]
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """A trajectory of some joints.
+    """A trajectory of some joints."""
 
-    Attributes:
-        name: Name it was made by.
-        joints: The joints, in the order of the samples' columns.
-        period: Time after which the motion repeats [s], or its slowest period where it does not:
-            the window over which a tracking error is averaged.
-        motion: Evaluates it, without checks.
-    """
-
-    name: str
-    joints: tuple[Joint, ...]
+    name: str  #: Name it was made by
+    joints: tuple[Joint, ...]  #: The joints, in the order of the samples' columns
+    #: Time after which the motion repeats [s], or its slowest period where it does not: the window
+    #: over which a tracking error is averaged.
     period: float
-    motion: Motion
+    motion: Motion  #: Evaluates it, without checks
 
     def sample(self, times: np.ndarray) -> Samples:
         """Evaluates the trajectory.

@@ -14,17 +14,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Harmonics:
-    """mean + sum over k from 1 of cosine[k-1] cos(2 pi k phase) + sine[k-1] sin(2 pi k phase).
+    """mean + sum over k from 1 of cosine[k-1] cos(2 pi k phase) + sine[k-1] sin(2 pi k phase)."""
 
-    Attributes:
-        mean: Mean angle [deg].
-        cosine: Cosine amplitudes [deg].
-        sine: Sine amplitudes [deg].
-    """
-
-    mean: float
-    cosine: tuple[float, ...]
-    sine: tuple[float, ...]
+    mean: float  #: Mean angle [deg]
+    cosine: tuple[float, ...]  #: Cosine amplitudes [deg]
+    sine: tuple[float, ...]  #: Sine amplitudes [deg]
 
 
 GAIT = {

@@ -33,32 +33,23 @@ class Entry:
     """One line of the index.
 
     Scenario, controller and model are those of a run or a comparison, seed and errors of a run.
-
-    Attributes:
-        name: Path below the folder.
-        link: To the page, or to the best other file there is; relative and quoted. Empty for none.
-        kind: run, report, comparison, sweep or diagnosis.
-        state: Whether it is whole, stopped half way, or cannot be read.
-        told: What it says, or what is wrong with it.
-        written: When, in UTC.
-        before: RMS error in the strides before the change [mrad or mm].
-        after: RMS error after the change, or of the whole run [mrad or mm].
-        end: RMS error in the last strides [mrad or mm].
     """
 
-    name: str
+    name: str  #: Path below the folder
+    #: To the page, or to the best other file there is; relative and quoted. Empty for none.
     link: str
-    kind: str
+    kind: str  #: run, report, comparison, sweep or diagnosis
+    #: Whether it is whole, stopped half way, or cannot be read.
     state: Literal["whole", "stopped", "broken"] = "whole"
-    told: str = ""
-    written: str = ""
+    told: str = ""  #: What it says, or what is wrong with it
+    written: str = ""  #: When, in UTC
     scenario: str = ""
     controller: str = ""
     model: str = ""
     seed: int | None = None
-    before: float | None = None
-    after: float | None = None
-    end: float | None = None
+    before: float | None = None  #: RMS error in the strides before the change [mrad or mm]
+    after: float | None = None  #: RMS error after the change, or of the whole run [mrad or mm]
+    end: float | None = None  #: RMS error in the last strides [mrad or mm]
 
 
 def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:

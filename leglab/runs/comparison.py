@@ -167,16 +167,13 @@ def _path(settings: RunSettings, folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredRun:
-    """One run of a comparison and the file that it is kept in.
-
-    Attributes:
-        result: What `run_all` returns of it; None where the file is not there or damaged.
-    """
+    """One run of a comparison and the file that it is kept in."""
 
     scenario: str
     controller: str
     seed: int
     path: Path
+    #: What `run_all` returns of it; None where the file is not there or damaged.
     result: dict[str, Any] | None
 
 

@@ -37,15 +37,10 @@ from leglab.runs.preparation import Preparation, RunSettings, prepared, referenc
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """Sizes of one scenario's change in the bank.
+    """Sizes of one scenario's change in the bank."""
 
-    Attributes:
-        healthy: Size that changes nothing.
-        sizes: Sizes on one side of it, from small to large change.
-    """
-
-    healthy: float
-    sizes: tuple[float, ...]
+    healthy: float  #: Size that changes nothing
+    sizes: tuple[float, ...]  #: Sizes on one side of it, from small to large change
 
 
 # By scenario; a second entry is the other side of the healthy value. New valves have an overlap of
@@ -73,18 +68,12 @@ FAULTS: Mapping[str, tuple[Faults, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PartFault:
-    """A fault that is one part of a scenario's.
+    """A fault that is one part of a scenario's."""
 
-    Attributes:
-        of: The scenario.
-        sides: As in `FAULTS`.
-        meaning: What a size says, with its unit.
-        changes: Of a machine that has had a size of it from the start; of elements by a pattern.
-    """
-
-    of: str
-    sides: tuple[Faults, ...]
-    meaning: str
+    of: str  #: The scenario
+    sides: tuple[Faults, ...]  #: As in `FAULTS`
+    meaning: str  #: What a size says, with its unit
+    #: Of a machine that has had a size of it from the start; of elements by a pattern.
     changes: Callable[[float, str], tuple[ParameterChange, ...]]
 
 

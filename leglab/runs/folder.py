@@ -102,21 +102,13 @@ def write_result(run: Result, folder: Path) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportedRun:
-    """One run of a report.
+    """One run of a report."""
 
-    Attributes:
-        folder: Where it lies.
-        label: What tells it from the others of the report.
-        metrics: Content of `metrics.json`.
-        configuration: Content of `run.json`.
-        recording: Content of `recording.parquet`.
-    """
-
-    folder: Path
-    label: str
-    metrics: RunMetrics
-    configuration: RunConfiguration
-    recording: Recording
+    folder: Path  #: Where it lies
+    label: str  #: What tells it from the others of the report
+    metrics: RunMetrics  #: Content of `metrics.json`
+    configuration: RunConfiguration  #: Content of `run.json`
+    recording: Recording  #: Content of `recording.parquet`
 
     def __repr__(self) -> str:
         return f"ReportedRun({self.metrics.told()}; {self.folder})"

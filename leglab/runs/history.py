@@ -11,34 +11,24 @@ from leglab.control import ReferencePoint
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Everything that a closed loop left behind, one row a control period.
+    """Everything that a closed loop left behind, one row a control period."""
 
-    Attributes:
-        time: [s], shape (n,).
-        position: True positions of the driven joints [rad], (n, joints).
-        velocity: True velocities of the driven joints [rad/s], (n, joints).
-        passive: True positions of joints that nothing drives, by joint [rad or m], each (n,).
-        command: Commands in [-1, 1] from `time` on, (n, joints).
-        control: What was sent for them: to a valve the command, to a native actuator a control in
-            its own unit, (n, joints).
-        reference: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
-        states: Values of the plugin states asked for, by column name, each (n,).
-        encoder_shift: Added to every position by encoder faults [rad], (n, joints).
-        encoder_lost: Where an encoder repeated its last reading, (n, joints).
-        diagnostics: What the controller reports, by name, each (n, joints).
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
+    time: np.ndarray  #: [s], shape (n,)
+    position: np.ndarray  #: True positions of the driven joints [rad], (n, joints)
+    velocity: np.ndarray  #: True velocities of the driven joints [rad/s], (n, joints)
+    #: True positions of joints that nothing drives, by joint [rad or m], each (n,).
     passive: dict[str, np.ndarray]
-    command: np.ndarray
+    command: np.ndarray  #: Commands in [-1, 1] from `time` on, (n, joints)
+    #: What was sent for them: to a valve the command, to a native actuator a control in its own
+    #: unit, (n, joints).
     control: np.ndarray
+    #: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
     reference: ReferencePoint
+    #: Values of the plugin states asked for, by column name, each (n,).
     states: dict[str, np.ndarray]
-    encoder_shift: np.ndarray
-    encoder_lost: np.ndarray
-    diagnostics: dict[str, np.ndarray]
+    encoder_shift: np.ndarray  #: Added to every position by encoder faults [rad], (n, joints)
+    encoder_lost: np.ndarray  #: Where an encoder repeated its last reading, (n, joints)
+    diagnostics: dict[str, np.ndarray]  #: What the controller reports, by name, each (n, joints)
 
     @property
     def error(self) -> np.ndarray:
@@ -48,17 +38,11 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """How a closed loop ended.
+    """How a closed loop ended."""
 
-    Attributes:
-        rows: Periods that were recorded.
-        wall_time: Of the loop alone [s].
-        failure: Why it ended early; empty if it did not.
-    """
-
-    rows: int
-    wall_time: float
-    failure: str = ""
+    rows: int  #: Periods that were recorded
+    wall_time: float  #: Of the loop alone [s]
+    failure: str = ""  #: Why it ended early; empty if it did not
 
 
 @dataclass(frozen=True, kw_only=True)

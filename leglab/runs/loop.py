@@ -71,18 +71,12 @@ Progress = Callable[[float], None]
 
 @dataclass(slots=True, eq=False)
 class Period:
-    """One control period as the controller meets it; a loop has one, which each period fills anew.
+    """One control period as the controller meets it; a loop has one, which each period fills anew."""
 
-    Attributes:
-        number: Counted from 0.
-        measurement: What the sensors say.
-        reference: Where the joints should be.
-        command: What the controller wants, not checked or clipped; None without a controller.
-    """
-
-    number: int
-    measurement: Measurement
-    reference: ReferencePoint
+    number: int  #: Counted from 0
+    measurement: Measurement  #: What the sensors say
+    reference: ReferencePoint  #: Where the joints should be
+    #: What the controller wants, not checked or clipped; None without a controller.
     command: np.ndarray | None
 
 

@@ -26,30 +26,18 @@ ByJoint = dict[str, FiniteFloat]
 
 
 class PhaseMetrics(BaseModel):
-    """One phase of `metrics.json`: errors and costs, by joint and under "all".
+    """One phase of `metrics.json`: errors and costs, by joint and under "all"."""
 
-    Attributes:
-        name: "before", "during", "after" or "whole".
-        start: [s].
-        end: [s].
-        rms_rad: RMS tracking error [rad].
-        peak_rad: Largest error [rad].
-        p95_rad: Error that 95 % of the samples do not exceed [rad].
-        effort: RMS valve command.
-        valve_activity_per_s: RMS rate of the command [1/s].
-        energy_j: Energy drawn from the supply [J].
-        model_error: RMS error of the controller's model, in its own unit; without "all".
-    """
-
-    name: Name
-    start: FiniteFloat
-    end: FiniteFloat
-    rms_rad: ByJoint
-    peak_rad: ByJoint
-    p95_rad: ByJoint = {}
-    effort: ByJoint = {}
-    valve_activity_per_s: ByJoint = {}
-    energy_j: ByJoint = {}
+    name: Name  #: "before", "during", "after" or "whole"
+    start: FiniteFloat  #: [s]
+    end: FiniteFloat  #: [s]
+    rms_rad: ByJoint  #: RMS tracking error [rad]
+    peak_rad: ByJoint  #: Largest error [rad]
+    p95_rad: ByJoint = {}  #: Error that 95 % of the samples do not exceed [rad]
+    effort: ByJoint = {}  #: RMS valve command
+    valve_activity_per_s: ByJoint = {}  #: RMS rate of the command [1/s]
+    energy_j: ByJoint = {}  #: Energy drawn from the supply [J]
+    #: RMS error of the controller's model, in its own unit; without "all".
     model_error: ByJoint = {}
 
 
@@ -58,73 +46,51 @@ class AdaptationMetrics(BaseModel):
 
     Errors are RMS over joints and time, of the true positions; that after the change is the phase
     "after". A figure that cannot be told is None.
-
-    Attributes:
-        span_s: The whole strides that a quarter of the run has [s].
-        stride_s: Period of the reference [s].
-        before_rad: Error over `span_s` before the change [rad], by joint and under "all".
-        end_rad: Error over the last `span_s` [rad], by joint and under "all".
-        damage_rad: What the change costs: error of the frozen twin after the change less
-            `before_rad` [rad]. The frozen twin is the same run with adaptation stopped just
-            before the change; for a controller that has none, the worst stride of the run itself.
-        damage_of: "frozen twin" or "own peak".
-        twin_end_rad: Error of the frozen twin over the last `span_s` [rad]; None without one.
-        recovered: Share of the damage that is undone at the end: 1 where `end_rad` is
-            `before_rad`.
-        t90_s: From the change until no stride that begins later has an error above `level_rad`
-            [s]; None where the last one still has.
-        level_rad: `before_rad` and a tenth of the damage [rad].
-        reason: Why `recovered` and `t90_s` cannot be told.
     """
 
-    span_s: FiniteFloat | None = None
-    stride_s: FiniteFloat | None = None
+    span_s: FiniteFloat | None = None  #: The whole strides that a quarter of the run has [s]
+    stride_s: FiniteFloat | None = None  #: Period of the reference [s]
+    #: Error over `span_s` before the change [rad], by joint and under "all".
     before_rad: ByJoint | None = None
-    end_rad: ByJoint | None = None
+    end_rad: ByJoint | None = None  #: Error over the last `span_s` [rad], by joint and under "all"
+    #: What the change costs: error of the frozen twin after the change less `before_rad` [rad]. The
+    #: frozen twin is the same run with adaptation stopped just before the change; for a controller
+    #: that has none, the worst stride of the run itself.
     damage_rad: FiniteFloat | None = None
-    damage_of: str | None = None
+    damage_of: str | None = None  #: "frozen twin" or "own peak"
+    #: Error of the frozen twin over the last `span_s` [rad]; None without one.
     twin_end_rad: FiniteFloat | None = None
+    #: Share of the damage that is undone at the end: 1 where `end_rad` is `before_rad`.
     recovered: FiniteFloat | None = None
+    #: From the change until no stride that begins later has an error above `level_rad` [s]; None
+    #: where the last one still has.
     t90_s: FiniteFloat | None = None
-    level_rad: FiniteFloat | None = None
-    reason: str | None = None
+    level_rad: FiniteFloat | None = None  #: `before_rad` and a tenth of the damage [rad]
+    reason: str | None = None  #: Why `recovered` and `t90_s` cannot be told
 
 
 class RunMetrics(BaseModel):
-    """Content of `metrics.json`.
+    """Content of `metrics.json`."""
 
-    Attributes:
-        scenario: Its name.
-        controller: Its name.
-        model: Name or path.
-        seed: Of sensor noise and everything random.
-        duration: How far the run came [s].
-        severity: Size of the fault, in the scenario's own unit; None without one.
-        real_time_factor: Simulated time over the loop's wall time.
-        completed: Whether the run came to its end.
-        failure: Why it ended early.
-        phases: Errors and costs by phase.
-        adaptation: What the change cost, and how much of it was undone how soon.
-        excess_error_area_rad_s: Area of the moving error above its value before [rad s].
-        events: Changes that the controller noticed and named, for one that does.
-        health: Slow wear that it followed, likewise.
-        slides: Joints that slide: their errors are metres, in spite of the names of the entries.
-    """
-
-    scenario: Name
-    controller: Name
-    model: Name
-    seed: int
-    duration: FiniteFloat
+    scenario: Name  #: Its name
+    controller: Name  #: Its name
+    model: Name  #: Name or path
+    seed: int  #: Of sensor noise and everything random
+    duration: FiniteFloat  #: How far the run came [s]
+    #: Size of the fault, in the scenario's own unit; None without one.
     severity: FiniteFloat | None = None
-    real_time_factor: FiniteFloat | None = None
-    completed: bool
-    failure: str | None = None
-    phases: Annotated[list[PhaseMetrics], Field(min_length=1)]
+    real_time_factor: FiniteFloat | None = None  #: Simulated time over the loop's wall time
+    completed: bool  #: Whether the run came to its end
+    failure: str | None = None  #: Why it ended early
+    phases: Annotated[list[PhaseMetrics], Field(min_length=1)]  #: Errors and costs by phase
+    #: What the change cost, and how much of it was undone how soon.
     adaptation: AdaptationMetrics = AdaptationMetrics(reason="it was not stored")
+    #: Area of the moving error above its value before [rad s].
     excess_error_area_rad_s: FiniteFloat | None = None
+    #: Changes that the controller noticed and named, for one that does.
     events: list[FaultEvent] = []
-    health: list[FaultTrend] = []
+    health: list[FaultTrend] = []  #: Slow wear that it followed, likewise
+    #: Joints that slide: their errors are metres, in spite of the names of the entries.
     slides: list[Name] = []
 
     def error_unit(self, *joints: str) -> str:

@@ -30,25 +30,15 @@ BLOCK = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Results of a run, or as much of them as there is.
+    """Results of a run, or as much of them as there is."""
 
-    Attributes:
-        settings: What was asked for.
-        scenario: The scenario as it was built.
-        recording: What sensors and commands were; format of `leglab.base.recording`.
-        record: Content of `metrics.json`.
-        configuration: Content of `run.json`.
-        window: Window of the sliding error [s].
-        joints: Names of the driven joints.
-    """
-
-    settings: RunSettings
-    scenario: Scenario
-    recording: Recording
-    record: RunMetrics
-    configuration: RunConfiguration
-    window: float
-    joints: tuple[str, ...]
+    settings: RunSettings  #: What was asked for
+    scenario: Scenario  #: The scenario as it was built
+    recording: Recording  #: What sensors and commands were; format of `leglab.base.recording`
+    record: RunMetrics  #: Content of `metrics.json`
+    configuration: RunConfiguration  #: Content of `run.json`
+    window: float  #: Window of the sliding error [s]
+    joints: tuple[str, ...]  #: Names of the driven joints
 
     @property
     def metrics(self) -> dict[str, Any]:

@@ -105,38 +105,24 @@ def adaptation_plan(
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How a controller took one fault, or all of them.
+    """How a controller took one fault, or all of them."""
 
-    Attributes:
-        controller: Its name.
-        fault: Name of the scenario; "all" for all together.
-        runs: Number of runs.
-        failed: Number of those that failed, which no other figure counts.
-        before_mrad: Median of the error before the change: the nominal error [mrad].
-        recovered: Median share of the damage that is undone at the end.
-        t90_median_s: Median time to nine tenths of that [s]; infinite where most never do.
-        t90_worst_s: The longest of those that there are [s].
-        never: Number of runs that never undo nine tenths.
-        told: Number of runs that the change damaged, of which these three tell.
-        worst_over_static: Largest ratio of its error over 2 s to that of `static_feedforward` over
-            the same 2 s, from 7 s on.
-        travel_over_pd: Median ratio of valve travel to that of `pd`.
-        energy_over_pd: Median ratio of energy from the supply to that of `pd`.
-    """
-
-    controller: str
-    fault: str
-    runs: int
-    failed: int
-    before_mrad: float | None
-    recovered: float | None
+    controller: str  #: Its name
+    fault: str  #: Name of the scenario; "all" for all together
+    runs: int  #: Number of runs
+    failed: int  #: Number of those that failed, which no other figure counts
+    before_mrad: float | None  #: Median of the error before the change: the nominal error [mrad]
+    recovered: float | None  #: Median share of the damage that is undone at the end
+    #: Median time to nine tenths of that [s]; infinite where most never do.
     t90_median_s: float | None
-    t90_worst_s: float | None
-    never: int
-    told: int
+    t90_worst_s: float | None  #: The longest of those that there are [s]
+    never: int  #: Number of runs that never undo nine tenths
+    told: int  #: Number of runs that the change damaged, of which these three tell
+    #: Largest ratio of its error over 2 s to that of `static_feedforward` over the same 2 s, from 7
+    #: s on.
     worst_over_static: float | None
-    travel_over_pd: float | None
-    energy_over_pd: float | None
+    travel_over_pd: float | None  #: Median ratio of valve travel to that of `pd`
+    energy_over_pd: float | None  #: Median ratio of energy from the supply to that of `pd`
 
 
 def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:

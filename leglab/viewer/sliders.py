@@ -14,24 +14,15 @@ _LOADED = "shank"
 
 @dataclass(frozen=True)
 class Slider:
-    """A slider of the control panel.
+    """A slider of the control panel."""
 
-    Attributes:
-        name: How it is called.
-        label: Name of its actuator in the viewer's model, which the panel cuts at 14 letters.
-        unit: Unit of its value.
-        lowest: Smallest value.
-        highest: Largest value.
-        change: What it changes, with the value of the unchanged machine.
-        present: Reads from the machine what the slider and the scenario make together.
-    """
-
-    name: str
-    label: str
-    unit: str
-    lowest: float
-    highest: float
-    change: ParameterChange
+    name: str  #: How it is called
+    label: str  #: Name of its actuator in the viewer's model, which the panel cuts at 14 letters
+    unit: str  #: Unit of its value
+    lowest: float  #: Smallest value
+    highest: float  #: Largest value
+    change: ParameterChange  #: What it changes, with the value of the unchanged machine
+    #: Reads from the machine what the slider and the scenario make together.
     present: Callable[[], float]
 
 

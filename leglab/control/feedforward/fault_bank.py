@@ -18,28 +18,22 @@ from leglab.base.errors import ModelError, SettingsError
 class FaultCurve:
     """Parameter shifts of one fault of one element, straight between its sizes.
 
-    Attributes:
-        fault: Its name, that of the scenario it was made with.
-        element: Name of a joint whose cylinder and spring have it, or "all".
-        meaning: What the size says, with its unit.
-        sizes: Strictly monotone, the healthy one first, (sizes,).
-        shifts: Parameters with the fault less those without, (sizes, joints, parameters); zero at
-            the healthy size.
-        explains: Share of the weighted squared error beyond noise that the shifts took away where
-            they were made: what a map of this structure can say of the fault.
-        undoes: When the change began that the curve leads back from [s]; None of one that leads
-            away from the healthy size. Such a curve has the present size first.
-
     Raises:
         LeglabError: Shapes do not fit, sizes are not monotone or the first shift is not zero.
     """
 
-    fault: str
-    element: str
-    meaning: str
-    sizes: np.ndarray
+    fault: str  #: Its name, that of the scenario it was made with
+    element: str  #: Name of a joint whose cylinder and spring have it, or "all"
+    meaning: str  #: What the size says, with its unit
+    sizes: np.ndarray  #: Strictly monotone, the healthy one first, (sizes,)
+    #: Parameters with the fault less those without, (sizes, joints, parameters); zero at the
+    #: healthy size.
     shifts: np.ndarray
+    #: Share of the weighted squared error beyond noise that the shifts took away where they were
+    #: made: what a map of this structure can say of the fault.
     explains: float = 1.0
+    #: When the change began that the curve leads back from [s]; None of one that leads away from
+    #: the healthy size. Such a curve has the present size first.
     undoes: float | None = None
 
     def __post_init__(self) -> None:
@@ -85,14 +79,11 @@ class SizeEstimate(NamedTuple):
 class FaultBank:
     """Curves of many faults for one machine, motion and map.
 
-    Attributes:
-        curves: Of one number of joints and parameters.
-
     Raises:
         LeglabError: There are none, or they differ in shape.
     """
 
-    curves: tuple[FaultCurve, ...]
+    curves: tuple[FaultCurve, ...]  #: Of one number of joints and parameters
 
     def __post_init__(self) -> None:
         shapes = {curve.shifts.shape[1:] for curve in self.curves}

@@ -58,17 +58,11 @@ def explained_share(cost: Any, without: float, noise: float) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
-    """How well the faults of a bank explain a change.
+    """How well the faults of a bank explain a change."""
 
-    Attributes:
-        bank: The bank.
-        fit: Of its curves; costs are those of all looks together.
-        config: How surely a fault must explain the samples.
-    """
-
-    bank: FaultBank
-    fit: SizeEstimate
-    config: JudgeConfiguration
+    bank: FaultBank  #: The bank
+    fit: SizeEstimate  #: Of its curves; costs are those of all looks together
+    config: JudgeConfiguration  #: How surely a fault must explain the samples
 
     @cached_property
     def explained(self) -> np.ndarray:

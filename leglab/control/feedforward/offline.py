@@ -10,19 +10,12 @@ from leglab.control.feedforward.adaptive import AdaptiveFeedforward
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRun:
-    """Recording of a moving machine, one row a control period.
+    """Recording of a moving machine, one row a control period."""
 
-    Attributes:
-        time: [s], (n,).
-        position: Measured positions [rad], (n, joints).
-        command: Valve commands sent, (n, joints).
-        reference: Of the same times, each (n, joints).
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    command: np.ndarray
-    reference: ReferencePoint
+    time: np.ndarray  #: [s], (n,)
+    position: np.ndarray  #: Measured positions [rad], (n, joints)
+    command: np.ndarray  #: Valve commands sent, (n, joints)
+    reference: ReferencePoint  #: Of the same times, each (n, joints)
 
     def identify(self, learning: AdaptiveFeedforward) -> np.ndarray:
         """Parameters that a feed-forward learns from the recording as if it had been there.

@@ -16,24 +16,16 @@ from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 
 @dataclass(kw_only=True, eq=False)
 class Standing:
-    """A change that was noticed, as long as it is not undone.
+    """A change that was noticed, as long as it is not undone."""
 
-    Attributes:
-        name: As it was told last; of a fault that has grown, when it last did.
-        size: In the fault's own unit; 1 of an unknown change.
-        healthy: Size of a machine without it; 0 of an unknown change.
-        before: Parameters of the map before it, (joints, parameters).
-        learned: By how much it moved the parameters, (joints, parameters); what is known of it
-            from before `before`, until `settle`.
-        settled: Whether `learned` is all of it: the next change has begun.
-    """
-
-    name: FaultName
-    size: float
-    healthy: float
-    before: np.ndarray
+    name: FaultName  #: As it was told last; of a fault that has grown, when it last did
+    size: float  #: In the fault's own unit; 1 of an unknown change
+    healthy: float  #: Size of a machine without it; 0 of an unknown change
+    before: np.ndarray  #: Parameters of the map before it, (joints, parameters)
+    #: By how much it moved the parameters, (joints, parameters); what is known of it from before
+    #: `before`, until `settle`.
     learned: np.ndarray
-    settled: bool = False
+    settled: bool = False  #: Whether `learned` is all of it: the next change has begun
 
     def settle(self, now: np.ndarray) -> None:
         """Takes what the learner has made of it until now, (joints, parameters)."""

@@ -14,23 +14,15 @@ _LEAST_SLOPE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ValveTable:
-    """Commands of all joints over position and share of full speed; every row strictly monotone.
+    """Commands of all joints over position and share of full speed; every row strictly monotone."""
 
-    Attributes:
-        start: First positions [rad], (joints,).
-        end: Last positions [rad], (joints,).
-        spacing: Distances of the positions [rad], (joints,).
-        full_speed: Speeds of share 1 [rad/s], (joints,).
-        share: Shares of full speed of the columns, increasing, (columns,).
-        command: Valve commands, (joints, rows, columns); beyond [-1, 1] where the calibrated row
-            ended at the valve's limit and was continued in a straight line.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
-    spacing: np.ndarray
-    full_speed: np.ndarray
-    share: np.ndarray
+    start: np.ndarray  #: First positions [rad], (joints,)
+    end: np.ndarray  #: Last positions [rad], (joints,)
+    spacing: np.ndarray  #: Distances of the positions [rad], (joints,)
+    full_speed: np.ndarray  #: Speeds of share 1 [rad/s], (joints,)
+    share: np.ndarray  #: Shares of full speed of the columns, increasing, (columns,)
+    #: Valve commands, (joints, rows, columns); beyond [-1, 1] where the calibrated row ended at the
+    #: valve's limit and was continued in a straight line.
     command: np.ndarray
 
     @classmethod

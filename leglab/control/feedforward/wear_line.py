@@ -12,23 +12,14 @@ from leglab.control.feedforward.thresholds import FEWEST, MANY, NINETY, OUTSIDE
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """A straight line through sizes over time, from its onset on.
+    """A straight line through sizes over time, from its onset on."""
 
-    Attributes:
-        onset: When the sizes leave the healthy one [s].
-        end: Time of the last size [s].
-        value: On the line at the end.
-        rate: Slope [1/s].
-        covariance: Of value and rate, (2, 2).
-        freedom: Degrees of freedom of the residuals that it is from.
-    """
-
-    onset: float
-    end: float
-    value: float
-    rate: float
-    covariance: np.ndarray
-    freedom: int
+    onset: float  #: When the sizes leave the healthy one [s]
+    end: float  #: Time of the last size [s]
+    value: float  #: On the line at the end
+    rate: float  #: Slope [1/s]
+    covariance: np.ndarray  #: Of value and rate, (2, 2)
+    freedom: int  #: Degrees of freedom of the residuals that it is from
 
     @property
     def quantile(self) -> float:

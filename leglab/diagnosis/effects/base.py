@@ -171,12 +171,9 @@ Row = Callable[[Machine, str], EffectParameter]
 
 
 class TableEffect(Effect):
-    """Base of effects with a table of parameters.
+    """Base of effects with a table of parameters."""
 
-    Attributes:
-        rows: Each the same on every element, or a function of machine and element.
-    """
-
+    #: Each the same on every element, or a function of machine and element.
     rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

@@ -97,7 +97,7 @@ class Spread:
         return cls(*(x.reshape(count, n, n) for x, n in zip((replays, forces), sizes, strict=True)))
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
-        """That of other recordings, each with what one of these has."""
+        """Spread of other recordings, each with the values of one of these."""
         return Spread(self.replays[list(which)], self.forces[list(which)])
 
     def whitening(self, at: Errors) -> "Whitening":

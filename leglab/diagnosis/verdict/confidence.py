@@ -72,7 +72,7 @@ class Judgement:
 
 
 def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
-    """Whether nothing may be missing: noise, or the errors of the healthy specimen, are left."""
+    """Tests whether only noise, or the errors of the healthy specimen, remain."""
     whole = _shares(np.array([r.score.log for r in sets.rows]))
     for row, own in zip(sets.rows, whole, strict=True):
         if row.keys or own < thresholds.POSSIBLE:

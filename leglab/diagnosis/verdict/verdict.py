@@ -280,7 +280,7 @@ def _ranking(found: Found) -> tuple[result.Rank, ...]:
 
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:
-    """How much each of some sets is preferred to another."""
+    """Probability of each set against each other one."""
     names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))

@@ -151,7 +151,7 @@ def write(
 
 @functools.lru_cache(maxsize=512)
 def _shape(text: str, size: int, bold: bool, anchor: str) -> tuple[Image.Image, int, int]:
-    """How much of each pixel a text covers, and where it starts [px]."""
+    """Coverage of each pixel by a text, and where the text starts [px]."""
     face = font(size, bold)
     left, top, right, bottom = (int(edge) for edge in face.getbbox(text, anchor=anchor))
     shape = Image.new("L", (max(right - left, 1), max(bottom - top, 1)))

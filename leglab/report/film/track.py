@@ -34,31 +34,21 @@ class ShownChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """One run of a film.
-
-    Attributes:
-        settings: As in `run.json`.
-        joints: Driven joints with a reference.
-        actuators: The actuator of each of them.
-        changes: In the order of their start.
-        elements: Parameters of each actuator at the start.
-        window: Of the moving error [s].
-        failure: Why the run stopped early; empty if it did not, or nobody knows.
-        undone: From when on the film tells that nine tenths of the damage are undone [s], and how;
-            None where they never were.
-        named: What the controller said of changes, from when it said so until it took it back [s].
-    """
+    """One run of a film."""
 
     folder: Path
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any]  #: As in `run.json`
     recording: Recording
-    joints: tuple[str, ...]
-    actuators: tuple[str, ...]
-    changes: tuple[ShownChange, ...]
-    elements: Mapping[str, Mapping[str, float]]
-    window: float
-    failure: str
+    joints: tuple[str, ...]  #: Driven joints with a reference
+    actuators: tuple[str, ...]  #: The actuator of each of them
+    changes: tuple[ShownChange, ...]  #: In the order of their start
+    elements: Mapping[str, Mapping[str, float]]  #: Parameters of each actuator at the start
+    window: float  #: Of the moving error [s]
+    failure: str  #: Why the run stopped early; empty if it did not, or nobody knows
+    #: From when on the film tells that nine tenths of the damage are undone [s], and how; None
+    #: where they never were.
     undone: tuple[float, str] | None = None
+    #: What the controller said of changes, from when it said so until it took it back [s].
     named: tuple[ShownChange, ...] = ()
 
     @property

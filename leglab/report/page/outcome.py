@@ -46,7 +46,7 @@ def milli(value: float, unit: str) -> str:
 
 
 def share(found: AdaptationMetrics) -> str:
-    """How much of the damage is undone in the last strides: "95 %"."""
+    """Share of the damage that is undone in the last strides: "95 %"."""
     assert found.recovered is not None
     if found.recovered >= _MOST:
         return "all"

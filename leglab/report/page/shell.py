@@ -35,36 +35,22 @@ _FORBIDDEN = (
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table whose first columns are words and the others numbers.
+    """A table whose first columns are words and the others numbers."""
 
-    Attributes:
-        caption: What it shows, with the unit.
-        head: Names of the columns.
-        rows: Cells as text, as many a row as there are columns.
-        words: Number of columns that are words.
-        heads: Whether the first cell of each row names the row.
-    """
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    words: int = 1
-    heads: bool = True
+    caption: str  #: What it shows, with the unit
+    head: Sequence[str]  #: Names of the columns
+    rows: Sequence[Sequence[str]]  #: Cells as text, as many a row as there are columns
+    words: int = 1  #: Number of columns that are words
+    heads: bool = True  #: Whether the first cell of each row names the row
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One question and its answer.
+    """One question and its answer."""
 
-    Attributes:
-        title: The question.
-        lines: Answers, a sentence or two each.
-        names: What each line is about, where they are about several things.
-    """
-
-    title: str
-    lines: tuple[str, ...]
-    names: tuple[str, ...] = ()
+    title: str  #: The question
+    lines: tuple[str, ...]  #: Answers, a sentence or two each
+    names: tuple[str, ...] = ()  #: What each line is about, where they are about several things
 
 
 def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str:

@@ -29,16 +29,11 @@ Filmer = Callable[[Path], Path]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Files of a report.
-
-    Attributes:
-        film: None where there is none.
-        why_no_film: Empty where there is one, or none was asked for.
-    """
+    """Files of a report."""
 
     page: Path
-    film: Path | None
-    why_no_film: str = ""
+    film: Path | None  #: None where there is none
+    why_no_film: str = ""  #: Empty where there is one, or none was asked for
 
 
 def check_out(folder: Path, *, overwrite: bool) -> None:

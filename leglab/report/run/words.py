@@ -245,7 +245,7 @@ def _against(run: ReportedRun, first: ReportedRun) -> str:
 
 
 def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
-    """How much of what the change costs each run wins back, those alike in one phrase."""
+    """Share of the added error that each run undoes; runs alike share one phrase."""
     told: dict[str, list[str]] = {}
     judged = [run for run in runs if run.metrics.adaptation.recovered is not None]
     for run in sorted(judged, key=lambda run: -(run.metrics.adaptation.recovered or 0.0)):

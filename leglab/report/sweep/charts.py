@@ -113,7 +113,7 @@ def _heat_map(
 
 
 def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
-    """What every setting does that the heat maps do not show, by its name."""
+    """Effect of every setting that the heat maps do not show, by its name."""
     found = []
     for axis in facts.record.axes:
         if axis not in _MAPPED and column(axis) in facts.columns:

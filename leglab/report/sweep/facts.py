@@ -19,19 +19,12 @@ NEVER = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Quantity shown by a heat map or a distribution.
+    """Quantity shown by a heat map or a distribution."""
 
-    Attributes:
-        name: Column of the dataset.
-        title: What it is, with the unit.
-        factor: To the unit.
-        bad: +1 where more is worse, -1 where less is.
-    """
-
-    name: str
-    title: str
-    factor: float
-    bad: int
+    name: str  #: Column of the dataset
+    title: str  #: What it is, with the unit
+    factor: float  #: To the unit
+    bad: int  #: +1 where more is worse, -1 where less is
 
     @property
     def median(self) -> str:

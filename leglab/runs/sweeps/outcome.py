@@ -21,64 +21,45 @@ class Outcome(BaseModel):
 
     Errors are RMS over the driven joints and over time, of the true positions; what `before`,
     `end`, `damage`, `recovered` and `t90` mean is in `leglab.runs.record.AdaptationMetrics`.
-
-    Attributes:
-        came_to_s: How far the run came [s].
-        rms_rad: Error of the whole run [rad].
-        peak_rad: Largest error of a joint [rad].
-        before_rad: Error over the whole strides before the change [rad]: the nominal error.
-        after_rad: Error after the change, of a run without one the whole [rad].
-        end_rad: Error over the last strides [rad].
-        damage_rad: What the change costs [rad].
-        twin_end_rad: Error of the frozen twin over the last strides [rad].
-        recovered: Share of the damage that is undone at the end.
-        t90_s: From the change until nine tenths are undone [s].
-        level_rad: Error at which nine tenths are undone [rad].
-        not_told: Why `recovered` and `t90_s` cannot be told.
-        worst_2s_rad: Largest error over 2 s that end after the change, of a run without one in all
-            of it [rad].
-        excess_error_area_rad_s: Area of the moving error above its value before [rad s].
-        valve_travel: Sum of all movements of the valve commands, over all joints; full stroke is 2.
-        effort: RMS valve command.
-        energy_j: Energy drawn from the supply [J].
-        named: Faults that the controller named and did not withdraw, as FAULT at ELEMENT.
-        named_after_s: From the change until the first name that came after it [s].
-        metrics: Content of `metrics.json` as text, where it is kept.
-        trace_s: Times of the traces [s], where they are kept.
-        windowed_rad: Error over one stride that ends then [rad].
-        worst_rad: Error over 2 s that end then [rad].
-        changes_s: When the machine begins to change [s], with the traces.
-        window_s: One stride [s], with the traces.
-        travel_rad: Travel of the reference by joint [rad], with the traces, as text.
     """
 
     model_config = ConfigDict(extra="forbid")
 
-    came_to_s: FiniteFloat
-    rms_rad: FiniteFloat
-    peak_rad: FiniteFloat
+    came_to_s: FiniteFloat  #: How far the run came [s]
+    rms_rad: FiniteFloat  #: Error of the whole run [rad]
+    peak_rad: FiniteFloat  #: Largest error of a joint [rad]
+    #: Error over the whole strides before the change [rad]: the nominal error.
     before_rad: FiniteFloat | None = None
+    #: Error after the change, of a run without one the whole [rad].
     after_rad: FiniteFloat | None = None
-    end_rad: FiniteFloat | None = None
-    damage_rad: FiniteFloat | None = None
-    twin_end_rad: FiniteFloat | None = None
-    recovered: FiniteFloat | None = None
-    t90_s: FiniteFloat | None = None
-    level_rad: FiniteFloat | None = None
-    not_told: str | None = None
+    end_rad: FiniteFloat | None = None  #: Error over the last strides [rad]
+    damage_rad: FiniteFloat | None = None  #: What the change costs [rad]
+    twin_end_rad: FiniteFloat | None = None  #: Error of the frozen twin over the last strides [rad]
+    recovered: FiniteFloat | None = None  #: Share of the damage that is undone at the end
+    t90_s: FiniteFloat | None = None  #: From the change until nine tenths are undone [s]
+    level_rad: FiniteFloat | None = None  #: Error at which nine tenths are undone [rad]
+    not_told: str | None = None  #: Why `recovered` and `t90_s` cannot be told
+    #: Largest error over 2 s that end after the change, of a run without one in all of it [rad].
     worst_2s_rad: FiniteFloat | None = None
+    #: Area of the moving error above its value before [rad s].
     excess_error_area_rad_s: FiniteFloat | None = None
+    #: Sum of all movements of the valve commands, over all joints; full stroke is 2.
     valve_travel: FiniteFloat
-    effort: FiniteFloat
-    energy_j: FiniteFloat | None = None
+    effort: FiniteFloat  #: RMS valve command
+    energy_j: FiniteFloat | None = None  #: Energy drawn from the supply [J]
+    #: Faults that the controller named and did not withdraw, as FAULT at ELEMENT.
     named: list[str] = []
+    #: From the change until the first name that came after it [s].
     named_after_s: FiniteFloat | None = None
-    metrics: str | None = None
-    trace_s: list[FiniteFloat] | None = None
+    metrics: str | None = None  #: Content of `metrics.json` as text, where it is kept
+    trace_s: list[FiniteFloat] | None = None  #: Times of the traces [s], where they are kept
+    #: Error over one stride that ends then [rad].
     windowed_rad: list[FiniteFloat | None] | None = None
-    worst_rad: list[FiniteFloat | None] | None = None
+    worst_rad: list[FiniteFloat | None] | None = None  #: Error over 2 s that end then [rad]
+    #: When the machine begins to change [s], with the traces.
     changes_s: list[FiniteFloat] | None = None
-    window_s: FiniteFloat | None = None
+    window_s: FiniteFloat | None = None  #: One stride [s], with the traces
+    #: Travel of the reference by joint [rad], with the traces, as text.
     travel_rad: str | None = None
 
 

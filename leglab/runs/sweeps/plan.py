@@ -123,24 +123,15 @@ class PlanFile(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """The runs of one block, which follow each other: every point in every combination.
+    """The runs of one block, which follow each other: every point in every combination."""
 
-    Attributes:
-        block: The block.
-        number: Of the block, from 0 on.
-        first: Number of its first run.
-        settings: What the runs share, by dotted name, as the others.
-        grid: Values that are combined.
-        ranges: From which points are drawn or proposed.
-        proposals: Of a tuned block, values of the ranges by point, from 1 on.
-    """
-
-    block: Block
-    number: int
-    first: int
-    settings: Mapping[str, Any]
-    grid: Mapping[str, Sequence[Any]]
-    ranges: Mapping[str, Range]
+    block: Block  #: The block
+    number: int  #: Of the block, from 0 on
+    first: int  #: Number of its first run
+    settings: Mapping[str, Any]  #: What the runs share, by dotted name, as the others
+    grid: Mapping[str, Sequence[Any]]  #: Values that are combined
+    ranges: Mapping[str, Range]  #: From which points are drawn or proposed
+    #: Of a tuned block, values of the ranges by point, from 1 on.
     proposals: dict[int, dict[str, float]] = field(default_factory=dict)
 
     @property

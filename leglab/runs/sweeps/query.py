@@ -22,15 +22,10 @@ _SHOWN = 50  # rows of a table in a notebook
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Rows that answer a question.
+    """Rows that answer a question."""
 
-    Attributes:
-        names: Of the columns.
-        rows: Values of the columns.
-    """
-
-    names: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    names: tuple[str, ...]  #: Of the columns
+    rows: tuple[tuple[Any, ...], ...]  #: Values of the columns
 
     def __repr__(self) -> str:
         return f"Answer({len(self.rows)} rows; {len(self.names)} columns: {', '.join(self.names)})"

@@ -49,16 +49,11 @@ _MISSING, _DONE, _BROKEN = 0, 1, 2
 
 
 class Part(BaseModel):
-    """A Parquet file of the dataset.
+    """A Parquet file of the dataset."""
 
-    Attributes:
-        file: Its path below the folder.
-        rows: How many it has.
-        checksum: CRC-32 of its content: those of pages leave out what describes them.
-    """
-
-    file: str
-    rows: Annotated[int, Field(ge=0)]
+    file: str  #: Its path below the folder
+    rows: Annotated[int, Field(ge=0)]  #: How many it has
+    #: CRC-32 of its content: those of pages leave out what describes them.
     checksum: Annotated[int, Field(ge=0)]
 
 
@@ -70,27 +65,16 @@ class Dataset(BaseModel):
 
 
 class SweepRecord(BaseModel):
-    """Content of `sweep.json`.
+    """Content of `sweep.json`."""
 
-    Attributes:
-        plan: Content of the sweep's file.
-        digest: Of the plan.
-        code: Digest of leglab's code.
-        models: Digests of the compiled models.
-        runs: Number of runs.
-        axes: Settings in which they differ.
-        version: Of leglab.
-        load: What `--load` named, as one would give it again.
-    """
-
-    plan: dict[str, Any]
-    digest: str
-    code: str
-    models: dict[str, str]
-    runs: Annotated[int, Field(ge=1)]
-    axes: list[str]
-    version: str
-    load: list[str] = []
+    plan: dict[str, Any]  #: Content of the sweep's file
+    digest: str  #: Of the plan
+    code: str  #: Digest of leglab's code
+    models: dict[str, str]  #: Digests of the compiled models
+    runs: Annotated[int, Field(ge=1)]  #: Number of runs
+    axes: list[str]  #: Settings in which they differ
+    version: str  #: Of leglab
+    load: list[str] = []  #: What `--load` named, as one would give it again
 
 
 def is_sweep(folder: Path) -> bool:

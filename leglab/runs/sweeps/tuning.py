@@ -110,31 +110,18 @@ def value_of(points: Runs, point: int, figures: Figures) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Tuned:
-    """Result of tuning a block.
+    """Result of tuning a block."""
 
-    Attributes:
-        block: Number of the block, from 1 on.
-        metric: Column that is tuned.
-        over: Whether its mean over the grid counts, or the worst.
-        runs: Number of runs of a point.
-        points: Number of points with a value, the block as it is among them.
-        given_up: Number of points without one, since a run failed or has no such figure.
-        as_it_is: Value of the block as it is; None where it has none.
-        best: Value of the best point.
-        point: Number of the best point; 0 where none is better than the block as it is.
-        values: Its settings by dotted name.
-    """
-
-    block: int
-    metric: str
-    over: str
-    runs: int
-    points: int
-    given_up: int
-    as_it_is: float | None
-    best: float | None
-    point: int
-    values: dict[str, float]
+    block: int  #: Number of the block, from 1 on
+    metric: str  #: Column that is tuned
+    over: str  #: Whether its mean over the grid counts, or the worst
+    runs: int  #: Number of runs of a point
+    points: int  #: Number of points with a value, the block as it is among them
+    given_up: int  #: Number of points without one, since a run failed or has no such figure
+    as_it_is: float | None  #: Value of the block as it is; None where it has none
+    best: float | None  #: Value of the best point
+    point: int  #: Number of the best point; 0 where none is better than the block as it is
+    values: dict[str, float]  #: Its settings by dotted name
 
     def __str__(self) -> str:
         over = f"{self.over} {self.metric} of {self.runs} run{'s' * (self.runs > 1)}"

@@ -138,22 +138,16 @@ def forgetting_modes() -> dict[str, Rls]:
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """Re-adaptation of one mode after one change.
+    """Re-adaptation of one mode after one change."""
 
-    Attributes:
-        samples: Until the one-step RMS over the next `WINDOW` samples is back to 1.1 times its
-            value before the change, for each seed; `AFTER` where it never is. Shape (S,).
-        pooled: The same for the root mean square over all seeds, which fluctuates less.
-        before: One-step RMS over the last 2000 samples before the change, mean over the seeds.
-        after: The same over the last 2000 samples.
-        error: One-step RMS over `WINDOW` samples against the sample it starts at, from 1000
-            samples before the change on, root mean square over the seeds.
-    """
-
+    #: Until the one-step RMS over the next `WINDOW` samples is back to 1.1 times its value before
+    #: the change, for each seed; `AFTER` where it never is. Shape (S,).
     samples: Array
-    pooled: int
-    before: float
-    after: float
+    pooled: int  #: The same for the root mean square over all seeds, which fluctuates less
+    before: float  #: One-step RMS over the last 2000 samples before the change, mean over the seeds
+    after: float  #: The same over the last 2000 samples
+    #: One-step RMS over `WINDOW` samples against the sample it starts at, from 1000 samples before
+    #: the change on, root mean square over the seeds.
     error: Array
 
 

@@ -35,17 +35,12 @@ from leglab.studies.replication.plant import simulate
 
 @dataclass(frozen=True, kw_only=True)
 class ModelComparison:
-    """Scores of all models and an exemplary validation prediction of each.
+    """Scores of all models and an exemplary validation prediction of each."""
 
-    Attributes:
-        scores: By set, then by model.
-        online: Predictions of the online models.
-        examples: First instance of each model on the validation set, shape (n_validation,): one
-            step ahead for BSNN, ARX and BSNN-ARX, free run for NNARX and NNOE.
-    """
-
-    scores: Scores
-    online: OnlineRuns
+    scores: Scores  #: By set, then by model
+    online: OnlineRuns  #: Predictions of the online models
+    #: First instance of each model on the validation set, shape (n_validation,): one step ahead for
+    #: BSNN, ARX and BSNN-ARX, free run for NNARX and NNOE.
     examples: dict[str, Array]
 
 
@@ -87,21 +82,13 @@ WEIGHTS_SETTLED = 300
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Parameters while they adapt, and their distances from where they end.
+    """Parameters while they adapt, and their distances from where they end."""
 
-    Attributes:
-        weights: Weights of the first BSNN instance over the training part, (n, neurons).
-        bsnn: Its a-priori predictions, (n,).
-        theta: ARX parameters of the first BSNN-ARX instance, (n, 6).
-        theta_alone: Those of the first ARX instance, (n, 6).
-        distances: Named measures, means over the instances.
-    """
-
-    weights: Array
-    bsnn: Array
-    theta: Array
-    theta_alone: Array
-    distances: dict[str, float]
+    weights: Array  #: Weights of the first BSNN instance over the training part, (n, neurons)
+    bsnn: Array  #: Its a-priori predictions, (n,)
+    theta: Array  #: ARX parameters of the first BSNN-ARX instance, (n, 6)
+    theta_alone: Array  #: Those of the first ARX instance, (n, 6)
+    distances: dict[str, float]  #: Named measures, means over the instances
 
 
 def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:

@@ -30,17 +30,11 @@ N_PARAMETERS = HIDDEN * (2 * LAGS + 1) + HIDDEN + 1
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """A trained network with its scaling.
+    """A trained network with its scaling."""
 
-    Attributes:
-        weights: Hidden synapses and biases, row by row, then those of the output, shape (17,).
-        u_scale: Middle and half width of the range of the training input.
-        y_scale: Middle and half width of the range of the training output.
-    """
-
-    weights: Array
-    u_scale: tuple[float, float]
-    y_scale: tuple[float, float]
+    weights: Array  #: Hidden synapses and biases, row by row, then those of the output, shape (17,)
+    u_scale: tuple[float, float]  #: Middle and half width of the range of the training input
+    y_scale: tuple[float, float]  #: Middle and half width of the range of the training output
 
     def free_run(self, u: Array, y_initial: Array) -> Array:
         """Simulates on `u`, shape (n,), from the first `LAGS` outputs `y_initial`."""

@@ -15,17 +15,11 @@ from leglab.studies.replication.paper import LEARNING_CONSTANT, N_TRAINING, Arra
 
 @dataclass(frozen=True, kw_only=True)
 class OnlineSettings:
-    """Unpublished constants of the online models; the defaults are those of paper mode.
+    """Unpublished constants of the online models; the defaults are those of paper mode."""
 
-    Attributes:
-        initial_gain: F(0) of both ARX models is this times the identity.
-        learning_constant: Of the weights and the bias (Eq. 12).
-        middle_piece: "corrected" or "printed" Eq. 9.
-    """
-
-    initial_gain: float = 5.6
-    learning_constant: float = LEARNING_CONSTANT
-    middle_piece: Literal["corrected", "printed"] = "corrected"
+    initial_gain: float = 5.6  #: F(0) of both ARX models is this times the identity
+    learning_constant: float = LEARNING_CONSTANT  #: Of the weights and the bias (Eq. 12).
+    middle_piece: Literal["corrected", "printed"] = "corrected"  #: "corrected" or "printed" Eq. 9.
 
     def bsnn_arx(self) -> BsnnArxSettings:
         """Settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
@@ -49,16 +43,11 @@ models' means to the table. Of the thirty best, the one whose networks fit best 
 
 @dataclass(frozen=True)
 class OnlineRun:
-    """Predictions of M instances of one model.
+    """Predictions of M instances of one model."""
 
-    Attributes:
-        training: A-priori predictions while adapting, shape (n_training, M).
-        validation: One-step predictions, parameters frozen, shape (n_validation, M).
-        free_run: Simulation of the validation set from what the training ended with, same shape.
-    """
-
-    training: Array
-    validation: Array
+    training: Array  #: A-priori predictions while adapting, shape (n_training, M)
+    validation: Array  #: One-step predictions, parameters frozen, shape (n_validation, M)
+    #: Simulation of the validation set from what the training ended with, same shape.
     free_run: Array
 
 

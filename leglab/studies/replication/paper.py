@@ -59,15 +59,10 @@ TABLE_1: dict[str, dict[str, Printed]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ModelScore:
-    """Errors of one model on one set.
+    """Errors of one model on one set."""
 
-    Attributes:
-        rms: RMS of the residual for each instance, in units of y, shape (M,).
-        r2: 1 - mean squared residual / variance of y, shape (M,).
-    """
-
-    rms: Array
-    r2: Array
+    rms: Array  #: RMS of the residual for each instance, in units of y, shape (M,)
+    r2: Array  #: 1 - mean squared residual / variance of y, shape (M,)
 
     def to_json(self) -> dict[str, float]:
         """Returns means and spread over the instances."""

@@ -19,23 +19,16 @@ LONG_RUN = 6000
 
 @dataclass(frozen=True, kw_only=True)
 class Replication:
-    """Results of `replicate`.
+    """Results of `replicate`."""
 
-    Attributes:
-        comparison: Scores of all five models under paper mode.
-        orders: ARX against BSNN-ARX, with paper mode's learning constant and the printed one.
-        spread: Mean, standard deviation, least and largest RMS of each model over realisations.
-        online_seconds: For the three online models of Table 1, 100 instances, on one core.
-        page: The page written.
-        figures: Figures written.
-    """
-
-    comparison: experiments.ModelComparison
+    comparison: experiments.ModelComparison  #: Scores of all five models under paper mode
+    #: ARX against BSNN-ARX, with paper mode's learning constant and the printed one.
     orders: list[experiments.Order]
+    #: Mean, standard deviation, least and largest RMS of each model over realisations.
     spread: list[experiments.Errors]
-    online_seconds: float
-    page: Path
-    figures: tuple[Path, ...]
+    online_seconds: float  #: For the three online models of Table 1, 100 instances, on one core
+    page: Path  #: The page written
+    figures: tuple[Path, ...]  #: Figures written
 
     @property
     def table(self) -> str:

@@ -44,27 +44,17 @@ _LPM = 60e3  # l/min per m^3/s
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A quantity, its value in closed form and what a solver computed.
+    """A quantity, its value in closed form and what a solver computed."""
 
-    Attributes:
-        case: Letter of the case in the table of docs/concepts/physics.md, or a word for the others.
-        quantity: Name of what is compared.
-        solver: Name of the solver: "core", "continuous", or "MuJoCo" with its time step.
-        unit: Unit of `expected` and `got`.
-        expected: Value of the closed form.
-        got: Computed value.
-        tolerance: Largest allowed `deviation`.
-        scale: Size that deviations are relative to; 0 stands for |expected|.
-    """
-
+    #: Letter of the case in the table of docs/concepts/physics.md, or a word for the others.
     case: str
-    quantity: str
-    solver: str
-    unit: str
-    expected: float
-    got: float
-    tolerance: float
-    scale: float = 0.0
+    quantity: str  #: Name of what is compared
+    solver: str  #: Name of the solver: "core", "continuous", or "MuJoCo" with its time step
+    unit: str  #: Unit of `expected` and `got`
+    expected: float  #: Value of the closed form
+    got: float  #: Computed value
+    tolerance: float  #: Largest allowed `deviation`
+    scale: float = 0.0  #: Size that deviations are relative to; 0 stands for |expected|
 
     @property
     def deviation(self) -> float:

@@ -34,43 +34,27 @@ NOTHING = constant(0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A cylinder with its start, command and load.
+    """A cylinder with its start, command and load."""
 
-    Attributes:
-        parameters: `leglab.cylinder` attributes beside `mid_length`, SI units.
-        mass: Moving mass [kg].
-        position: Initial piston position [m].
-        velocity: Initial velocity [m/s].
-        pressures: Initial pressures of cap and rod side [Pa].
-        command: Valve command over time [s].
-        ideal_spool: The spool starts, and so stays, at a constant command.
-        load: Force against extension [N] over time [s].
-        duration: Seconds.
-    """
-
+    #: `leglab.cylinder` attributes beside `mid_length`, SI units.
     parameters: Mapping[str, float] = field(default_factory=lambda: dict(IDEAL))
-    mass: float = MASS
-    position: float = MID_POSITION
-    velocity: float = 0.0
-    pressures: tuple[float, float] = (5e6, 5e6)
-    command: Callable[[float], float] = NOTHING
-    ideal_spool: bool = True
-    load: Callable[[float], float] = NOTHING
-    duration: float
+    mass: float = MASS  #: Moving mass [kg]
+    position: float = MID_POSITION  #: Initial piston position [m]
+    velocity: float = 0.0  #: Initial velocity [m/s]
+    pressures: tuple[float, float] = (5e6, 5e6)  #: Initial pressures of cap and rod side [Pa]
+    command: Callable[[float], float] = NOTHING  #: Valve command over time [s]
+    ideal_spool: bool = True  #: The spool starts, and so stays, at a constant command
+    load: Callable[[float], float] = NOTHING  #: Force against extension [N] over time [s]
+    duration: float  #: Seconds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units.
+    """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units."""
 
-    Attributes:
-        time: Of the states.
-        lag: By which velocity and force are older: half a step in MuJoCo.
-        states: By the names of the continuous model, and `force`, of the piston on the mass.
-    """
-
-    time: np.ndarray
-    lag: float = 0.0
+    time: np.ndarray  #: Of the states
+    lag: float = 0.0  #: By which velocity and force are older: half a step in MuJoCo
+    #: By the names of the continuous model, and `force`, of the piston on the mass.
     states: Mapping[str, np.ndarray]
 
     def __getitem__(self, name: str) -> np.ndarray:

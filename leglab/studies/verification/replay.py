@@ -25,23 +25,14 @@ _SHIFTS = (0.0, 0.1, 0.2)  # s, so that windows begin every 0.1 s
 
 @dataclass(frozen=True)
 class ReplayCheck:
-    """Errors at the ends of the windows of one recording.
+    """Errors at the ends of the windows of one recording."""
 
-    Attributes:
-        recording: Its name.
-        timestep: s.
-        position: RMS error of the knee [rad].
-        pressure_a: RMS error [Pa].
-        pressure_b: RMS error [Pa].
-        count: Number of windows.
-    """
-
-    recording: str
-    timestep: float
-    position: float
-    pressure_a: float
-    pressure_b: float
-    count: int
+    recording: str  #: Its name
+    timestep: float  #: s
+    position: float  #: RMS error of the knee [rad]
+    pressure_a: float  #: RMS error [Pa]
+    pressure_b: float  #: RMS error [Pa]
+    count: int  #: Number of windows
 
     @property
     def passed(self) -> bool:
