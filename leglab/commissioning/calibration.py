@@ -20,7 +20,7 @@ POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
 
 @dataclass(frozen=True, kw_only=True)
 class ValveMap:
-    """Steady command against position and velocity of one joint: of a valve or a native actuator."""
+    """Steady command by position and velocity of one joint: of a valve or a native actuator."""
 
     position: np.ndarray  #: Joint positions [rad], increasing, shape (p,)
     velocity: np.ndarray  #: Joint velocities [rad/s], increasing, shape (v,)

@@ -19,7 +19,7 @@ from leglab.machine.simulation import Simulation, load_model
 CYLINDER_MODELS = ("knee_bench", "leg", "leg_rail")
 
 Row = dict[str, float]
-Gains = TypeVar("Gains")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,15 +82,15 @@ class GainsFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerGains(GainsFile, Generic[Gains]):
+class ControllerGains(GainsFile, Generic[T]):
     """Gains of a controller: stored for the shipped models, tuned when asked for others."""
 
     #: What the controller takes: a dataclass with an array (joints,) a field.
-    kind: Callable[..., Gains]
+    kind: Callable[..., T]
     #: Tunes a machine that is named, and changes its positions; a row a joint.
     tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
 
-    def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> Gains:
+    def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> T:
         """Gains of all joints.
 
         Args:

@@ -71,7 +71,7 @@ Progress = Callable[[float], None]
 
 @dataclass(slots=True, eq=False)
 class Period:
-    """One control period as the controller meets it; a loop has one, which each period fills anew."""
+    """One control period as the controller meets it; a loop has one, filled anew each period."""
 
     number: int  #: Counted from 0
     measurement: Measurement  #: What the sensors say
