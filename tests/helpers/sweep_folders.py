@@ -70,6 +70,7 @@ def write_sweep(
 
 
 def middle(times) -> float | None:
-    """Median of times, of which those that never came are later than all; None for never."""
-    found = median(1e9 if time is None else time for time in times)
-    return None if found >= 1e9 else found
+    """Median of times; None for never, where half of them or more never came."""
+    if times.count(None) >= len(times) / 2:
+        return None
+    return median(1e9 if time is None else time for time in times)

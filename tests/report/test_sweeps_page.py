@@ -5,6 +5,7 @@ import html
 import json
 import re
 import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,12 @@ def test_settings_that_were_varied_have_a_table_and_a_curve(tmp_path):
     assert [y for _, y in places] == pytest.approx([100 * (1 - e / high) for _, e in rows], abs=0.1)
     # Forty times as much, the middle ten times: an axis of decades.
     assert [x for x, _ in places] == pytest.approx([0.0, 62.4, 100.0], abs=0.1)
+    close = [float(f"{2 + 0.05 * i:.3g}") * 1e-13 for i in range(8)]
+    write_sweep(tmp_path / "close", ("pd",), more={leakage: close})
+    texts = re.findall(r'<span style="left: ([\d.]+)%">', page(tmp_path / "close"))
+    across = sorted({float(x) for x in texts})
+    assert across[0] == 0.0
+    assert min(b - a for a, b in pairwise(across)) > 14.0  # as wide as "2.05e-13"
 
 
 def test_columns_that_no_run_fills_are_left_out_and_the_reason_told(tmp_path):

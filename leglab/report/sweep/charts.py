@@ -21,6 +21,8 @@ _CLASSES, LISTED = 6, 8
 _REACHED = 0.6
 # Values of a table that differ by no larger share than this have no shade.
 _ALIKE = 0.02
+# Width of a letter below a curve, in hundredths of the axis on a wide screen.
+_LETTER = 1.8
 # No value: the page says elsewhere why.
 NONE = "\u2013"
 # Axes that the heat maps show.
@@ -170,7 +172,7 @@ def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | Non
     return {
         "table": table,
         "alt": f"{title}. {told}.",
-        "ticks": [(x, value) for x, (value, _) in zip(across, table["rows"], strict=True)],
+        "ticks": _ticks([(x, value) for x, (value, _) in zip(across, table["rows"], strict=True)]),
         "curves": curves,
         "low": number(quantity.factor * low),
         "high": number(quantity.factor * high),
@@ -183,6 +185,15 @@ def _places(values: Sequence[float]) -> list[float]:
     scale = math.log if low > 0 and high / low > 10.0 else float
     ends = scale(low), scale(high)
     return [round(100.0 * (scale(v) - ends[0]) / (ends[1] - ends[0]), 2) for v in values]
+
+
+def _ticks(places: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Places along an axis with their texts, those left out that would lie over the one before."""
+    kept: list[tuple[float, str]] = []
+    for x, text in places:
+        if not kept or x - kept[-1][0] > _LETTER * (len(text) + len(kept[-1][1]) + 2) / 2:
+            kept.append((x, text))
+    return kept
 
 
 def distributions(facts: Facts) -> list[dict[str, Any]]:

@@ -28,11 +28,13 @@ class Quantity:
 
     @property
     def median(self) -> str:
-        """Median in SQL; of a time that some runs never reach, `NEVER` where most do not."""
-        value = self.name
-        if self is T90:
-            value = f"CASE WHEN recovered IS NULL THEN NULL ELSE coalesce({value}, {NEVER}) END"
-        return f"median({value})"
+        """Median in SQL; of a time that some runs never reach, `NEVER` where half do not."""
+        if self is not T90:
+            return f"median({self.name})"
+        value = f"CASE WHEN recovered IS NOT NULL THEN coalesce({self.name}, {NEVER}) END"
+        # Of an even number of runs the median is the mean of the middle two.
+        middle = f"median({value})"
+        return f"CASE WHEN {middle} >= {NEVER / 2} THEN {NEVER} ELSE {middle} END"
 
 
 T90 = Quantity(name="t90_s", title="90 % undone after, s", factor=1.0, bad=1)
@@ -84,6 +86,8 @@ class Facts:
 
 def axis_words(axis: str) -> str:
     """A setting as one reads it: "internal leakage", "memory of the controller"."""
+    if axis == "severity":
+        return "size"
     table, _, name = axis.rpartition(".")
     owner = {
         "controller_config": " of the controller",
