@@ -48,7 +48,6 @@ class CylinderModel:
         supply_pressure: float,
         mass: float,
         load: float,
-        ideal_valve: bool,
         blocked: bool,
         out: np.ndarray,
     ) -> None: ...

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -66,7 +65,6 @@ class Cylinder:
         command: float,
         mass: float = 1.0,
         load: float = 0.0,
-        ideal_valve: bool = False,
         blocked: bool = False,
     ) -> np.ndarray:
         """Time derivative of the continuous state, shape (13,), order `CONTINUOUS_STATES`.
@@ -76,12 +74,11 @@ class Cylinder:
             command: Valve command in [-1, 1].
             mass: Moving mass [kg].
             load: Force against extension [N].
-            ideal_valve: The spool follows the command at once.
             blocked: The piston is held.
         """
         out = np.empty(len(CONTINUOUS_STATES))
         state = np.ascontiguousarray(state, dtype=float)
-        inputs = command, self.supply_pressure, mass, load, ideal_valve, blocked
+        inputs = command, self.supply_pressure, mass, load, blocked
         self.native.derivative(state, *inputs, out)
         return out
 
@@ -91,33 +88,6 @@ class Cylinder:
         for name, value in values.items():
             state[CONTINUOUS_STATES.index(name)] = value
         return state
-
-    def solve(
-        self, state: np.ndarray, duration: float, *, rtol: float = 1e-10, **inputs: Any
-    ) -> Any:
-        """Integrates the continuous model with scipy's stiff Radau solver.
-
-        Args:
-            state: Initial continuous state, shape (13,).
-            duration: Seconds.
-            rtol: Relative tolerance.
-            **inputs: As for `derivative`, constant over the duration.
-
-        Returns:
-            scipy's solution with dense output.
-        """
-        from scipy.integrate import solve_ivp  # slow to import, and seldom needed
-
-        scale = np.array([1e-3, 1e-2, 1e-3, 1e-1, 1e4, 1e4, 1e-6] + [1e-3] * 6)
-        return solve_ivp(
-            lambda _, y: self.derivative(y, **inputs),
-            (0.0, duration),
-            state,
-            method="Radau",
-            rtol=rtol,
-            atol=rtol * scale,
-            dense_output=True,
-        )
 
     def simulate(
         self,

@@ -163,11 +163,11 @@ class CylinderModel {
   }
 
   void derivative(ConstVector state, double command, double supply_pressure, double mass, double load,
-                  bool ideal_valve, bool blocked, Vector out) const {
+                  bool blocked, Vector out) const {
     require(state.shape(0), kContinuousCount, "state");
     require(out.shape(0), kContinuousCount, "out");
-    continuous_derivative(p_, c_, oil_, {command, supply_pressure, mass, load, ideal_valve, blocked},
-                          state.data(), out.data());
+    continuous_derivative(p_, c_, oil_, {command, supply_pressure, mass, load, blocked}, state.data(),
+                          out.data());
   }
 
   // Valve flows [m^3/s] into A and B and the leakage A -> B at steady pressures.

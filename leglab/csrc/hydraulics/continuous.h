@@ -13,11 +13,10 @@ enum ContinuousState {
 };
 
 // Time derivative with the piston moving `mass` kg against `load` N (positive opposes extension).
-// A command held at `spool_command` passes the spool dynamics; `ideal_valve` sets x_s = command,
-// `blocked` holds the piston.
+// The command passes the spool dynamics; `blocked` holds the piston.
 struct ContinuousInput {
   double command, supply_pressure, mass, load;
-  bool ideal_valve, blocked;
+  bool blocked;
 };
 
 inline void continuous_derivative(const CylinderParameters& p, const CylinderCoefficients& c,
@@ -26,7 +25,7 @@ inline void continuous_derivative(const CylinderParameters& p, const CylinderCoe
   const double x = y[kX], v = in.blocked ? 0.0 : y[kV];
   const double pa = y[kPressureA], pb = y[kPressureB];
   const double command = std::clamp(in.command + p.null_bias_, -1.0, 1.0);
-  const double spool = in.ideal_valve ? command : std::clamp(y[kSpool], -1.0, 1.0);
+  const double spool = std::clamp(y[kSpool], -1.0, 1.0);
   const double w = 2.0 * std::numbers::pi * p.bandwidth_hz_;
 
   const CylinderFlows f = flows_at(c, oil, Edges::at(p, c, spool), in.supply_pressure,
@@ -50,10 +49,9 @@ inline void continuous_derivative(const CylinderParameters& p, const CylinderCoe
 
   dy[kX] = v;
   dy[kV] = in.blocked ? 0.0 : (force - in.load) / in.mass;
-  dy[kSpool] = in.ideal_valve ? 0.0 : y[kSpoolVelocity];
-  dy[kSpoolVelocity] = in.ideal_valve ? 0.0
-                                      : w * w * (command - y[kSpool]) -
-                                            2.0 * p.damping_ratio_ * w * y[kSpoolVelocity];
+  dy[kSpool] = y[kSpoolVelocity];
+  dy[kSpoolVelocity] =
+      w * w * (command - y[kSpool]) - 2.0 * p.damping_ratio_ * w * y[kSpoolVelocity];
   dy[kBristle] = bristle_rate;
   dy[kEnergySupply] = in.supply_pressure * f.supply - p.tank_pressure_ * (f.supply - f.a - f.b);
   dy[kEnergyValve] = f.edge_power;
