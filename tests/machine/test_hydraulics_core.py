@@ -76,7 +76,6 @@ def random_case(rng):
         "command": span(-1.5, 1.5),
         "mass": 10 ** span(-1, 2),
         "load": rng.normal() * 1000,
-        "ideal_valve": bool(rng.integers(2)),
         "blocked": bool(rng.integers(4) == 0),
     }
     return parameters, np.array(state + [0.0] * 6), inputs

@@ -78,7 +78,7 @@ def end_stop(p, x, v):
     return 0.0
 
 
-def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, blocked=False):
+def terms(p, y, *, command, supply_pressure, mass, load, blocked=False):
     """Terms of every rate of the continuous state, a list of 13 lists, in its order."""
     x, v, spool, spool_velocity, pa, pb, z = y[:7]
     v = 0.0 if blocked else v
@@ -88,7 +88,7 @@ def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, bloc
     ci, cea, ceb, viscous = leakages(p)
 
     u = min(max(command + p["null_bias"], -1.0), 1.0)
-    s = u if ideal_valve else min(max(spool, -1.0), 1.0)
+    s = min(max(spool, -1.0), 1.0)
     k = p["rated_flow"] / math.sqrt(p["rated_pressure_drop"] / 2)
     forward = k * (1 + p["flow_asymmetry"])
     backward = k * (1 - p["flow_asymmetry"])
@@ -135,8 +135,8 @@ def terms(p, y, *, command, supply_pressure, mass, load, ideal_valve=False, bloc
     return [
         [v],
         [0.0] if blocked else [f / mass for f in [*force, -load]],
-        [0.0] if ideal_valve else spool_rate,
-        [0.0] if ideal_valve else spool_acceleration,
+        spool_rate,
+        spool_acceleration,
         rate_a,
         rate_b,
         z_rate,
