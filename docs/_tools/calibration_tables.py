@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from sphinx.pycode import ModuleAnalyzer
 
 import leglab.controllers  # noqa: F401  registers the controllers
 from leglab.base.scale import rms
@@ -183,10 +184,14 @@ def told_rows() -> list[tuple[str, str, str]]:
 
 
 def meanings(described: type) -> list[tuple[str, str]]:
-    """Names and meanings in the docstring of a class."""
+    """Names and meanings of the attributes of a class, from its docstring or beside its fields."""
     _, _, text = (inspect.getdoc(described) or "").partition("Attributes:\n")
-    entries = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text, re.MULTILINE)
-    return [(name, first(" ".join(words.split()))) for name, words in entries]
+    entries = re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", text.partition("\n\n")[0], re.MULTILINE)
+    if not entries:
+        beside = ModuleAnalyzer.for_module(described.__module__).find_attr_docs()
+        owner = described.__qualname__
+        entries = [(name, " ".join(lines)) for (of, name), lines in beside.items() if of == owner]
+    return [(name, first(words)) for name, words in entries]
 
 
 def first(text: str) -> str:
