@@ -84,6 +84,23 @@ def _escape_bars(app, what, name, obj, options, lines):
         lines[i] = "".join(p if p.startswith("`") else p.replace("|", "\\|") for p in parts)
 
 
+_KEPT = {}
+
+
+def _keep_attribute(app, what, name, obj, options, lines):
+    """Keeps the text beside a field from napoleon, to which a colon in it ends a type."""
+    del app, obj, options
+    if what == "attribute":
+        _KEPT[name] = list(lines)
+
+
+def _restore_attribute(app, what, name, obj, options, lines):
+    """Puts it back."""
+    del app, obj, options
+    if what == "attribute":
+        lines[:] = _KEPT.pop(name)
+
+
 def _skip(app, what, name, obj, skip, options):
     """Fields of a named tuple are described by its docstring."""
     del app, what, name, options
@@ -108,4 +125,5 @@ def setup(app):
     """Connects these."""
     app.connect("build-finished", _write_sitemap)
     app.connect("autodoc-skip-member", _skip)
-    app.connect("autodoc-process-docstring", _escape_bars)
+    for priority, hook in ((400, _keep_attribute), (600, _restore_attribute), (700, _escape_bars)):
+        app.connect("autodoc-process-docstring", hook, priority=priority)

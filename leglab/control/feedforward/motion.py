@@ -19,7 +19,7 @@ def smoothing_kernel(window: int, timestep: float) -> np.ndarray:
         timestep: Between samples [s].
 
     Returns:
-        (4, window): rows times samples, oldest first, give x, x', x'' and x'''.
+        Rows that times samples, oldest first, give x, x', x'' and x''', (4, window).
     """
     half = window // 2
     offsets = np.arange(-half, half + 1) / half
