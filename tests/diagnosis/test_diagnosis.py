@@ -1,5 +1,6 @@
 """The diagnosis as a whole: three seconds of recordings of the bench, and its parts."""
 
+import gc
 import json
 from dataclasses import replace
 
@@ -16,8 +17,11 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.improve import improved_model
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import held_out_choice, read_recordings, split_held_out
+from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.twins import twins
+from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.replay.residual import thinned
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import Thresholds
 from leglab.diagnosis.verdict.experiment import excitations, propose
@@ -160,6 +164,33 @@ def test_threads_do_not_change_a_bit(problem):
     other = problem_of(of_bench("nominal"), threads=2)
     hypothesis = Hypothesis({DELAY: np.array([0.0035])})
     np.testing.assert_array_equal(problem.residual(hypothesis), other.residual(hypothesis))
+
+
+class Collects:
+    """A hypothesis on whose way to another process everything unused is freed there."""
+
+    def __reduce__(self):
+        return collected, ()
+
+
+def collected():
+    gc.collect()
+    return Hypothesis()
+
+
+def test_a_process_does_not_end_the_threads_of_an_earlier_diagnosis():
+    gc.disable()
+    try:
+        earlier = [problem_of(of_bench("nominal"), threads=2)]
+        earlier.append(earlier)  # only the collection of garbage frees it
+        del earlier
+        problem = problem_of(of_bench("nominal"), threads=2)
+        at = Errors(problem, Unknowns.of(problem.library), thinned(problem.fitted, 4))
+        first, second = at.each([Collects(), Collects()])
+    finally:
+        gc.enable()
+    np.testing.assert_array_equal(first, at.at(Hypothesis()))
+    np.testing.assert_array_equal(first, second)
 
 
 def test_held_out_recording_lies_within_the_others():

@@ -1,5 +1,6 @@
 """Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
 
+import gc
 import signal
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -71,6 +72,11 @@ class Errors:
             self._workers = ProcessPoolExecutor(
                 self.problem.threads, get_context("fork"), _begin, (self,)
             )
+            # What the processes inherit they never free: threads of an earlier diagnosis are not
+            # theirs to end.
+            gc.freeze()
+            self._workers.submit(bool)  # starts them all
+            gc.unfreeze()
         portion = max(1, len(hypotheses) // (4 * count))
         try:
             made = list(self._workers.map(_errors, hypotheses, chunksize=portion))
