@@ -18,6 +18,7 @@ from leglab.base.input import parse_json, read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
+from leglab.data.clock import Timed
 from leglab.data.files import LeftOut, check_notes, first_line, to_json
 from leglab.data.matlab_check import checked
 
@@ -154,7 +155,7 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         changed = {n: u for n, u in given.items() if isinstance(u, str) and u not in usual[n]}
         if changed:
             metadata["units"] = {**known, **changed}
-    return table, metadata
+    return Timed(table), metadata
 
 
 def _foreign_table(

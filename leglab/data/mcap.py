@@ -17,6 +17,7 @@ from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 from leglab.data.alignment import TopicSeries, aligned, overlaps
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
+from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut, to_json
 from leglab.data.ros_messages import (
@@ -105,7 +106,7 @@ def read_table(
         metadata["start_ns"] = start
     if notes:
         metadata["alignment"] = [*metadata.get("alignment", ()), *notes]
-    return {"time": (clock.stamps - start) / 1e9, **table}, metadata
+    return Timed({"time": (clock.stamps - start) / 1e9, **table}), metadata
 
 
 def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:

@@ -16,6 +16,7 @@ from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
+from leglab.data.clock import Timed
 from leglab.data.columns import to_arrays
 from leglab.data.files import LeftOut, check_notes, first_line, to_json
 
@@ -50,7 +51,8 @@ def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], di
     if _DIGEST_KEY in stored and stored[_DIGEST_KEY] != _digest(shape, text or b""):
         told = f"{path}: is damaged: names, length and metadata do not fit their checksum"
         raise FileError(told, given=path)
-    return to_arrays(table, path, left_out), _metadata(path, text)
+    columns = to_arrays(table, path, left_out)
+    return columns if text is None else Timed(columns), _metadata(path, text)
 
 
 def write(recording: Recording, path: Path) -> None:

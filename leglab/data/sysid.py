@@ -11,6 +11,7 @@ import numpy as np
 from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
+from leglab.data.clock import Timed
 from leglab.data.files import LeftOut, first_line
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], di
         told = f"{path}: not a time series of mujoco.sysid: {first_line(error)}"
         raise FileError(told, given=path) from error
     try:
-        return _table_of(found), {}
+        return Timed(_table_of(found)), {}
     except LeglabError as error:
         raise error.at(path) from error
 
