@@ -132,18 +132,20 @@ def inspect(
         print_json({"file": str(file), **summary.to_json(), "unreadable": unreadable})
         return
     tell(f"{file}: {_axis(summary)}")
+    if said := metadata.pop("time", None):
+        tell(f"time: {said}")
     print_wide(_table(summary))
     for finding in summary.findings:
         label = "error" if finding.fatal else finding.kind
         tell(f"{label}: {finding.message}")
     for name, why in unreadable.items():
         tell(f"unreadable: {name}: {why}")
-    if "time" not in table:
-        for line in _map_of(table):
+    if "time" not in table or not any(column.unit for column in summary.columns):
+        for line in _map_of({name: x for name, x in table.items() if name != "time"}):
             tell(line)
-    elif not summary.findings:
+    if "time" in table and not summary.findings:
         output.print("no gap, nothing missing, no constant column")
-    for key, value in summary.metadata.items():
+    for key, value in metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
         tell(f"{key} = {short}")
@@ -151,14 +153,8 @@ def inspect(
 
 def _map_of(table: "Mapping[str, np.ndarray]") -> list[str]:
     """A column map to be completed, for a table whose columns have other names."""
-    import numpy as np
-
-    forward = [n for n, x in table.items() if x.size > 1 and (np.diff(x) > 0).all()]
-    time = min(forward, key=list(table).index) if forward else None
     lines = ["a file for --columns, to be completed:", "[columns]"]
-    for name in table:
-        ours = '"time"' if name == time else '{name = "JOINT_position", factor = 1.0}'
-        lines.append(f"{json.dumps(name)} = {ours}")
+    lines += [f'{json.dumps(n)} = {{name = "JOINT_position", factor = 1.0}}' for n in table]
     return [
         *lines,
         "names here: time [s], JOINT_position [rad or m], JOINT_velocity, JOINT_pressure_a and _b "

@@ -9,7 +9,7 @@ from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
 from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
-from leglab.data.clock import time_axis
+from leglab.data.clock import Timed, time_axis
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.files import LeftOut
 from leglab.data.input_output import from_input_output, to_input_output
@@ -126,9 +126,13 @@ def read_table(
         table, metadata = mcap.read_table(path, left_out, columns)
     else:
         table, metadata = form.read_table(path, left_out)
+    is_timed = isinstance(table, Timed)
     if columns is not None:
         table = columns.apply(table, str(path), left_out)
-    table, metadata = time_axis(table, metadata)
+    given = columns.time if columns is not None and "time" in table else None
+    table, metadata = time_axis(
+        table, metadata, left_out, source=str(path), given=given, timed=is_timed
+    )
     if left_out:
         reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}

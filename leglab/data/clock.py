@@ -1,8 +1,30 @@
-"""The time axis of a table as it was read: which column it is, its unit, where it begins."""
+"""The time axis of a table as it was read: its unit, where it begins, what its stamps resolve."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 
 import numpy as np
+
+from leglab.base.errors import LeglabError, RecordingError
+from leglab.data.column_map import ColumnRule
+from leglab.data.files import LeftOut
+from leglab.data.time_column import time_column
+from leglab.data.units_in_names import split
+
+_SECOND = {"s": Fraction(1), "ms": Fraction(1, 1000)}
+_SECOND |= {"us": _SECOND["ms"] / 1000, "ns": _SECOND["ms"] / 10**6}
+# Rates of machines' logs [Hz], from 10 Hz to 20 kHz with room for drift: below, a joint moves on
+# unseen between two rows (25 Hz are slow already); above, no controller of a drive runs. Seconds in
+# whole numbers are never faster than 1 Hz, and nobody means anything else by fractions from there.
+_LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
+# Stamps from 2000 to 2100 count from 1970, if a row takes no longer than 10 s.
+_EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
+# Up to here [s], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
+# so later recordings begin at 0 s and their start is kept in the metadata.
+_LAST_EXACT = 2**53 / 1e9
+# The period of rounded stamps must be known to this share: a window of the diagnosis, a few hundred
+# rows, is then off by less than a row.
+_KNOWN = 1e-3
 
 
 class Timed(dict[str, np.ndarray]):
@@ -10,7 +32,13 @@ class Timed(dict[str, np.ndarray]):
 
 
 def time_axis(
-    table: Mapping[str, np.ndarray], metadata: Mapping[str, object]
+    table: Mapping[str, np.ndarray],
+    metadata: Mapping[str, object],
+    left_out: LeftOut,
+    *,
+    source: str = "",
+    given: tuple[str, ColumnRule] | None = None,
+    timed: bool = False,
 ) -> tuple[dict[str, np.ndarray], dict]:
     """Brings the time of a table into seconds; all raw columns of all formats pass here.
 
@@ -20,17 +48,181 @@ def time_axis(
     Args:
         table: Arrays of shape (n,) by column name.
         metadata: Of the file.
+        left_out: Gets "time" where it cannot be used.
+        source: Where the table came from, for messages.
+        given: The time's name in the file and its rule, where a column map names it; the table has
+            it as "time".
+        timed: Whether the format defines `time` in seconds.
 
     Returns:
-        Arrays of float64 by column name, "time" in s among them where there is one, and the
-        metadata with `start_ns`, ns since 1970, where time was moved to begin at 0.
+        Arrays of float64 by column name, "time" in s first where there is one, and the metadata
+        with `start_ns`, ns since 1970, where time was moved to begin at 0, and under "time" what
+        was taken for the time wherever that is not plain.
+
+    Raises:
+        LeglabError: Two columns can be the time, or two units; it does not resolve the rows.
     """
-    table, metadata = dict(table), dict(metadata)
-    time = table.get("time")
-    if time is not None and time.dtype.kind in "Mm":
-        ticks = time.astype(f"{time.dtype.kind}8[ns]").astype(np.int64)
-        start = int(ticks.min()) if ticks.size and np.abs(ticks).max() > 2**53 else 0
-        if start:
-            metadata["start_ns"] = start
-        table["time"] = (ticks - start) / 1e9
-    return {name: samples.astype(np.float64) for name, samples in table.items()}, metadata
+    table = {n: x.astype(np.int64) if x.dtype.kind in "iu" else x for n, x in table.items()}
+    notes: dict[str, object] = {}
+    start = 0
+    try:
+        name, raw = given[0] if given else "time", table.get("time")
+        if raw is None or not (given or timed):
+            name, raw, parts = time_column(table)
+            table = {n: samples for n, samples in table.items() if n not in parts}
+        if raw is not None:
+            table.pop("time", None)
+            rule = given[1] if given else None
+            time, start, said = _in_seconds(name, raw, rule, _moved(table), timed=timed)
+            table = {"time": time, **table}
+            notes = ({"start_ns": start} if start else {}) | ({"time": said} if said else {})
+    except LeglabError as error:
+        table.pop("time", None)
+        left_out.add("time", error.at(source))
+    floats = {name: _floats(samples, start) for name, samples in table.items()}
+    return floats, {**metadata, **notes}
+
+
+def _in_seconds(
+    name: str, raw: np.ndarray, rule: ColumnRule | None, moved: np.ndarray, *, timed: bool
+) -> tuple[np.ndarray, int, str]:
+    """Returns seconds, the start [ns since 1970] if time begins at 0 for it, and what to say."""
+    offset = rule.offset if rule else 0.0
+    if timed:
+        time = raw.astype(np.float64)
+        return (rule.factor * time + offset if rule else time), 0, ""
+    plain, missing, stored = False, np.zeros(raw.size, dtype=bool), raw.dtype.kind
+    if stored in "Mm":
+        tick = np.ones((), raw.dtype.str.replace("M8", "m8")) // np.timedelta64(1, "ns")
+        factor = Fraction(int(tick), 10**9)
+        unit, missing = np.datetime_data(raw.dtype)[0], np.isnat(raw)
+        raw = raw.astype(np.int64)
+    elif rule and "factor" in rule.model_fields_set:
+        factor, unit = _exact(rule.factor), f"steps of {rule.factor:g} s"
+    else:
+        unit, factor = _unit(name, raw)
+        plain = name == "time" and unit == "s"
+    if raw.dtype.kind == "f":
+        missing = ~np.isfinite(raw)
+    known = raw[~missing]
+    if not known.size:
+        return np.full(raw.size, np.nan), 0, ""
+    far = abs(float(known[np.argmax(np.abs(known.astype(np.float64)))])) * float(factor)
+    # A time of day, which is stored as one since midnight, begins at 0 as well.
+    first = known.min() if far > _LAST_EXACT or stored == "m" else known.dtype.type(0)
+    time = raw - first if raw.dtype.kind != "f" else raw.astype(np.float64) - float(first)
+    scale = 1 / factor
+    time = time / float(scale) if scale.denominator == 1 else time * float(factor)
+    time = np.where(missing & (raw.dtype.kind == "i"), np.nan, time + offset if offset else time)
+    time, rounding = _straight(name, raw, time, float(factor), moved)
+    start = int(Fraction(first.item()) * factor * 10**9) if stored != "m" else 0
+    rate = 1.0 / step if (step := _step(time)) else 0.0
+    plausible = not rate or (_LEAST_OF_FRACTIONS if plain else _LEAST) <= rate <= _MOST
+    said = f"{name} in {unit} since {'1970' if start else 'the start'}, {rate:.6g} Hz{rounding}"
+    said += "" if plausible or stored in "Mm" else ": is this its unit?"
+    return time, start, "" if plain and not start and not rounding and plausible else said
+
+
+def _unit(name: str, raw: np.ndarray) -> tuple[str, Fraction]:
+    """The unit that the name has, else the one that gives a plausible rate, and its seconds."""
+    named = split(f"t {name}") if split(name).si != "s" else split(name)
+    if named.si == "s":
+        return named.unit, _exact(named.factor)
+    known = raw[np.isfinite(raw)]
+    step = _step(known - known[0]) if known.size else 0.0
+    if not step:
+        return "s", _SECOND["s"]
+    rates = {unit: 1.0 / (step * float(seconds)) for unit, seconds in _SECOND.items()}
+    if rates["s"] >= _LEAST_OF_FRACTIONS and (known != np.rint(known)).any():
+        return "s", _SECOND["s"]
+    first = float(known[0])
+    epoch = [
+        unit
+        for unit, rate in rates.items()
+        if _EPOCH[0] <= first * float(_SECOND[unit]) <= _EPOCH[1]
+        and (rate >= _LEAST_OF_EPOCH or raw.dtype == np.float32)
+    ]
+    if epoch and raw.dtype == np.float32:  # It hides the rate.
+        return epoch[0], _SECOND[epoch[0]]
+    fits = [unit for unit, rate in rates.items() if _LEAST <= rate <= _MOST]
+    fits = [unit for unit in fits if unit in epoch] or list(dict.fromkeys(fits + epoch))
+    if not fits and name == "time":
+        fits = ["s"]
+    if len(fits) == 1:
+        return fits[0], _SECOND[fits[0]]
+    each = ", ".join(f"in {unit} {rates[unit]:.6g} Hz" for unit in fits or _SECOND)
+    raise RecordingError(
+        f"column {name!r} is the time, in steps of {step:g}: {each}; which unit it is says a "
+        f'column map by --columns FILE, for ms: "{name}" = {{name = "time", factor = 1e-3}}',
+        given=name,
+    )
+
+
+def _straight(
+    name: str, raw: np.ndarray, time: np.ndarray, factor: float, moved: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Returns the time of an even clock whose stamps are rounded so far that they hide the rate.
+
+    `moved`, (n - 1,), is where a row has other values than the row before.
+    """
+    short = raw.dtype.kind == "f" and raw.dtype.itemsize < 8
+    if time.size < 3 or not np.isfinite(time).all() or (raw.dtype.kind == "f" and not short):
+        return time, ""
+    largest = raw[np.argmax(np.abs(raw.astype(np.float64)))]
+    resolved = factor * float(np.spacing(np.abs(largest))) if short else factor
+    mean = float(time[-1] - time[0]) / (time.size - 1)
+    repeats = bool(((np.diff(time) == 0) & moved).any())
+    if not repeats and (not short or resolved <= _KNOWN * mean):
+        return time, ""
+    line = straight_line(np.arange(time.size), time)
+    period = float(line[1] - line[0])
+    told = f"float{8 * raw.dtype.itemsize}" if short else "its unit"
+    told += f" resolves {resolved:.3g} s at {abs(float(largest)):.3g}"
+    # A tick lies half a step from its stamp, and a little more from a line through stamps.
+    even = np.abs(time - line).max() <= 0.75 * resolved
+    if even and 0 < resolved / np.sqrt(time.size) <= _KNOWN * period * time.size:
+        return line, f" ({told}; the rows are even: straightened)"
+    if repeats and not short:
+        resolved = factor * float(np.gcd.reduce(np.diff(raw)))
+        told = f"its steps are {resolved:.3g} s"
+    # Few rows that are there twice are told row by row.
+    if repeats and (short or resolved > 2.0 * mean):
+        told = f"column {name!r} is the time, and {told}: no use; log "
+        finer = "float64, or time since the start" if short else "a finer unit"
+        raise RecordingError(told, given=name, allowed=finer)
+    return time, f" ({told})" if short else ""
+
+
+def straight_line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Returns the straight line of times over the numbers of ticks, at the ticks, (n,) all."""
+    centred = ticks - ticks.mean()
+    slope, level = np.polyfit(centred, time - time[0], 1)
+    return time[0] + level + slope * centred
+
+
+def _step(time: np.ndarray) -> float:
+    """Usual step of stamps forward; 0 where there is none."""
+    forward = np.diff(time)
+    forward = forward[forward > 0]
+    return float(np.median(forward)) if forward.size else 0.0
+
+
+def _exact(factor: float) -> Fraction:
+    """A factor as the decimal or the whole share that was meant: 1e-3 is one of 1000."""
+    return Fraction(factor).limit_denominator(10**12) or Fraction(factor)
+
+
+def _moved(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Where a row has other values than the row before, (n - 1,)."""
+    changes = [(x[1:] != x[:-1]) & ((x == x)[1:] | (x == x)[:-1]) for x in table.values()]
+    equal = len({change.shape for change in changes}) == 1
+    return np.any(changes, axis=0) if equal else np.zeros(1, dtype=bool)
+
+
+def _floats(samples: np.ndarray, start: int) -> np.ndarray:
+    """Float64 of a column; further clocks are in s since the recording's start."""
+    if samples.dtype.kind not in "Mm":
+        return samples.astype(np.float64)
+    ticks = samples.astype(f"{samples.dtype.kind}8[ns]")
+    since = start if samples.dtype.kind == "M" else 0
+    return np.where(np.isnat(ticks), np.nan, (ticks.astype(np.int64) - since) / 1e9)

@@ -65,6 +65,11 @@ class ColumnMap:
         """Returns the name here of a column of the recording."""
         return self.rules[theirs].name if theirs in self.rules else theirs
 
+    @property
+    def time(self) -> tuple[str, ColumnRule] | None:
+        """Name in the recording and rule of what becomes the time."""
+        return next(((n, rule) for n, rule in self.rules.items() if rule.name == "time"), None)
+
     def apply(
         self, table: Mapping[str, np.ndarray], source: str, left_out: LeftOut
     ) -> dict[str, np.ndarray]:
@@ -106,7 +111,8 @@ class ColumnMap:
                 )
                 left_out.add(name, RecordingError(why, given=theirs))
             rule = self.rules.get(theirs)
-            if rule and (rule.factor, rule.offset) != (1.0, 0.0):
+            # The time's factor counts where no digit is lost: in `time_axis`.
+            if rule and name != "time" and (rule.factor, rule.offset) != (1.0, 0.0):
                 with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
                     samples = rule.factor * samples + rule.offset
             mapped[name] = samples

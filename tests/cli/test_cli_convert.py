@@ -130,18 +130,18 @@ def test_inspect_as_json(capsys):
 
 
 def test_inspect_shows_what_cannot_be_read_as_a_recording(capsys, folder):
-    (folder / "bad.csv").write_text("time,a\n0,1\n2,2\n1,3\n")
+    (folder / "bad.csv").write_text("time,a\n0,1\n0.2,2\n0.1,3\n")
     status, printed, _ = leglab("inspect", "bad.csv", capsys=capsys)
     assert status == 0
-    assert "error: column 'time', row 2: 1 s comes after 2 s" in printed
+    assert "error: column 'time', row 2: 0.1 s comes after 0.2 s" in printed
 
 
 def test_inspect_shows_columns_of_other_names_and_how_to_map_them(capsys, folder):
     (folder / "theirs.csv").write_text("angle,t,note\n10,0,a\n12,0.1,b\n11,0.2,c\n")
     status, printed, _ = leglab("inspect", "theirs.csv", capsys=capsys)
     assert status == 0
-    assert printed.startswith("theirs.csv: 3 samples\n")
-    assert "error: no column 'time'; --columns FILE" in printed
+    assert printed.startswith("theirs.csv: 3 samples over 0.2 s")
+    assert "time: t in s since the start, 10 Hz" in printed
     assert "unreadable: note: column 'note', row 0: 'a' is not a number" in printed
     start = printed.index("[columns]")
     told = printed[start : printed.index("names here")]

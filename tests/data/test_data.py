@@ -124,7 +124,7 @@ def test_truncated_csv(tmp_path):
         ("time,a,a\n0,1,2\n", "column 'a' is there 2 times"),
         ("time,a\n0,1\n1,broken\n2,3\n", "column 'a', row 1: 'broken' is not a number"),
         ("time,a\n0,true\n1,false\n", "column 'a', row 0: True is not a number"),
-        ("time,a\n0,1\n2,2\n1,3\n", "column 'time', row 2: 1 s comes after 2 s"),
+        ("time,a\n0,1\n0.2,2\n0.1,3\n", "column 'time', row 2: 0.1 s comes after 0.2 s"),
         ("time,a\n0,1\n,2\n1,3\n", "column 'time', row 1: nan is not a finite time"),
     ],
 )

@@ -133,7 +133,8 @@ class _Entry:
         reasons: Mapping[str, str] = unreadable if isinstance(unreadable, dict) else {}
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.machine, self.name, self.recording, self.limits = machine, name, own, limits
-        self.remarks: list[Remark] = []
+        said = recording.metadata.get("time")
+        self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
         for column, cylinder in known.items():
             why = self._pressure_fault(column, cylinder) if column in own else reasons.get(column)

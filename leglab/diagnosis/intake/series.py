@@ -15,6 +15,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from leglab.base.recording import Recording
 from leglab.base.scale import deviation, rms
+from leglab.data.clock import straight_line
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 # Stamps this near to the grid, in periods, are on it.
@@ -98,7 +99,7 @@ class Clock:
     def of(cls, time: np.ndarray) -> "Clock":
         """Finds period, rounding and jitter of three time stamps or more [s]."""
         stamps, rounding = time, 0.0
-        line, step = _line(np.arange(time.size), time), quantum(time - time[0])
+        line, step = straight_line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
         # A tick lies half a step from its stamp, and a little more from a line through stamps.
         if _ON_GRID * mean < off <= 0.75 * step < 2.0 * mean:
@@ -110,18 +111,11 @@ class Clock:
             period, clear = beat, True
             jitter, ticks, lost = _ticks(stamps, period)
         if lost and jitter > _ON_GRID:
-            line = _line(ticks, time)
+            line = straight_line(ticks, time)
             if 0.0 < step < 2.0 * period and np.abs(time - line).max() <= 0.75 * step:
                 period = float(line[-1] - line[0]) / float(ticks[-1])
                 stamps, rounding, jitter = line, step, 0.0
         return cls(period, stamps, rounding, jitter, lost, clear)
-
-
-def _line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Straight line of times over the numbers of ticks, at the ticks."""
-    centred = ticks - ticks.mean()
-    slope, level = np.polyfit(centred, time - time[0], 1)
-    return time[0] + level + slope * centred
 
 
 def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:

@@ -1,0 +1,137 @@
+"""Which column of a table is the time: by its name, its type, and how it goes forward."""
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from leglab.base.errors import RecordingError
+from leglab.data.units_in_names import split
+
+# Words of names, in the languages of the loggers that are met; X_Value is LabVIEW's.
+_WORDS = re.compile(
+    "time|t|timestamps?|stamp|ts|clock|datetime|date|epoch|utc|elapsed|secs?|seconds|millis|micros|"
+    "nanos|zeit|uhrzeit|zeitstempel|temps|tiempo|xvalue"
+)
+_WHOLE = re.compile(r"(.*?)[._/ ]*(sec|secs|seconds)", re.IGNORECASE)
+_PARTS = {"nanosec": 9, "nsec": 9, "nsecs": 9, "nanoseconds": 9, "usec": 6, "microseconds": 6}
+# Rows of a clock that may be repeated, out of order or in a gap.
+_ODD = 0.01
+
+
+def time_column(
+    table: Mapping[str, np.ndarray],
+) -> tuple[str, np.ndarray | None, frozenset[str]]:
+    """Finds the time of a table.
+
+    A column called `time` is it, if need be with a unit, else one whose name is like that or
+    whose type is a time, and which goes forward. Whole seconds beside their fraction, and a date
+    beside a time of day, are put together. A column that only counts rows never is.
+
+    Args:
+        table: Raw arrays of shape (n,) by column name.
+
+    Returns:
+        Name, samples and the columns that they came from; None for samples without one.
+
+    Raises:
+        RecordingError: Two columns can be it; names both.
+    """
+    choices = {name: (samples, (name,)) for name, samples in table.items()}
+    for name, samples, parts in (*_split_seconds(table), *_dated(table)):
+        choices = {n: choice for n, choice in choices.items() if n not in parts}
+        choices[name] = samples, parts
+    exact = [n for n in choices if n == "time"] or [n for n in choices if _plain(n) == "time"]
+    found = exact if exact == ["time"] else [n for n in exact if _advances(choices[n][0])]
+    found = found or [n for n in choices if _is_like(n) and _advances(choices[n][0])]
+    found = found or [
+        n
+        for n, (x, _) in choices.items()
+        if (x.dtype.kind in "Mm" or _index(n, x)) and _advances(x)
+    ]
+    if len(found) > 1:
+        even = [name for name in found if _is_even(choices[name][0])]
+        found = even or found
+    if len(found) > 1:
+        raise RecordingError(
+            f"columns {' and '.join(map(repr, found))} can be the time; which one it is says a "
+            f'column map by --columns FILE: "{found[0]}" = "time"',
+            given=found[0],
+            allowed=found,
+        )
+    if not found:
+        return "", None, frozenset()
+    samples, parts = choices[found[0]]
+    return found[0], samples, frozenset(parts)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\W|_", "", split(name).stem).lower()
+
+
+def _is_like(name: str) -> bool:
+    words = re.findall(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+", split(name).stem)
+    last = words[-1].lower() if words else ""
+    # "t" alone, or with its unit: `hip_t` is rather a torque.
+    if _WORDS.fullmatch(_plain(name)) or split(f"t {name}").si == "s":
+        return True
+    return bool(_WORDS.fullmatch(last)) and last != "t"
+
+
+def _index(name: str, samples: np.ndarray) -> bool:
+    """Whether this is an index without a name, as pandas writes it, that does not count rows."""
+    nameless = name == "" or name.startswith(("__index_level_", "Unnamed: "))
+    return nameless and samples.dtype.kind == "f" and bool((samples != np.rint(samples)).any())
+
+
+def _forward(samples: np.ndarray) -> np.ndarray:
+    known = samples[np.isfinite(samples)] if samples.dtype.kind in "f" else samples
+    if samples.dtype.kind in "Mm":
+        known = samples[~np.isnat(samples)].astype(np.int64)
+    return np.diff(known) if samples.dtype.kind != "b" else np.empty(0)
+
+
+def _advances(samples: np.ndarray) -> bool:
+    """Whether samples go forward; those of a short float may stand, for it cannot tell."""
+    steps = _forward(samples)
+    short = samples.dtype.kind == "f" and samples.dtype.itemsize < 8
+    return steps.size > 0 and bool((steps >= 0).mean() > 1 - _ODD and (short or (steps > 0).any()))
+
+
+def _is_even(samples: np.ndarray) -> bool:
+    steps = _forward(samples).astype(np.float64)
+    usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
+    return bool((np.abs(steps - usual) <= 0.5 * usual).mean() > 0.5)
+
+
+def _split_seconds(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
+    """Whole seconds and their fraction in two columns, as ROS has them, as datetime64."""
+    found = []
+    for name, whole in table.items():
+        match = _WHOLE.fullmatch(name)
+        if not match or whole.dtype.kind not in "iuf":
+            continue
+        for other, part in table.items():
+            digits = _PARTS.get(other[len(name) - len(match[2]) :].lower())
+            if digits and other.startswith(match[1]) and other != name and part.dtype.kind in "iuf":
+                ticks = whole.astype(np.int64) * 10**digits + part.astype(np.int64)
+                unit = {9: "ns", 6: "us"}[digits]
+                stem = match[1] or f"{name} and {other}"
+                found.append((stem, ticks.view(f"M8[{unit}]"), (name, other)))
+    return found
+
+
+def _dated(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
+    """A date and a time of day in two columns, as datetime64."""
+    dates = [n for n, x in table.items() if x.dtype.kind == "M" and _whole_days(x)]
+    times = [n for n, x in table.items() if x.dtype.kind == "m" and "day" not in n.lower()]
+    if len(dates) != 1 or len(times) != 1:
+        return []
+    (date,), (time,) = dates, times
+    day = np.timedelta64(1, "D").astype("m8[ns]")
+    both = table[date].astype("M8[ns]") + table[time].astype("m8[ns]") % day
+    return [(f"{date} and {time}", both, (date, time))]
+
+
+def _whole_days(samples: np.ndarray) -> bool:
+    return bool(samples.size and (samples.astype("M8[D]") == samples).all())
