@@ -293,12 +293,16 @@ class Recording:
         """
         return replace(self, columns={name: self[name] for name in names})
 
-    def between(self, start: float, end: float) -> "Recording":
-        """Returns the samples with start <= time < end [s].
+    def between(self, start: float | None, end: float | None) -> "Recording":
+        """Returns the samples with start <= time < end [s]; None for no limit.
 
         Raises:
             RecordingError: There is no such sample.
         """
+        if start is None and end is None:
+            return self
+        start = -np.inf if start is None else start
+        end = np.inf if end is None else end
         first, last = np.searchsorted(self.time, (start, end))
         if first >= last:
             raise RecordingError(

@@ -53,7 +53,7 @@ EXAMPLES = {
         "leglab query out/sweep \"SELECT run, error FROM runs WHERE status = 'failed'\" --json",
     ),
     "diagnose": (
-        "leglab diagnose knee_bench rec/*.parquet --out out/knee",
+        "leglab diagnose knee_bench rec --from 2 --out out/knee",
         "leglab diagnose knee_bench after/*.parquet --healthy before/*.parquet",
         "leglab diagnose axis.xml log.mcap --columns map.toml --effect backlash",
     ),
@@ -66,7 +66,11 @@ EXAMPLES = {
         "leglab convert log.mcap run.parquet --columns map.toml",
         "leglab convert run.parquet plot.csv --to plotjuggler",
     ),
-    "inspect": ("leglab inspect log.mcap", "leglab inspect run.csv --json | jq .rate_hz"),
+    "inspect": (
+        "leglab inspect log.mcap --plot log.png",
+        "leglab inspect log.csv --model arm.xml --out map.toml",
+        "leglab inspect run.csv --json | jq .rate_hz",
+    ),
     "list": (
         "leglab list",
         "leglab list bsnn_arx",
@@ -100,7 +104,7 @@ _PANELS = {
         "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance",
         "set_", "load",
     ),
-    "Data": ("recordings", "held_out", "columns", "to"),
+    "Data": ("recordings", "held_out", "columns", "since", "until", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write", "csv"),
 }  # fmt: skip
 
@@ -133,6 +137,9 @@ _OPENGL = (
     "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "true", "1",
     "disable", "disabled", "off", "false", "0",
 )  # fmt: skip
+
+# Options that need no word, by the end of one that is theirs, and the word that stands for none.
+_DEFAULTS = {"--plot": (".png", "-")}
 
 # Options that take all words up to the next option: a shell makes several of one `*`.
 _SEVERAL = ("--healthy",)
@@ -270,18 +277,20 @@ def _ends_cleanly() -> Iterator[None]:
 
 
 def spread(arguments: Sequence[str]) -> list[str]:
-    """The same with an option of `_SEVERAL` repeated before each of its words.
+    """The same with an option of `_SEVERAL` repeated before each of its words, `_DEFAULTS` added.
 
     Without that the second file of `--healthy before/*.csv` would be a recording of the fault.
     """
     found: list[str] = []
     option = ""
-    for argument in arguments:
+    for argument, following in zip(arguments, [*arguments, ""][1:], strict=True):
         if argument.startswith("-"):
             option = argument if argument in _SEVERAL else ""
         elif option and found[-1] != option:
             found.append(option)
         found.append(argument)
+        if argument in _DEFAULTS and not following.endswith(_DEFAULTS[argument][0]):
+            found.append(_DEFAULTS[argument][1])
     return found
 
 

@@ -3,17 +3,17 @@
 import json
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from leglab.base.errors import FileError, SettingsError
+from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.output import new_file
-from leglab.cli.options import Columns, Json
-from leglab.cli.terminal import errors, output, print_json, print_wide, tell
+from leglab.cli.options import Columns, From, Json, To
+from leglab.cli.terminal import BAD_INPUT, errors, output, print_json, print_wide, tell
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from leglab.data import Summary
+    from leglab.diagnosis.intake.proposal import Proposal
 
 
 # Formats that show a machine.
@@ -38,8 +39,15 @@ def convert(
         Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat, .npz or .rrd.")
     ],
     to: Annotated[
-        str | None, typer.Option(metavar="FORMAT", help="Format; default: by the suffix of OUT.")
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="FORMAT_OR_S",
+            help="Format, default: by the suffix of OUT; or the second of its time from which on "
+            "IN is left out.",
+        ),
     ] = None,
+    since: From = None,
     columns: Columns = None,
     model: Annotated[
         str | None,
@@ -67,6 +75,7 @@ def convert(
     from leglab.runs.folder import RECORDING, read_run
 
     # First of all what costs nothing to check.
+    until, to = _as_second(to)
     if to is not None and to not in data.FORMATS:
         raise FileError.unknown("format", to, data.FORMATS)
     form = to or data.format_of(target)
@@ -87,6 +96,10 @@ def convert(
         told = f"{form} cannot show a machine; --model goes with {' or '.join(_SHOWING)}"
         raise SettingsError(told, given=form, allowed=_SHOWING)
     recording = data.read(source, columns=columns)
+    try:
+        recording = recording.between(since, until)
+    except RecordingError as error:
+        raise error.at(source) from error
     lost = data.losses(recording, target, form)
     scene = None
     if model is not None:
@@ -115,23 +128,130 @@ def convert(
     tell(f"written to {target}: {form}, {len(recording)} samples of {count} columns")
 
 
+def _as_second(text: str | None) -> tuple[float | None, str | None]:
+    """A number as a second, other text as the name of a format."""
+    try:
+        return (None, None) if text is None else (float(text), None)
+    except ValueError:
+        return None, text
+
+
 def inspect(
     file: Annotated[
-        Path, typer.Argument(help=".parquet, .csv, .mcap, .mat, .npz, or the folder of a bag.")
+        Path,
+        typer.Argument(help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, or a run's folder."),
     ],
     columns: Columns = None,
+    model: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="Machine for which a column map is proposed."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="MAP.toml", help="File for the proposed map, as --columns takes it."),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="[FILE.png]", help="Draws the columns; default: named as the file."),
+    ] = None,
+    since: From = None,
+    until: To = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace map and plot.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Shows what is in a recording: columns, units, rate, duration, gaps, what is wrong."""
+    """Shows what is in a recording: columns, units, rate, duration, gaps, what is wrong.
+
+    With --model it proposes how the columns are called in the model and in which unit they are.
+    Ends with status 2 where the file cannot be used as a recording.
+    """
     from leglab import data
 
-    table, metadata = data.read_table(file, columns=columns, partial=True, timed=False)
+    if out is not None and (model is None or columns is not None):
+        told = "--out writes the map that --model proposes for columns without a map; allowed: "
+        raise SettingsError(told, given=out, allowed="--out with --model and without --columns")
+    if plot == Path("-"):
+        plot = Path(f"{file.resolve().stem}.png")
+    for path in filter(None, (out, plot)):
+        if path.exists() and not overwrite:
+            raise FileError(f"{path} exists; --overwrite replaces it", given=path)
+    source = _one_recording(file)
+    table, metadata = data.read_table(source, columns=columns, partial=True, timed=False)
+    table = _cut(table, since, until, str(file))
     unreadable = metadata.pop("unreadable", {})
     summary = data.summarise(table, metadata)
+    proposal = None
+    if model is not None or not any(name.endswith("_position") for name in table):
+        proposal = _proposal(table, metadata, model)
+    if out is not None:
+        text = f"{proposal}\n".encode()
+        data.write_atomically(out, lambda stream: stream.write(text))
+    if plot is not None:
+        from leglab.report.signals import save_signals
+
+        save_signals(table, metadata, plot, title=file.name)
     if as_json:
-        print_json({"file": str(file), **summary.to_json(), "unreadable": unreadable})
-        return
+        found = {"file": str(file), **summary.to_json(), "unreadable": unreadable}
+        print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
+    else:
+        _show(file, summary, unreadable)
+        for path in filter(None, (out, plot)):
+            tell(f"written to {path}")
+        if proposal is not None and out is None:
+            tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
+    if any(finding.fatal for finding in summary.findings):
+        raise typer.Exit(BAD_INPUT)
+
+
+def _one_recording(path: Path) -> Path:
+    """The recording of a folder, such as a run's."""
+    if not path.is_dir():
+        return path
+    from leglab.diagnosis.intake.recordings import recording_files
+
+    files = list(recording_files([path])[0])
+    if len(files) > 1:
+        told = f"{path}: {len(files)} recordings, one at a time; allowed: "
+        raise FileError(told, given=path, allowed=map(str, files))
+    return files[0]
+
+
+def _cut(
+    table: "dict[str, np.ndarray]", since: float | None, until: float | None, source: str
+) -> "dict[str, np.ndarray]":
+    """The rows of a span of time."""
+    from leglab.data.checks import to_recording
+
+    if since is None and until is None:
+        return table
+    if "time" not in table:
+        raise RecordingError(f"{source}: no column 'time', by which --from and --to cut")
+    whole = to_recording(table, {}, source=source, repair=False)
+    try:
+        part = whole.between(since, until)
+    except RecordingError as error:
+        raise error.at(source) from error
+    return {"time": part.time, **part.columns}
+
+
+def _proposal(
+    table: "Mapping[str, np.ndarray]", metadata: "Mapping[str, Any]", model: str | None
+) -> "Proposal":
+    """The column map that a model's names make likely."""
+    from leglab.base.units import own_units
+    from leglab.diagnosis.intake.proposal import propose, wanted_columns
+
+    if model is None:
+        return propose(table, own_units(metadata))
+    from leglab.diagnosis.plant.model import Machine
+
+    machine = Machine(model)
+    return propose(table, own_units(metadata), wanted_columns(machine), machine.columns)
+
+
+def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:
+    """Prints a summary."""
     tell(f"{file}: {_axis(summary)}")
+    metadata = dict(summary.metadata)
     if said := metadata.pop("time", None):
         tell(f"time: {said}")
     print_wide(_table(summary))
@@ -140,26 +260,12 @@ def inspect(
         tell(f"{label}: {finding.message}")
     for name, why in unreadable.items():
         tell(f"unreadable: {name}: {why}")
-    if "time" not in table or not any(column.unit for column in summary.columns):
-        for line in _map_of({name: x for name, x in table.items() if name != "time"}):
-            tell(line)
-    if "time" in table and not summary.findings:
+    if not summary.findings:
         output.print("no gap, nothing missing, no constant column")
     for key, value in metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
         tell(f"{key} = {short}")
-
-
-def _map_of(table: "Mapping[str, np.ndarray]") -> list[str]:
-    """A column map to be completed, for a table whose columns have other names."""
-    lines = ["a file for --columns, to be completed:", "[columns]"]
-    lines += [f'{json.dumps(n)} = {{name = "JOINT_position", factor = 1.0}}' for n in table]
-    return [
-        *lines,
-        "names here: time [s], JOINT_position [rad or m], JOINT_velocity, JOINT_pressure_a and _b "
-        "[Pa], ACTUATOR_command [-1 to 1]; factor: ours per theirs, of degrees 0.0174533",
-    ]
 
 
 def _axis(summary: "Summary") -> str:
@@ -168,7 +274,7 @@ def _axis(summary: "Summary") -> str:
         text += f" over {summary.duration:g} s from {summary.start:g} s"
     if summary.rate is not None and summary.period is not None:
         text += f", {summary.rate:.6g} Hz ({summary.period:.6g} s)"
-    if summary.duration is None:
+    if summary.duration is None or any(finding.fatal for finding in summary.findings):
         return text
     count = len(summary.gaps)
     return f"{text}, {count or 'no'} gap{'s' * (count != 1)}"

@@ -1,20 +1,24 @@
 """`leglab diagnose`: names what the simulation is missing."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from leglab.base.errors import SettingsError
 from leglab.base.output import check_apart, check_folder, new_folder
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite
-from leglab.cli.terminal import output, print_json, print_table, progress, tell
+from leglab.cli.options import Columns, From, HeldOut, Json, Load, Overwrite, To, check_order
+from leglab.cli.terminal import complain, output, print_json, print_table, progress, tell
+
+if TYPE_CHECKING:
+    from leglab.base.recording import Recording
 
 
 def diagnose(
     model: Annotated[str | None, typer.Argument(help="Machine.")] = None,
     recordings: Annotated[
-        list[Path] | None, typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
+        list[Path] | None,
+        typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/diagnosis"),
     held_out: HeldOut = None,
@@ -25,6 +29,8 @@ def diagnose(
         ),
     ] = None,
     columns: Columns = None,
+    since: From = None,
+    until: To = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(
@@ -44,8 +50,13 @@ def diagnose(
         _check_effects(effect)
     if model is None or not recordings:
         raise SettingsError("diagnose needs a model and at least one recording")
+    check_order(model, recordings)
     from leglab.diagnosis.improve import improved_model
-    from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.intake.recordings import (
+        read_recordings,
+        recording_files,
+        split_held_out,
+    )
     from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.verdict import output as results
     from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
@@ -54,12 +65,21 @@ def diagnose(
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     check_apart(out, [Path(model), *recordings, *(healthy or [])])
-    named, held = split_held_out(model, read_recordings(recordings, columns), held_out or [])
-    before = read_recordings(healthy, columns) if healthy else None
-    both = {path.resolve() for path in recordings} & {path.resolve() for path in healthy or []}
-    if both:
+    now, earlier = (
+        {path.resolve() for path in recording_files(paths)[0]}
+        for paths in (recordings, healthy or [])
+    )
+    if both := now & earlier:
         told = f"{min(both).name} is given as a recording and as --healthy; allowed: "
         raise SettingsError(told, given=min(both), allowed="one of both")
+
+    def read(paths: list[Path]) -> "dict[str, Recording]":
+        return read_recordings(
+            paths, columns, span=(since, until), tell=lambda line: complain(line, "warning")
+        )
+
+    named, held = split_held_out(model, read(recordings), held_out or [])
+    before = read(healthy) if healthy else None
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
     made = ("diagnosis.html", "improved.xml", "figures")
     with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as partial:

@@ -10,8 +10,18 @@ import typer
 from rich.table import Table
 
 from leglab.base.output import check_apart, check_folder, new_folder, write_atomically
-from leglab.cli.options import Columns, HeldOut, Json, Load, Overwrite, Recordings
-from leglab.cli.terminal import output, print_json, print_table, progress
+from leglab.cli.options import (
+    Columns,
+    From,
+    HeldOut,
+    Json,
+    Load,
+    Overwrite,
+    Recordings,
+    To,
+    check_order,
+)
+from leglab.cli.terminal import complain, output, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from leglab.diagnosis.improve import Improvement
@@ -23,6 +33,8 @@ def improve(
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/improved"),
     held_out: HeldOut = None,
     columns: Columns = None,
+    since: From = None,
+    until: To = None,
     effects: Annotated[
         bool,
         typer.Option(help="Look for effects first, and keep those that are sure."),
@@ -39,9 +51,13 @@ def improve(
     from leglab.diagnosis.improve import improve as run_improvement
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 
+    check_order(model, recordings)
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])
-    named, held = split_held_out(model, read_recordings(recordings, columns), held_out or [])
+    found = read_recordings(
+        recordings, columns, span=(since, until), tell=lambda line: complain(line, "warning")
+    )
+    named, held = split_held_out(model, found, held_out or [])
     made = ("improved.xml",)
     with new_folder(out, mark="improvement.json", made=made, overwrite=overwrite) as partial:
         with progress("improvement") as show:

@@ -6,7 +6,7 @@ compares all of them with the registries.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,7 +72,16 @@ Scheduler = Annotated[
     typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT."),
 ]
 Recordings = Annotated[
-    list[Path], typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz.")
+    list[Path],
+    typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them."),
+]
+From = Annotated[
+    float | None,
+    typer.Option("--from", metavar="S", help="Leave out what is before this second of its time."),
+]
+To = Annotated[
+    float | None,
+    typer.Option("--to", metavar="S", help="Leave out what is from this second of its time on."),
 ]
 HeldOut = Annotated[
     list[str] | None,
@@ -148,6 +157,14 @@ def settings_of(context: typer.Context) -> "RunSettings":
         values = {**run_settings.read_settings(file), **told}
     values = run_settings.with_entries(values, context.params.get("set_") or ())
     return RunSettings(**values)
+
+
+def check_order(model: str, recordings: Sequence[Path]) -> None:
+    """Raises `LeglabError` where a recording stands in the place of the model."""
+    if Path(model).suffix in RECORDINGS:
+        other = next((str(path) for path in recordings if path.suffix == ".xml"), "an MJCF file")
+        told = f"{model} is a recording: the model comes first, "
+        raise SettingsError(told, given=model, allowed=f"{other} {model}")
 
 
 def check_jobs(jobs: int, name: str = "jobs") -> None:

@@ -19,6 +19,7 @@ from leglab.data.sysid import from_time_series, to_time_series
 
 __all__ = [
     "FORMATS",
+    "SUFFIXES",
     "ColumnMap",
     "Finding",
     "Scene",
@@ -58,6 +59,9 @@ _SUFFIXES = {
     ".npz": "sysid",
     ".rrd": "rerun",
 }
+
+SUFFIXES = tuple(suffix for suffix, form in _SUFFIXES.items() if form != "rerun")
+"""Suffixes of files that `read` knows."""
 
 FORMATS = tuple(_MODULES)
 """Names of the formats that `write` knows."""

@@ -327,21 +327,22 @@ def save_comparison_figure(results: Sequence[dict[str, Any]], path: Path, *, tit
     _save(comparison_figure(results, title=title), path)
 
 
-def outline(values: np.ndarray) -> np.ndarray:
+def outline(values: np.ndarray, pieces: int = _PIECES) -> np.ndarray:
     """Chooses samples whose line looks like that of all of them.
 
     The memory that Matplotlib takes grows with the vertices, in long runs beyond that of the run.
 
     Args:
         values: Shape (n,); NaN where there is none.
+        pieces: Into how many they are cut.
 
     Returns:
         Increasing row numbers: all where n is at most twice the number of pieces; else the first
         and the last, and of each piece its smallest and its largest value.
     """
-    if len(values) <= 2 * _PIECES:
+    if len(values) <= 2 * pieces:
         return np.arange(len(values))
-    rows = MinMaxDownsampler().downsample(np.ascontiguousarray(values), n_out=2 * _PIECES)
+    rows = MinMaxDownsampler().downsample(np.ascontiguousarray(values), n_out=2 * pieces)
     return np.union1d(rows.astype(np.int64), [0, len(values) - 1])
 
 

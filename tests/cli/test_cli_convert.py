@@ -129,28 +129,6 @@ def test_inspect_as_json(capsys):
     assert {f["kind"] for f in found["findings"]} == {"gap", "nan_run"}
 
 
-def test_inspect_shows_what_cannot_be_read_as_a_recording(capsys, folder):
-    (folder / "bad.csv").write_text("time,a\n0,1\n0.2,2\n0.1,3\n")
-    status, printed, _ = leglab("inspect", "bad.csv", capsys=capsys)
-    assert status == 0
-    assert "error: column 'time', row 2: 0.1 s comes after 0.2 s" in printed
-
-
-def test_inspect_shows_columns_of_other_names_and_how_to_map_them(capsys, folder):
-    (folder / "theirs.csv").write_text("angle,t,note\n10,0,a\n12,0.1,b\n11,0.2,c\n")
-    status, printed, _ = leglab("inspect", "theirs.csv", capsys=capsys)
-    assert status == 0
-    assert printed.startswith("theirs.csv: 3 samples over 0.2 s")
-    assert "time: t in s since the start, 10 Hz" in printed
-    assert "unreadable: note: column 'note', row 0: 'a' is not a number" in printed
-    start = printed.index("[columns]")
-    told = printed[start : printed.index("names here")]
-    (folder / "map.toml").write_text(told.replace("JOINT", "knee"))
-    arguments = ("inspect", "theirs.csv", "--columns", "map.toml", "--json")
-    found = json.loads(leglab(*arguments, capsys=capsys)[1])
-    assert (found["duration_s"], found["columns"][0]["name"]) == (0.2, "knee_position")
-
-
 EVIL = "\x1b]0;mine\x07\x1b[2J\x9b31m\u202e[/b]"
 
 

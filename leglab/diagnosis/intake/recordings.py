@@ -1,41 +1,120 @@
 """Recordings for a diagnosis: read, and one of them held out."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from leglab import data
-from leglab.base.errors import SettingsError
+from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
+# Files by which a folder is one recording: a ROS 2 bag, a dataset of LeRobot.
+_WHOLE = ("metadata.yaml", "meta/info.json")
 
-def read_recordings(paths: Sequence[Path], columns: Path | None = None) -> dict[str, Recording]:
-    """Reads recordings by file name, or by folder and file name where file names are the same.
 
-    Columns that cannot be read are left out: only the model says whether they are needed. `columns`
-    is the file of a column map for all of them, see `leglab.data.read_column_map`.
+def recording_files(paths: Sequence[Path]) -> tuple[dict[Path, Path], list[str]]:
+    """Lists recordings, those below folders too; a bag or a dataset is no folder of recordings.
+
+    Returns:
+        What was given by recording, and a line for each folder that holds other files as well.
 
     Raises:
-        LeglabError: A file cannot be read, or is given twice, or the map is wrong.
+        LeglabError: A folder holds no recording.
     """
-    plain = Counter(path.name for path in paths)
-    found: dict[str, Recording] = {}
+    found: dict[Path, Path] = {}
+    notes = []
     for path in paths:
-        # Every `leglab run` calls its recording the same, in a folder of its own.
-        folder = "" if plain[path.name] == 1 else f"{path.resolve().parent.name}/"
-        name = folder + path.name
-        if name in found:
-            told = f"two recordings are called {name!r}; allowed: "
-            raise SettingsError(
-                told, given=name, allowed="different names, or names of their folders"
-            )
-        found[name] = data.read(path, columns=columns, partial=True)
+        files, others = _below(path)
+        if not files:
+            told = f"{path}: a folder without recordings; allowed: "
+            raise FileError(told, given=path, allowed=data.SUFFIXES)
+        if others:
+            names = ", ".join(str(other.relative_to(path)) for other in others[:3])
+            more = ", ..." if len(others) > 3 else ""
+            notes.append(f"{path}: {len(others)} files are no recordings ({names}{more})")
+        found |= dict.fromkeys(files, path)
+    return found, notes
+
+
+def _below(path: Path) -> tuple[list[Path], list[Path]]:
+    """Recordings and other files below a path, in the order of their names."""
+    if not path.is_dir() or any((path / mark).is_file() for mark in _WHOLE):
+        return [path], []
+    files: list[Path] = []
+    others: list[Path] = []
+    for entry in sorted(path.iterdir()):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            more, rest = _below(entry)
+            files, others = files + more, others + rest
+        else:
+            (files if entry.suffix in data.SUFFIXES else others).append(entry)
+    return files, others
+
+
+def read_recordings(
+    paths: Sequence[Path],
+    columns: Path | None = None,
+    *,
+    span: tuple[float | None, float | None] = (None, None),
+    tell: Callable[[str], object] = lambda line: None,
+) -> dict[str, Recording]:
+    """Reads recordings by file name, or by as many folders before it as make names differ.
+
+    Columns that cannot be read are left out: only the model says whether they are needed.
+
+    Args:
+        paths: Files, or folders of them, of which those that cannot be read are left out.
+        columns: File of a column map for all of them, see `leglab.data.read_column_map`.
+        span: First and last second that is used, of each recording's time; None: all.
+        tell: Gets a line for what a folder holds beside recordings.
+
+    Raises:
+        LeglabError: A file cannot be read, is given twice or has no sample in the span, or the map
+            is wrong.
+    """
+    files, notes = recording_files(paths)
+    names = _different_names([file for path in paths for file in _below(path)[0]])
+    found: dict[str, Recording] = {}
+    refused: list[LeglabError] = []
+    for file, given in files.items():
+        try:
+            recording = data.read(file, columns=columns, partial=True)
+        except LeglabError as error:
+            if file == given:
+                raise
+            refused.append(error)
+            notes.append(f"left out: {error}")
+            continue
+        try:
+            found[names[file]] = recording.between(*span)
+        except LeglabError as error:
+            raise error.at(names[file]) from error
+    if not found:
+        raise refused[0]
+    for line in notes:
+        tell(line)
     return found
+
+
+def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
+    """The shortest ends of paths that differ: every `leglab run` calls its recording the same."""
+    parts = [Path(os.path.abspath(path)).parts for path in paths]
+    names = {}
+    for path, own in zip(paths, parts, strict=True):
+        ends = (own[-count:] for count in range(1, len(own) + 1))
+        end = next((e for e in ends if sum(p[-len(e) :] == e for p in parts) == 1), None)
+        if end is None:
+            told = f"two recordings are called {path.name!r}; allowed: "
+            raise SettingsError(told, given=path, allowed="each recording once")
+        names[path] = "/".join(end)
+    return names
 
 
 def split_held_out(

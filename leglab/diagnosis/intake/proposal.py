@@ -1,0 +1,391 @@
+"""A column map for a recording of somebody else, proposed by likeness of names and by values."""
+
+import json
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from difflib import SequenceMatcher
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from leglab.data.units_in_names import NamedUnit, split
+from leglab.diagnosis.plant.model import CHAMBERS, Machine
+from leglab.diagnosis.thresholds import DEFAULT
+
+# Kinds of quantities by the words that loggers use for them.
+_KINDS = {
+    word: kind
+    for kind, words in {
+        "time": "time t stamp timestamp clock sec secs seconds",
+        "position": "position positions pos q qpos angle angles ang theta phi enc encoder stroke "
+        "displacement rotation",
+        "velocity": "velocity velocities vel qd dq qvel qdot speed omega rate",
+        "acceleration": "acceleration acc accel qdd ddq qacc",
+        "command": "command commands cmd commanded ctrl control u action actions input pwm duty",
+        "reference": "reference ref target targets setpoint sp desired des goal demand",
+        "effort": "effort efforts torque tau force trq load current",
+        "pressure": "pressure press p",
+    }.items()
+    for word in words.split()
+}
+_KIND_OF_UNIT = {
+    "s": "time", "rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity",
+    "rad/s^2": "acceleration", "N m": "effort", "N": "effort", "Pa": "pressure",
+}  # fmt: skip
+_CHAMBER_WORDS = {
+    **dict.fromkeys(("a", "cap", "head", "bottom", "piston"), CHAMBERS[0]),
+    **dict.fromkeys(("b", "rod", "ring", "top", "annulus"), CHAMBERS[1]),
+}
+# Words that most elements or columns have: others say which joint is meant.
+_PLAIN = {
+    "joint", "joints", "jnt", "motor", "axis", "actuator", "act", "servo", "drive", "valve",
+    "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
+    "values", "data", "filtered", "sensor", "robot", "observation",
+}  # fmt: skip
+# Units that names often leave out, per unit of ours; the first that fits is taken.
+# Pressures come near the supply's, so theirs begin with the largest.
+_USUAL: dict[str, tuple[tuple[str, float], ...]] = {
+    "rad": (("rad", 1.0), ("deg", np.pi / 180.0)),
+    "m": (("m", 1.0), ("mm", 1e-3)),
+    "Pa": (("MPa", 1e6), ("bar", 1e5), ("kPa", 1e3), ("Pa", 1.0)),
+    "1": (("1", 1.0), ("%", 1e-2)),
+}
+# Likeness from which a line holds; below it is a guess, and from the second on nothing.
+_SURE, _NEAR = 0.6, 0.3
+# Words shorter than this are found in any other.
+_SHORT = 3
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A column that a model can use."""
+
+    name: str  #: For instance "knee_position"
+    element: str  #: Joint or actuator
+    kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
+    unit: str  #: Of the column
+    limits: tuple[float, float]  #: Range in this unit; infinite where there is none
+    follows: str = ""  #: Of a command: "position", "velocity", "effort", or "" of a valve
+
+
+_TIME = Wanted("time", "", "time", "s", (-np.inf, np.inf))
+
+
+@dataclass(frozen=True)
+class Line:
+    """A column of the recording and what it may be."""
+
+    theirs: str  #: The column
+    ours: str  #: Its name here; "" where nothing is like it
+    sure: bool  #: Whether the line holds until somebody says otherwise
+    factor: float = 1.0  #: Ours per theirs
+    why: str = ""  #: How name and unit were guessed, and what else is near
+
+    def __str__(self) -> str:
+        theirs, ours = (json.dumps(name, ensure_ascii=False) for name in (self.theirs, self.ours))
+        rule = ours if self.factor == 1.0 else f"{{name = {ours}, factor = {self.factor!r}}}"
+        return "# " * (not self.sure) + f"{theirs} = {rule}" + f"  # {self.why}" * bool(self.why)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A column map as it may be."""
+
+    lines: tuple[Line, ...]  #: One a column of the recording
+    missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line gives
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the map as JSON can hold it."""
+        lines = [asdict(line) for line in self.lines if line.ours]
+        return {"columns": lines, "missing": list(self.missing)}
+
+    def __str__(self) -> str:
+        unused = [json.dumps(line.theirs) for line in self.lines if not line.ours]
+        return "\n".join(
+            [
+                "# Proposed by leglab inspect; behind # are guesses. factor: ours per theirs.",
+                "[columns]",
+                *(str(line) for line in self.lines if line.ours),
+                *(f"# ? no column for {name}" for name in self.missing),
+                *([f"# not used: {', '.join(unused)}"] if unused else []),
+            ]
+        )
+
+
+def wanted_columns(machine: Machine) -> tuple[Wanted, ...]:
+    """Lists the columns of a recording that a model can use."""
+    model, found, free = machine.base.model, [], (-np.inf, np.inf)
+    ranges = {}
+    for joint in machine.joints:
+        entry, unit = model.joint(joint), machine.unit(joint)
+        low, high = entry.range.tolist()
+        ranges[joint] = (low, high) if low < high else free
+        found.append(Wanted(f"{joint}_position", joint, "position", unit, ranges[joint]))
+        found.append(Wanted(f"{joint}_velocity", joint, "velocity", f"{unit}/s", free))
+    for name in machine.actuators:
+        entry, joints = model.actuator(name), machine.driven[name]
+        bias, follows, unit = entry.biasprm, "effort", "ctrl"
+        if name in machine.cylinders:
+            follows, unit = "", "1"
+            supply = (0.0, machine.parameter(name, "supply_pressure"))
+            found += [Wanted(f"{joints[0]}_{c}", joints[0], c, "Pa", supply) for c in CHAMBERS]
+        elif entry.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT and entry.gear[0] == 1.0:
+            own = machine.unit(joints[0])
+            if bias[1] or bias[2]:
+                follows = "position" if bias[1] else "velocity"
+                unit = own if bias[1] else f"{own}/s"
+            elif entry.gainprm[0] == 1.0:
+                unit = "N m" if own == "rad" else "N"
+        limits = tuple(entry.ctrlrange.tolist()) if entry.ctrllimited[0] else free
+        if limits == free and follows == "position":
+            limits = ranges[joints[0]]
+        found.append(Wanted(f"{name}_command", name, "command", unit, limits, follows))
+    return tuple(found)
+
+
+def propose(
+    table: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    wanted: Sequence[Wanted] = (),
+    needed: Sequence[str] = (),
+) -> Proposal:
+    """Proposes a column map: the assignment that is likeliest as a whole.
+
+    Args:
+        table: Arrays of shape (n,) by the recording's column names.
+        units: What the recording says of units, by column.
+        wanted: Columns of a model. Without, names are made of the words of the column, "JOINT"
+            where there is none.
+        needed: Of these, those that a diagnosis needs.
+    """
+    columns = [_Column(name, units.get(name, ""), wanted) for name in table]
+    absent = ["time"] if "time" not in table else []
+    lines = _assigned(columns, [*(_TIME for _ in absent), *wanted], table)
+    if not wanted:
+        lines = {c.name: lines[c.name] if lines[c.name].ours else c.alone() for c in columns}
+    needed = [*absent, *needed]
+    given = {line.ours for line in lines.values() if line.sure}
+    return Proposal(
+        lines=tuple(line for name, line in lines.items() if name != "time"),
+        missing=tuple(name for name in needed if name not in given),
+    )
+
+
+class _Column:
+    """What the name of a column says."""
+
+    def __init__(self, name: str, unit: str, wanted: Sequence[Wanted]) -> None:
+        self.name = name
+        self.unit: NamedUnit = split(name)
+        if unit and not self.unit.unit:
+            self.unit = split(f"{name} [{unit}]")._replace(stem=name)
+        ours = {word for one in wanted for word in _words(one.element)}
+        known = ours | set(_KINDS) | _PLAIN
+        self.words = [part for word in _words(self.unit.stem) for part in _parts(word, known)]
+        #: Kinds that it may be.
+        self.kinds = {_KINDS[word] for word in self.words if word in _KINDS}
+        if "position" in self.kinds and {"d", "dot"} & set(self.words):
+            self.kinds = self.kinds - {"position"} | {"velocity"}
+        if not self.kinds and self.unit.si in _KIND_OF_UNIT:
+            self.kinds = {_KIND_OF_UNIT[self.unit.si]}
+        if not self.kinds and "observation" in self.words:  # beside an action
+            self.kinds = {"position"}
+        #: Words that say which element is meant.
+        self.rest = [word for word in self.words if word not in _KINDS or word in ours]
+
+    def kind_likeness(self, one: Wanted) -> float:
+        """From 0 to 1, by the kind of quantity."""
+        kinds, sent = self.kinds, self.kinds & {"command", "reference"}
+        if "pressure" in kinds or one.kind in CHAMBERS:
+            sides = {_CHAMBER_WORDS[word] for word in self.words if word in _CHAMBER_WORDS}
+            return float("pressure" in kinds and sides == {one.kind})
+        if one.kind != "command":
+            return (kinds == {one.kind}) + 0.5 * (not kinds and one.kind == "position")
+        if not kinds:
+            return 0.5
+        likeness = 1.0 if "command" in sent else 0.8 if sent else 0.0
+        if sent == {"reference"} and one.follows not in ("position", "velocity"):
+            likeness = 0.4  # of a controller that is not part of the model
+        if not sent and kinds == {"effort"} and one.follows == "effort":
+            likeness = 0.5  # what it gave is what it was sent, or nearly
+        others = kinds & {"position", "velocity", "effort"}
+        return likeness * (0.5 if others and one.follows not in others else 1.0)
+
+    def alone(self) -> Line:
+        """Returns a line by the column's words, without a model."""
+        kinds = [k for k in (*CHAMBERS, "command", "velocity", "position") if self._is(k)]
+        element = "_".join(w for w in self.rest if w not in _PLAIN and w not in ("d", "dot"))
+        if not kinds:
+            return Line(self.name, "", sure=False)
+        if kinds[0] in CHAMBERS:
+            element = "_".join(w for w in element.split("_") if w not in _CHAMBER_WORDS)
+        owner = "ACTUATOR" if kinds[0] == "command" else "JOINT"
+        why = f"{self.unit.unit}, by the name" if self.unit.unit else ""
+        name = f"{element or owner}_{kinds[0]}"
+        return Line(self.name, name, sure=True, factor=self.unit.factor, why=why)
+
+    def _is(self, kind: str) -> bool:
+        follows = next(iter(self.kinds - {"command", "reference"}), "")
+        one = Wanted("", "", kind, "", (0.0, 0.0), follows)
+        return bool(self.kinds) and self.kind_likeness(one) > 0.5
+
+
+def _words(name: str) -> list[str]:
+    """Words of a name in lower case, `KneeQ_meas[0]` to knee, q, meas, 0."""
+    spaced = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return [word.lower() for word in re.findall(r"[^\W\d_]+|\d+", spaced)]
+
+
+def _parts(word: str, known: set[str]) -> list[str]:
+    """Both words that a word is made of, if they are known: `kneepos`."""
+    if word not in known:
+        for cut in range(1, len(word)):
+            parts = [word[:cut], word[cut:]]
+            if known.issuperset(parts) and max(map(len, parts)) >= _SHORT:
+                return parts
+    return [word]
+
+
+def _assigned(
+    columns: Sequence[_Column], wanted: Sequence[Wanted], table: Mapping[str, np.ndarray]
+) -> dict[str, Line]:
+    """Gives every column a line, so that the sum of all likenesses is the largest."""
+    lines = {column.name: Line(column.name, "", sure=False) for column in columns}
+    if not columns or not wanted:
+        return lines
+    scores = _likenesses(columns, wanted)
+    pairs = [(i, k) for i, k in zip(*linear_sum_assignment(scores, maximize=True), strict=True)]
+    pairs = [(i, k) for i, k in pairs if scores[i, k] >= _NEAR]
+    taken = {k: scores[i, k] for i, k in pairs}
+    units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
+    for i, k in pairs:
+        name, score = columns[k].name, scores[i, k]
+        # Others that are as like to this one and not liker to another.
+        near = [j for j in np.argsort(-scores[i], kind="stable").tolist() if j != k]
+        near = [j for j in near if scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
+        tied = bool(near) and scores[i, near[0]] > score - 1e-9
+        factor, why, known = units[name]
+        reasons = [why] * bool(why)
+        if near:
+            reasons.append("as near: " + ", ".join(columns[j].name for j in near[:3]))
+        if score < _SURE:
+            reasons.append(f"likeness {score:.0%}")
+        sure = score >= _SURE and factor != 0.0 and not tied
+        doubt = "" if sure and known and not near else "? "
+        lines[name] = Line(name, wanted[i].name, sure, factor or 1.0, doubt + "; ".join(reasons))
+    return lines
+
+
+def _likenesses(columns: Sequence[_Column], wanted: Sequence[Wanted]) -> np.ndarray:
+    """From 0 to 1 by kind and element, 2 for the same name, (wanted, columns)."""
+    scores = np.array([[column.kind_likeness(one) for column in columns] for one in wanted])
+    numbered = _numbered(columns)
+    for kind in {one.kind for one in wanted}:
+        rows = [i for i, one in enumerate(wanted) if one.kind == kind]
+        elements = [_words(wanted[i].element) for i in rows]
+        for k, column in enumerate(columns):
+            own = _by_words(column.rest, elements)
+            if own.max() < 0.5:
+                own = _by_number(*numbered.get(column.name, (0, ())), elements)
+            if len(rows) == 1 and column.kinds and not own.any():  # there is no other element
+                own[:] = 0.6 if set(column.rest) - _PLAIN else 0.7
+            scores[rows, k] *= own
+    same = [[2.0 * (one.name == column.name) for column in columns] for one in wanted]
+    return np.maximum(scores, same)
+
+
+def _by_words(words: Sequence[str], elements: Sequence[Sequence[str]]) -> np.ndarray:
+    """Likeness of a column's words to those of each element, in any order; not by numbers alone."""
+    count = Counter(word for element in elements for word in element)
+    known = {word for word in words if word in count and word not in _PLAIN}
+    found = np.zeros(len(elements))
+    for i, element in enumerate(elements):
+        weights = [(0.1 if w in _PLAIN or w in _KINDS else 1.0) / count[w] for w in element]
+        ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in element]
+        if any(r > 0 for r, w in zip(ratios, element, strict=True) if not w.isdigit()):
+            # What belongs to another element counts against this one; other words, a little.
+            foreign = len(known - set(element)) / max(len(known), 1)
+            further = 0.01 * sum(word not in element for word in words)
+            found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
+    return found
+
+
+def _ratio(one: str, other: str) -> float:
+    """Likeness of two words: equal, one the beginning of the other, or spelled nearly alike."""
+    if one == other or one.isdigit() or other.isdigit():
+        return float(one == other)
+    if one.startswith(other) or other.startswith(one):
+        return 0.8
+    ratio = SequenceMatcher(None, one, other).ratio()
+    return ratio if ratio > 0.75 and min(len(one), len(other)) >= _SHORT else 0.0
+
+
+def _numbered(columns: Sequence[_Column]) -> dict[str, tuple[int, tuple[int, ...]]]:
+    """Number in a name and the numbers of its peers, whose names differ by nothing else."""
+    peers: dict[str, dict[int, str]] = defaultdict(dict)
+    for column in columns:
+        for match in re.finditer(r"\d+", column.name):
+            rest = f"{column.name[: match.start()]}#{column.name[match.end() :]}"
+            peers[rest][int(match[0])] = column.name
+    found: dict[str, tuple[int, tuple[int, ...]]] = {}
+    for group in sorted(peers.values(), key=len):  # the largest group says which number counts
+        found |= {name: (number, tuple(sorted(group))) for number, name in group.items()}
+    return found
+
+
+def _by_number(number: int, peers: Sequence[int], elements: Sequence[Sequence[str]]) -> np.ndarray:
+    """Likeness by the number in a column's name: an element's own, else its place in the model."""
+    found = np.zeros(len(elements))
+    own = [next((int(w) for w in words[::-1] if w.isdigit()), -1) for words in elements]
+    if peers and len(set(own)) == len(own) and set(peers) <= set(own):
+        found[own.index(number)] = 0.9
+    elif peers and peers[0] in (0, 1) and number - peers[0] < len(elements):
+        # As many columns as elements are those of the model in its order.
+        found[number - peers[0]] = 0.8 if len(peers) == len(elements) else 0.5
+    return found
+
+
+def _units(
+    pairs: Sequence[tuple[Wanted, _Column]], table: Mapping[str, np.ndarray]
+) -> dict[str, tuple[float, str, bool]]:
+    """Factor to our unit, 0 where nobody knows; why; whether there is no doubt; by column.
+
+    The name says the unit, else the range of the joint, control or supply; what was logged of all
+    elements has one unit.
+    """
+    found: dict[str, tuple[float, str, bool]] = {}
+    groups: dict[tuple[str, str], list[tuple[Wanted, _Column, float, float]]] = defaultdict(list)
+    for one, column in pairs:
+        samples = table[column.name][np.isfinite(table[column.name])]
+        unit, found[column.name] = column.unit, (1.0, "", True)
+        if unit.unit and unit.si != one.unit:
+            why = f"in {unit.unit}, the model's is {one.unit}: factor?"
+            found[column.name] = (0.0, why, False)
+        elif unit.unit:
+            found[column.name] = (unit.factor, f"{unit.unit}, by the name", True)
+        elif samples.size and one.unit in _USUAL and np.isfinite(one.limits).all():
+            ends = (float(samples.min()), float(samples.max()))
+            groups[one.kind.split("_")[0], one.unit].append((one, column, *ends))
+    for (_, ours), group in groups.items():
+        fits = {
+            name: [_within(factor * low, factor * high, one) for one, _, low, high in group]
+            for name, factor in _USUAL[ours]
+        }
+        name = next((name for name, each in fits.items() if 2 * sum(each) >= len(each)), ours)
+        for (one, column, low, high), fitting in zip(group, fits[name], strict=True):
+            allowed = f"[{one.limits[0]:.4g}, {one.limits[1]:.4g}] {ours}"
+            why = "" if name == ours else f"{name}, by the range {allowed}"
+            if not fitting:
+                why = f"covers [{low:.4g}, {high:.4g}] {name}, allowed {allowed}: factor?"
+            found[column.name] = (dict(_USUAL[ours])[name], why, not why)
+    return found
+
+
+def _within(low: float, high: float, one: Wanted) -> bool:
+    """Whether a signal is within the range of what it may be, or not far outside."""
+    room = DEFAULT.beyond_range * (one.limits[1] - one.limits[0])
+    return bool(one.limits[0] - room <= low and high <= one.limits[1] + room)
