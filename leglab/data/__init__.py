@@ -53,7 +53,7 @@ _MODULES = {
 # Formats by suffix, where no format is named.
 _SUFFIXES = {
     ".parquet": "parquet",
-    ".csv": "csv",
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".log", ".dat", ".asc"), "csv"),
     ".mcap": "mcap",
     ".mat": "matlab",
     ".npz": "sysid",
@@ -123,11 +123,13 @@ def read_table(
     is_bag = path.is_dir()
     if not is_bag and not path.is_file():
         raise FileError(f"{path}: {no_file(path)}", given=path)
-    form = mcap if is_bag else _MODULES[format_of(path)]
+    packed = path.suffix == ".gz" and format_of(path.stem) == "csv"
+    form = mcap if is_bag else csv if packed else _MODULES[format_of(path)]
     left_out = LeftOut(partial)
-    # Only topics have clocks of their own, and how they are brought onto one depends on the names.
-    if form is mcap:
-        table, metadata = mcap.read_table(path, left_out, columns)
+    # Only topics have clocks of their own, and how they are brought onto one depends on the names;
+    # of text the map says what cannot be known.
+    if form in (mcap, csv):
+        table, metadata = form.read_table(path, left_out, columns)
     else:
         table, metadata = form.read_table(path, left_out)
     is_timed = isinstance(table, Timed)
@@ -209,11 +211,11 @@ def format_of(path: str | Path) -> str:
     Raises:
         LeglabError: The suffix is not known.
     """
-    path = Path(path)
-    if path.suffix not in _SUFFIXES:
-        told = f"{path}: suffix {path.suffix!r} is not a known format, allowed: "
-        raise FileError(told, given=path.suffix, allowed=_SUFFIXES)
-    return _SUFFIXES[path.suffix]
+    suffix = Path(path).suffix.lower()
+    if suffix not in _SUFFIXES:
+        told = f"{path}: suffix {suffix!r} is not a known format, allowed: "
+        raise FileError(told, given=suffix, allowed=_SUFFIXES)
+    return _SUFFIXES[suffix]
 
 
 def _module(path: Path, form: str | None) -> ModuleType:

@@ -30,7 +30,16 @@ class ColumnRule(Configuration):
         return factor
 
 
-class _MapFile(Configuration):
+class TextSettings(Configuration):
+    """What cannot be known of a text, such as CSV; what is not given is found."""
+
+    separator: str | None = Field(None, min_length=1, max_length=1, description="Between cells.")
+    decimal: Literal[".", ","] | None = Field(None, description="Decimal sign.")
+    encoding: str | None = Field(None, description="As Python names it, for instance 'latin-1'.")
+    skip: int = Field(0, ge=0, description="Lines before the head.")
+
+
+class _MapFile(TextSettings):
     columns: dict[str, Any] = Field(min_length=1)
     clock: str | None = None
     stamps: Literal["header", "log"] = "header"
@@ -48,6 +57,8 @@ class ColumnMap:
     clock: str | None = None
     #: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
     stamps: Literal["header", "log"] = "header"
+    #: Text alone: how it is written, where that cannot be known.
+    text: TextSettings = field(default_factory=lambda: TextSettings())
 
     def __post_init__(self) -> None:
         owners: dict[str, str] = {}
@@ -123,8 +134,8 @@ def read_column_map(path: str | Path) -> ColumnMap:
     """Reads a column map from a TOML file.
 
     The table `columns` holds `their_name = "our_name"` or
-    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it `clock` and
-    `stamps` may stand, see `ColumnMap`.
+    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it `clock`,
+    `stamps` and the settings of `TextSettings` may stand, see `ColumnMap`.
 
     Raises:
         LeglabError: The file cannot be read, or an entry is not allowed; names file, key, value
@@ -150,7 +161,9 @@ def read_column_map(path: str | Path) -> ColumnMap:
                 f'{theirs} = {{name = "our_name", factor = ..., offset = ...}}',
             )
         rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
-    return ColumnMap(rules=rules, source=str(path), clock=file.clock, stamps=file.stamps)
+    text = TextSettings(**{name: getattr(file, name) for name in TextSettings.model_fields})
+    clock, stamps = file.clock, file.stamps
+    return ColumnMap(rules=rules, source=str(path), clock=clock, stamps=stamps, text=text)
 
 
 def _owns(name: str, column: str) -> bool:

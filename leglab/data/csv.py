@@ -1,4 +1,4 @@
-"""Recordings as CSV: a line of column names, then one line a sample."""
+"""Recordings as CSV and other text: a line of column names, then one line a sample."""
 
 from pathlib import Path
 
@@ -10,21 +10,29 @@ from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
+from leglab.data.column_map import ColumnMap
 from leglab.data.columns import to_arrays
-from leglab.data.files import LeftOut
-
-# Cells that stand for a missing sample; all other text is refused.
-_MISSING = ["", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]
+from leglab.data.dialect import MISSING, decoded, dialect
+from leglab.data.files import LeftOut, first_line
 
 
-def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads all columns of a CSV file. Row 0 is the first line after the names.
+def read_table(
+    path: Path, left_out: LeftOut, columns: ColumnMap | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads all columns of a text with cells. Row 0 is the first line after the names.
+
+    Args:
+        path: The file, gzip or not.
+        left_out: Gets columns that cannot be read.
+        columns: What it says of the text goes before what is found.
 
     Raises:
-        LeglabError: The text is not UTF-8, a line has too few or too many cells (as the last one
-            of a truncated file), or a cell is not a number; names the row.
+        LeglabError: A line has too few or too many cells (as the last one of a truncated file), or
+            a cell is not a number; names the row.
     """
-    content = _text_of(path)
+    settings = (columns or ColumnMap()).text
+    text = decoded(read_bytes(path), path, settings.encoding)
+    found = dialect(text if "\n" in text else text.replace("\r", "\n"), settings, path)
     broken: list[pc.InvalidRow] = []
 
     def note(row: pc.InvalidRow) -> str:
@@ -32,24 +40,36 @@ def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], di
         return "skip"
 
     try:
+        if not found.body.strip():
+            return {name: np.empty(0) for name in found.names}, {}
         table = pc.read_csv(
-            pa.BufferReader(content),
+            pa.BufferReader(found.body.encode()),
             # One thread: only then are invalid rows numbered.
-            read_options=pc.ReadOptions(use_threads=False),
-            parse_options=pc.ParseOptions(invalid_row_handler=note),
-            convert_options=pc.ConvertOptions(null_values=_MISSING, strings_can_be_null=True),
+            read_options=pc.ReadOptions(use_threads=False, column_names=found.names),
+            parse_options=pc.ParseOptions(
+                delimiter="\t" if found.separator == " " else found.separator,
+                invalid_row_handler=note,
+            ),
+            convert_options=pc.ConvertOptions(
+                null_values=MISSING, strings_can_be_null=True, decimal_point=found.decimal
+            ),
         )
-    except pa.ArrowException as error:
-        reason = str(error).splitlines()[0]
-        raise FileError(f"{path}: not a CSV file: {reason}", given=path) from error
+    except (pa.ArrowException, UnicodeEncodeError) as error:
+        raise FileError(f"{path}: not a CSV file: {first_line(error)}", given=path) from error
     if broken:
         row = broken[0]
         raise FileError(
-            f"{path}: row {row.number - 2} has {row.actual_columns} cells instead of "
+            f"{path}: row {row.number - 1} has {row.actual_columns} cells instead of "
             f"{row.expected_columns} ({row.text!r}); is the file truncated?",
             given=path,
         )
-    return to_arrays(table, path, left_out), {}
+    # Of a comma too many at the end of each line.
+    empty = [
+        name
+        for name, column in zip(table.column_names, table.columns, strict=True)
+        if name.startswith("Unnamed: ") and column.null_count == len(column)
+    ]
+    return to_arrays(table.drop_columns(empty), path, left_out, decimal=found.decimal), {}
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -70,15 +90,3 @@ def write(recording: Recording, path: Path) -> None:
         quoting_style="needed", quoting_header="needed" if special else "none"
     )
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))
-
-
-def _text_of(path: Path) -> bytes:
-    """Returns a file's bytes if they are UTF-8; pyarrow trips over names and broken rows if not."""
-    content = read_bytes(path)
-    try:
-        content.decode()
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        told = f"{path}: line {line}: byte 0x{content[error.start]:02x} is not UTF-8 text"
-        raise FileError(told, given=path) from error
-    return content
