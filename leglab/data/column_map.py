@@ -33,10 +33,14 @@ class ColumnRule(Configuration):
 class TextSettings(Configuration):
     """What cannot be known of a text, such as CSV; what is not given is found."""
 
-    separator: str | None = Field(None, min_length=1, max_length=1, description="Between cells.")
-    decimal: Literal[".", ","] | None = Field(None, description="Decimal sign.")
-    encoding: str | None = Field(None, description="As Python names it, for instance 'latin-1'.")
-    skip: int = Field(0, ge=0, description="Lines before the head.")
+    separator: str | None = Field(
+        default=None, min_length=1, max_length=1, description="Between cells."
+    )
+    decimal: Literal[".", ","] | None = Field(default=None, description="Decimal sign.")
+    encoding: str | None = Field(
+        default=None, description="As Python names it, for instance 'latin-1'."
+    )
+    skip: int = Field(default=0, ge=0, description="Lines before the head.")
 
 
 class _MapFile(TextSettings):
@@ -58,7 +62,7 @@ class ColumnMap:
     #: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
     stamps: Literal["header", "log"] = "header"
     #: Text alone: how it is written, where that cannot be known.
-    text: TextSettings = field(default_factory=lambda: TextSettings())
+    text: TextSettings = field(default_factory=TextSettings)
 
     def __post_init__(self) -> None:
         owners: dict[str, str] = {}
