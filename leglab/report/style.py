@@ -1,5 +1,6 @@
 """One look for all figures and films: few inks, safe for colour-blind readers, no decoration."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -39,12 +40,19 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+# Matplotlib's settings are those of the whole process.
+_SETTINGS = threading.RLock()
+
+
 @contextmanager
 def style() -> Iterator[None]:
-    """Applies the look to figures made inside, and leaves other figures alone."""
+    """Applies the look to figures made inside; the caller's settings come back.
+
+    Threads wait for each other.
+    """
     import matplotlib as mpl  # films, which need colours alone, do without
 
-    with mpl.rc_context():
+    with _SETTINGS, mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
         yield

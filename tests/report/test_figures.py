@@ -1,3 +1,6 @@
+import threading
+import time
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from leglab.report.figures import (
     save_run_figures,
     tracking_figure,
 )
-from leglab.report.style import VERMILION
+from leglab.report.style import VERMILION, style
 
 STEP = (Phase(name="before", start=0, end=2), Phase(name="after", start=2, end=4))
 RAMP = (
@@ -175,3 +178,19 @@ def test_other_figures_keep_their_look():
     before = dict(mpl.rcParams)
     command_figure(run())
     assert dict(mpl.rcParams) == before
+
+
+def test_settings_of_the_caller_come_back_from_threads_that_overlap():
+    def draw(begin, last):
+        time.sleep(begin)
+        with style():
+            time.sleep(last)
+
+    with mpl.rc_context({"lines.linewidth": 3.0, "font.size": 17.0}):
+        before = dict(mpl.rcParams)
+        threads = [threading.Thread(target=draw, args=a) for a in ((0.0, 0.1), (0.03, 0.2))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert dict(mpl.rcParams) == before
