@@ -101,15 +101,29 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
             start = int(model.name_pluginadr[i])
             own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
             table = tables[names[model.plugin[i]]]
-            joint = _text(model, i, table.plugin, "joint")  # on which it acts, if on one
+            joint = _named_joint(model, i, table.plugin)
             if table.plugin == RESIDUAL:
                 knots = {v: _text(model, i, RESIDUAL, f"{v}_knots") for v in RESIDUAL_VARIABLES}
                 counts = {v: len(text.split()) + 2 for v, text in knots.items() if text}
-                table = residual_table(table, counts, "N m" if joint else "1")  # 1 of a cylinder
-            if joint and model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+                table = residual_table(
+                    table, counts, "N m" if joint >= 0 else "1"
+                )  # 1 of a cylinder
+            if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
                 table = table_at_slide(table)
             found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
     return found
+
+
+def _named_joint(model: mujoco.MjModel, instance: int, plugin: str) -> int:
+    """Number of the joint that an instance acts on; -1 for none.
+
+    The plugins find it (`element_named` in leglab/csrc/plugin/config.h): names in attributes keep
+    their form where a model is attached to another one with a prefix.
+    """
+    name = _text(model, instance, plugin, "joint").encode()
+    library = ctypes.CDLL(str(library_path()))
+    kind = int(mujoco.mjtObj.mjOBJ_JOINT)
+    return library.leglab_element_named(ctypes.c_void_p(model._address), instance, kind, name)
 
 
 def _text(model: mujoco.MjModel, instance: int, plugin: str, name: str) -> str:
@@ -127,7 +141,9 @@ def attribute_names(plugin: str) -> tuple[str, ...]:
 def to_xml(spec: mujoco.MjSpec) -> str:
     """Writes a compiled specification as MJCF, with the plugin instances that were added to it.
 
-    `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`.
+    `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`, and
+    copying or attaching a specification those that no element refers to. So each of these gets a
+    massless body that refers to it, on the body of its joint.
     """
     root = ElementTree.fromstring(spec.to_xml())
     extension = root.find("extension")
@@ -143,8 +159,36 @@ def to_xml(spec: mujoco.MjSpec) -> str:
         instance = ElementTree.SubElement(parent, "instance", name=plugin.name)
         for key, value in plugin.config.items():
             ElementTree.SubElement(instance, "config", key=key, value=value)
+    _refer_to_instances(root)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _refer_to_instances(root: ElementTree.Element) -> None:
+    """Adds a body for each plugin instance that no element of the model refers to."""
+    world = root.find("worldbody")
+    bodies = [] if world is None else [*world.iter("body")]
+    if not bodies:
+        return
+    names = {body.get("name") for body in bodies}
+    body_of = {
+        joint.get("name"): body for body in reversed(bodies) for joint in body.findall("joint")
+    }
+    actuators = root.find("actuator") or ()
+    joint_of = {drive.get("name"): drive.get("joint") for drive in actuators}
+    referred = {one.get("instance") for one in root.iter("plugin")}
+    for plugin in root.findall("extension/plugin"):
+        for instance in plugin.findall("instance"):
+            name = instance.get("name", "")
+            if name in referred:
+                continue
+            text = {one.get("key"): one.get("value") for one in instance.findall("config")}
+            joint = text.get("joint") or joint_of.get(text.get("actuator"))
+            parent = body_of.get(joint, bodies[0])
+            place = ElementTree.SubElement(parent, "body", name=name + "_plugin" * (name in names))
+            ElementTree.SubElement(
+                place, "plugin", {"plugin": plugin.get("plugin", ""), "instance": name}
+            )
 
 
 _UNKNOWN_ATTRIBUTE = re.compile(

@@ -3,13 +3,14 @@
 import subprocess
 import sys
 import textwrap
+from functools import partial
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 from dm_env import StepType
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
@@ -162,29 +163,37 @@ def test_any_number_of_threads_gives_the_same_bits(controller):
     assert not np.array_equal(rows[0][0], different[0])
 
 
-def test_next_step_autoreset_ignores_the_action_and_starts_anew():
-    """As Gymnasium's own vector of the same environments, step by step."""
+@pytest.mark.parametrize("mode", list(AutoresetMode)[:2])
+@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
+def test_a_batch_is_gymnasiums_vector_of_the_same_environments(vector, mode):
+    """Step by step, over ends of episodes: in one process and in several, by both autoresets."""
     settings = {**KNEE, "duration": 0.04, "action": "residual", "error_limit": 0.02}
-    batch = make_batch(3, seed=2, **settings)
-    own = gymnasium.vector.SyncVectorEnv(
-        [
-            lambda i=i: load_gymnasium(seed=2 + i, flat_observation=True, **settings)
-            for i in range(3)
-        ]
-    )
-    assert batch.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-    np.testing.assert_array_equal(batch.reset()[0], own.reset()[0])
+    batch = make_batch(3, seed=2, autoreset=mode.name.lower(), **settings)
+    make = partial(load_gymnasium, flat_observation=True, **settings)
+    own = vector([partial(make, seed=2 + i) for i in range(3)], autoreset_mode=mode)
+    assert batch.metadata["autoreset_mode"] == mode
+    first = own.reset()[0].copy()
+    np.testing.assert_array_equal(batch.reset()[0], first)
+    assert len({row.tobytes() for row in first}) == 3
     ended = set()
     for action in actions(batch, 90, 1.0):
         got, expected = batch.step(action), own.step(action)
         for a, b in zip(got[:4], expected[:4], strict=True):
             np.testing.assert_array_equal(a, b)
-        if "ended" in expected[4]:
-            mask = expected[4]["_ended"]
-            np.testing.assert_array_equal(got[4]["_ended"], mask)
-            assert list(got[4]["ended"][mask]) == list(expected[4]["ended"][mask])
-            ended |= set(got[4]["ended"][mask])
+        told, wanted = (each[4].get("final_info", each[4]) for each in (got, expected))
+        if "ended" in wanted:
+            mask = wanted["_ended"]
+            np.testing.assert_array_equal(told["_ended"], mask)
+            assert list(told["ended"][mask]) == list(wanted["ended"][mask])
+            ended |= set(told["ended"][mask])
+            for i in np.flatnonzero(mask) if mode == AutoresetMode.SAME_STEP else ():
+                last = got[4]["final_obs"][i]
+                np.testing.assert_array_equal(last, expected[4]["final_obs"][i])
+                assert np.any(last != got[0][i])
     assert ended == {"duration", "error_limit"}
+    again = own.reset(seed=7)[0].copy()
+    np.testing.assert_array_equal(batch.reset(seed=7)[0], again)
+    own.close()
 
 
 def test_dm_env_has_time_steps_of_all_machines():

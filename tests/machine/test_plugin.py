@@ -7,6 +7,7 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.machine import plugin
+from tests.helpers.native_models import pendulum
 from tests.helpers.plugin_models import (
     FULL,
     Slots,
@@ -245,3 +246,50 @@ def test_a_library_that_does_not_load_is_one_line(monkeypatch, tmp_path):
     with pytest.raises(LeglabError, match=r"do not load with mujoco .*gone\.so") as caught:
         plugin.load_plugin.__wrapped__()
     assert "\n" not in str(caught.value)
+
+
+DRIVES = '<motor name="drive" joint="hinge" gear="3"/>'
+
+
+def native_xml():
+    """A pendulum with every plugin that goes with a native actuator."""
+    knots = "-1 0 1"
+    return pendulum(
+        instance("leglab.spring_damper", "hinge_spring", joint="hinge", k1=28, k3=3),
+        instance("leglab.command_path", "drive_path", actuator="drive", delay=0.01, bias=0.1),
+        instance("leglab.backlash", "hinge_play", joint="hinge", width=0.02, motor_inertia=0.01),
+        instance(
+            "leglab.residual",
+            "hinge_rest",
+            joint="hinge",
+            position_knots=knots,
+            position_coefficients="1 -1 2 -2 1",
+        ),
+        actuator=DRIVES,
+    )
+
+
+@pytest.mark.parametrize("xml", [rich_xml(), native_xml()], ids=["cylinders", "native"])
+def test_a_saved_model_attached_twice_moves_as_it_did(xml):
+    """Names in settings of plugins mean the elements of their own copy, with any prefix."""
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.compile()
+    saved = plugin.to_xml(spec)
+    parent = mujoco.MjSpec()
+    for option in ("timestep", "integrator", "gravity"):
+        setattr(parent.option, option, getattr(spec.option, option))
+    for prefix in ("left_", "robot/"):
+        child = mujoco.MjSpec.from_string(saved)
+        parent.attach(child, prefix=prefix, frame=parent.worldbody.add_frame())
+    alone, two = mujoco.MjModel.from_xml_string(xml), parent.compile()
+    assert two.nplugin == 2 * alone.nplugin
+    found = []
+    for model in (alone, two):
+        data = mujoco.MjData(model)
+        for k in range(300):
+            wave = np.sin(0.02 * k + np.arange(alone.nu))
+            data.ctrl[:] = np.tile(0.3 * wave, model.nu // alone.nu)
+            mujoco.mj_step(model, data)
+        found.append(data.qpos.reshape(-1, alone.nq))
+    assert np.abs(found[0] - alone.qpos0).max() > 1e-3
+    np.testing.assert_allclose(found[1], np.tile(found[0], (2, 1)), atol=1e-12)

@@ -50,7 +50,7 @@ class Backlash : public Instance<BacklashTable> {
     // MuJoCo goes by the order of instances, and this one needs the forces behind the command paths.
     for (int i = instance + 1; i < m->nplugin; ++i) {
       if (!is_instance<CommandPath>(m, i)) continue;
-      const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, text_attribute(m, i, "actuator").c_str());
+      const int actuator = element_named(m, i, mjOBJ_ACTUATOR, m->nactuator, text_attribute(m, i, "actuator"));
       if (actuator >= 0 && on_joint(m, actuator, joint_)) later_paths_.push_back(i);
     }
     for (auto* scratch : {&actuation_, &column_, &unit_, &force_}) scratch->assign(m->nv, 0.0);

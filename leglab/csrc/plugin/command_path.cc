@@ -72,7 +72,8 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
   return {behind_play, x, x - (before - x) * std::expm1(-ratio) / ratio};
 }
 
-void CommandPath::compute(const mjModel* m, mjData* d) {
+void CommandPath::compute(const mjModel* m, mjData* d, int capability) {
+  if (capability == mjPLUGIN_PASSIVE) return;  // that it has so that a body may refer to it
   if (!applied_) apply(m, d);
   applied_ = false;
 }
@@ -127,6 +128,6 @@ void CommandPath::advance(const mjModel* m, mjData* d) {
   s.started_ = 1.0;
 }
 
-mjPLUGIN_LIB_INIT(leglab_command_path) { register_plugin<CommandPath>(mjPLUGIN_ACTUATOR); }
+mjPLUGIN_LIB_INIT(leglab_command_path) { register_plugin<CommandPath>(mjPLUGIN_ACTUATOR | mjPLUGIN_PASSIVE); }
 
 }  // namespace leglab::plugin

@@ -10,7 +10,7 @@ class CommandPath : public Instance<CommandTable> {
  public:
   CommandPath(const mjModel* m, int instance);
   void reset(mjtNum* plugin_state) const;
-  void compute(const mjModel* m, mjData* d);
+  void compute(const mjModel* m, mjData* d, int capability);
   void advance(const mjModel* m, mjData* d);
   // Does the work of the next `compute` now, for a plugin that needs its force.
   void apply_ahead(const mjModel* m, mjData* d);

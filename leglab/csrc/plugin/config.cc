@@ -56,8 +56,65 @@ std::string text_attribute(const mjModel* m, int instance, const char* key) {
   return text ? text : "";
 }
 
+namespace {
+
+// Joint of the body that refers to an instance, or of the nearest one above it that has joints, whose
+// name contains a text; -1 for none, -2 where no body refers to the instance.
+int joint_of_body(const mjModel* m, int instance, const std::string& text) {
+  int body = m->nbody - 1;
+  while (body >= 0 && m->body_plugin[body] != instance) --body;
+  if (body < 0) return -2;
+  while (body > 0 && m->body_jntnum[body] == 0) body = m->body_parentid[body];
+  int found = -1;
+  for (int i = m->body_jntadr[body]; i >= 0 && i < m->body_jntadr[body] + m->body_jntnum[body]; ++i) {
+    const std::string name = mj_id2name(m, mjOBJ_JOINT, i) ? mj_id2name(m, mjOBJ_JOINT, i) : "";
+    if (name == text) return i;
+    if (found < 0 && name.find(text) != std::string::npos) found = i;
+  }
+  return found;
+}
+
+// Name of an instance; of one without a name that of its actuator or sensor.
+std::string owner_name(const mjModel* m, int instance) {
+  const auto text = [](const char* name) { return std::string(name ? name : ""); };
+  const std::string own = text(mj_id2name(m, mjOBJ_PLUGIN, instance));
+  if (!own.empty()) return own;
+  for (int i = 0; i < m->nactuator; ++i) {
+    if (m->actuator_plugin[i] == instance) return text(mj_id2name(m, mjOBJ_ACTUATOR, i));
+  }
+  for (int i = 0; i < m->nsensor; ++i) {
+    if (m->sensor_plugin[i] == instance) return text(mj_id2name(m, mjOBJ_SENSOR, i));
+  }
+  return "";
+}
+
+}  // namespace
+
+int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text) {
+  if (text.empty()) return -1;
+  if (kind == mjOBJ_JOINT) {
+    const int joint = joint_of_body(m, instance, text);
+    if (joint != -2) return joint;
+  }
+  const int exact = mj_name2id(m, kind, text.c_str());
+  if (exact >= 0) return exact;
+  const std::string owner = owner_name(m, instance);
+  int found = -1;
+  std::size_t longest = 0;
+  for (int i = 0; i < count; ++i) {
+    const char* name = mj_id2name(m, kind, i);
+    const std::string whole = name ? name : "";
+    const std::size_t at = whole.rfind(text);
+    if (at == std::string::npos || whole.size() <= longest) continue;
+    const std::string prefix = whole.substr(0, at), suffix = whole.substr(at + text.size());
+    if (owner.starts_with(prefix) && owner.ends_with(suffix)) found = i, longest = whole.size();
+  }
+  return found;
+}
+
 std::string unit_at_joint(const mjModel* m, int instance, const char* unit) {
-  const int joint = mj_name2id(m, mjOBJ_JOINT, text_attribute(m, instance, "joint").c_str());
+  const int joint =
+      element_named(m, instance, mjOBJ_JOINT, m->njnt, text_attribute(m, instance, "joint"));
   return joint >= 0 && m->jnt_type[joint] == mjJNT_SLIDE ? unit_at_slide(unit) : unit;
 }
 
@@ -83,7 +140,7 @@ void read_parameters(const mjModel* m, int instance, std::span<const ParameterSp
 
 int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count) {
   const std::string text = text_attribute(m, instance, key);
-  const int id = text.empty() ? -1 : mj_name2id(m, kind, text.c_str());
+  const int id = element_named(m, instance, kind, count, text);
   if (id >= 0) return id;
   std::string known;
   for (int i = 0; i < count; ++i) {
@@ -112,3 +169,10 @@ void require_single_stage_integrator(const mjModel* m, int instance) {
 }
 
 }  // namespace leglab::plugin
+
+// For tools: `element_named` without its bound.
+extern "C" __attribute__((visibility("default"))) int leglab_element_named(const mjModel* m, int instance, int kind, const char* text) {
+  const auto object = static_cast<mjtObj>(kind);
+  const int count = object == mjOBJ_JOINT ? m->njnt : object == mjOBJ_PLUGIN ? m->nplugin : m->nactuator;
+  return leglab::plugin::element_named(m, instance, object, count, text);
+}

@@ -24,7 +24,7 @@ Cylinder::Cylinder(const mjModel* m, int instance)
   if (!wrong.empty()) refuse(m, instance, wrong);
   const std::string supply = text_attribute(m, instance, "supply");
   if (!supply.empty()) {
-    supply_ = mj_name2id(m, mjOBJ_PLUGIN, supply.c_str());
+    supply_ = element_named(m, instance, mjOBJ_PLUGIN, m->nplugin, supply);
     if (supply_ < 0 || !is_instance<Supply>(m, supply_)) {
       refuse(m, instance, "attribute 'supply' = '" + supply + "'; allowed: the name of a " +
                               Supply::Table::plugin + " instance");

@@ -84,11 +84,12 @@ int Residual::state_count(const mjModel* m, int instance) {
 }
 
 int Residual::of_cylinder(const mjModel* m, int actuator) {
-  const char* own = mj_id2name(m, mjOBJ_ACTUATOR, actuator);
   int found = -1;
-  for (int i = 0; own && i < m->nplugin; ++i) {
-    if (!is_instance<Residual>(m, i) || text_attribute(m, i, "cylinder") != own) continue;
-    if (found >= 0) refuse(m, i, "attribute 'cylinder' = '" + std::string(own) + "' has another already");
+  for (int i = 0; i < m->nplugin; ++i) {
+    if (!is_instance<Residual>(m, i)) continue;
+    const std::string named = text_attribute(m, i, "cylinder");
+    if (element_named(m, i, mjOBJ_ACTUATOR, m->nu, named) != actuator) continue;
+    if (found >= 0) refuse(m, i, "attribute 'cylinder' = '" + named + "' has another already");
     found = i;
   }
   return found;
@@ -99,7 +100,7 @@ Residual::Residual(const mjModel* m, int instance) : Instance(m, instance) {
   const std::string cylinder = text_attribute(m, instance, "cylinder");
   const std::string actuator = text_attribute(m, instance, "actuator");
   if (!cylinder.empty()) {
-    const int id = mj_name2id(m, mjOBJ_ACTUATOR, cylinder.c_str());
+    const int id = element_named(m, instance, mjOBJ_ACTUATOR, m->nu, cylinder);
     const int plugin = id < 0 ? -1 : m->actuator_plugin[id];
     if (plugin < 0 || !is_instance<Cylinder>(m, plugin)) {
       refuse(m, instance, "attribute 'cylinder' = '" + cylinder + "'; allowed: an actuator that is a " +

@@ -63,7 +63,7 @@ class Sensor : public Instance<SensorTable> {
     }
     if (sensor_ < 0) refuse(m, instance, "serves no sensor; allowed: one sensor an instance");
     const std::string name = text_attribute(m, instance, "actuator");
-    const int actuator = mj_name2id(m, mjOBJ_ACTUATOR, name.c_str());
+    const int actuator = element_named(m, instance, mjOBJ_ACTUATOR, m->nu, name);
     if (actuator >= 0) cylinder_ = m->actuator_plugin[actuator];
     if (cylinder_ < 0 || !is_instance<Cylinder>(m, cylinder_)) {
       refuse(m, instance, "attribute 'actuator' = '" + name + "'; allowed: the name of a " +

@@ -21,7 +21,7 @@ class SpringDamper : public Instance<SpringTable> {
     }
     const std::string strut = text_attribute(m, instance, "strut");
     if (!strut.empty()) {
-      strut_ = mj_name2id(m, mjOBJ_TENDON, strut.c_str());
+      strut_ = element_named(m, instance, mjOBJ_TENDON, m->ntendon, strut);
       if (strut_ < 0) refuse(m, instance, "attribute 'strut' = '" + strut + "' names no tendon");
     }
   }

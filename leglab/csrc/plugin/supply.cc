@@ -7,11 +7,10 @@ namespace leglab::plugin {
 using namespace hydraulics;
 
 Supply::Supply(const mjModel* m, int instance) : Instance(m, instance) {
-  const char* own = mj_id2name(m, mjOBJ_PLUGIN, instance);
   for (int i = 0; i < m->nplugin; ++i) {
-    if (is_instance<Cylinder>(m, i) && own && text_attribute(m, i, "supply") == own) {
-      consumers_.push_back(i);
-    }
+    if (!is_instance<Cylinder>(m, i)) continue;
+    const std::string named = text_attribute(m, i, "supply");
+    if (element_named(m, i, mjOBJ_PLUGIN, m->nplugin, named) == instance) consumers_.push_back(i);
   }
 }
 
