@@ -133,9 +133,11 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, Fraction]:
     if not step:
         return "s", _SECOND["s"]
     rates = {unit: 1.0 / (step * float(seconds)) for unit, seconds in _SECOND.items()}
-    if rates["s"] >= _LEAST_OF_FRACTIONS and (known != np.rint(known)).any():
-        return "s", _SECOND["s"]
     first = float(known[0])
+    early = [unit for unit, seconds in _SECOND.items() if first * float(seconds) <= _EPOCH[1]]
+    fraction = "s" in early and bool((known != np.rint(known)).any())
+    if fraction and rates["s"] >= _LEAST_OF_FRACTIONS:
+        return "s", _SECOND["s"]
     epoch = [
         unit
         for unit, rate in rates.items()
@@ -144,9 +146,9 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, Fraction]:
     ]
     if epoch and raw.dtype == np.float32:  # It hides the rate.
         return epoch[0], _SECOND[epoch[0]]
-    fits = [unit for unit, rate in rates.items() if _LEAST <= rate <= _MOST]
+    fits = [unit for unit in early if _LEAST <= rates[unit] <= _MOST]
     fits = [unit for unit in fits if unit in epoch] or list(dict.fromkeys(fits + epoch))
-    if not fits and name == "time":
+    if not fits and name == "time" and "s" in early:
         fits = ["s"]
     if len(fits) == 1:
         return fits[0], _SECOND[fits[0]]

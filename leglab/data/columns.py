@@ -1,10 +1,11 @@
 """From Arrow tables to plain arrays, the same for every format."""
 
-import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.files import LeftOut
@@ -89,8 +90,15 @@ def _is_number(text: object, decimal: str) -> bool:
 def _lists(column: pa.ChunkedArray) -> np.ndarray | None:
     """Numbers of cells that hold lists of one length, (n, length); None where one does not."""
     try:
-        rows = [None if cell is None else json.loads(cell) for cell in column.to_pylist()]
+        bare = pc.replace_substring_regex(column, r"^\s*[\[(](.*)[\])]\s*$", r",\1")
+        rows = [cell and _list(cell) for cell in bare.to_pylist()]
         length = len(next(row for row in rows if row is not None))
-        return np.array([row or [None] * length for row in rows], dtype=np.float64)
-    except (ValueError, TypeError, RecursionError, StopIteration):
+        return np.array([[np.nan] * length if row is None else row for row in rows])
+    except (ValueError, TypeError, StopIteration):
         return None
+
+
+def _list(cell: str) -> list[float]:
+    if not cell.startswith(","):
+        raise ValueError("no list")
+    return [float(number) for number in re.split(r"[,;\s]+", cell.strip(",; "))]

@@ -15,6 +15,9 @@ from leglab.data.columns import to_arrays
 from leglab.data.dialect import MISSING, decoded, dialect
 from leglab.data.files import LeftOut, first_line
 
+_TRUE = [word for w in ("true", "on", "yes") for word in (w, w.capitalize(), w.upper())]
+_FALSE = [word for w in ("false", "off", "no") for word in (w, w.capitalize(), w.upper())]
+
 
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
@@ -51,7 +54,11 @@ def read_table(
                 invalid_row_handler=note,
             ),
             convert_options=pc.ConvertOptions(
-                null_values=MISSING, strings_can_be_null=True, decimal_point=found.decimal
+                null_values=MISSING,
+                strings_can_be_null=True,
+                decimal_point=found.decimal,
+                true_values=_TRUE,
+                false_values=_FALSE,
             ),
         )
     except (pa.ArrowException, UnicodeEncodeError) as error:

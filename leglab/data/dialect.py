@@ -12,6 +12,7 @@ import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from leglab.base.errors import FileError
 from leglab.data.column_map import TextSettings
@@ -25,7 +26,7 @@ _BLANKS = " "
 _SEPARATORS = (",", ";", "\t", "|", _BLANKS)
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(?i:inf|infinity)\s*")
 # Booleans and lists are samples, too, as are dates and times of day.
-_SAMPLE = re.compile(r"(?i:true|false)|\[\s*[-+.]?\d.*\]")
+_SAMPLE = re.compile(r"(?i:true|false|on|off|yes|no)|[\[(]\s*[-+.]?\d.*[\])]")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _COMMENT = re.compile(r"\s*[#%;!]+\s?")
 # A head is no longer, and the rows that tell the separator are no more.
@@ -72,7 +73,8 @@ def dialect(text: str, settings: TextSettings, path: Path) -> Dialect:
         path: The file, for messages.
 
     Raises:
-        FileError: Nothing is there, or commas may be decimal signs or group thousands.
+        FileError: Nothing is there, the names do not fit the rows, or commas may be decimal signs
+            or group thousands.
     """
     lines = [line.rstrip("\r") for line in text[:_HEAD].split("\n")]
     if len(text) > _HEAD:
@@ -94,59 +96,83 @@ def dialect(text: str, settings: TextSettings, path: Path) -> Dialect:
     table = [_cells(line, separator) for line in rows]
     if not settings.decimal:
         _check_thousands([cell for row in table for cell in row], separator, path)
-    sampled = [row for row in table if len(row) == width]
-    solid = [
-        i
-        for i in range(width)
-        if 2 * sum(_is_sample(row[i], decimal) for row in sampled) >= len(sampled)
-    ]
-    return _cut(text, settings.skip, lines, (separator, decimal, width), solid)
+    head, first = _head(lines, separator, decimal, [row for row in table if len(row) == width])
+    at, names = _names(head, width)
+    if head and at is None and len(head[-1].cells) > 1 and not head[-1].numbers:
+        number, cells, *_ = head[-1]
+        raise FileError(
+            f"{path}: rows have {width} cells, the line above them has {len(cells)}: "
+            f"{lines[number][:60]!r}; a column map by --columns FILE says the separator, or "
+            f"leaves the head out: skip = {settings.skip + number + 1}",
+            given=path,
+        )
+    if at is not None:  # A row with a broken cell is no head.
+        first = next((line.number for line in head[at + 1 :] if line.numbers), first)
+    return Dialect(separator, decimal, names, _body(text, settings.skip + first, separator))
 
 
-def _cut(
-    text: str, skip: int, lines: list[str], form: tuple[str, str, int], solid: list[int]
-) -> Dialect:
-    """Cuts names and units off; `solid` are the columns that hold samples in most rows."""
-    separator, decimal, width = form
-    head: list[tuple[int, list[str]]] = []
-    first = len(lines)
+class _Line(NamedTuple):
+    """A line of the head."""
+
+    number: int
+    cells: list[str]
+    numbers: bool  # whether one of the cells is a number
+    fits: bool  # whether it can hold the names
+
+
+def _head(
+    lines: list[str], separator: str, decimal: str, rows: list[list[str]]
+) -> tuple[list[_Line], int]:
+    """Filled lines before the first row, comments among them, and that row's number."""
+    width = len(rows[0])
+    shares = [sum(_is_sample(row[i], decimal) for row in rows) / len(rows) for i in range(width)]
+    solid = [i for i, share in enumerate(shares) if share >= 0.5]
+    # The separator at the end of each row, or of the names alone, opens an empty cell.
+    ends = not any(row[-1].strip() for row in rows)
+    head: list[_Line] = []
     for number, line in enumerate(lines):
         comment = _is_comment(line)
         cells = _cells(_COMMENT.sub("", line, count=1) if comment else line, separator)
         full = solid and len(cells) == width and not comment
         if full and all(_is_sample(cells[i], decimal) for i in solid):
-            first = number
-            break
+            return head, number
         if line.strip():
-            head.append((number, cells))
-    # Names may lack the cell that a separator at the rows' end opens, or have one for no cell.
-    wide = [k for k, (_, cells) in enumerate(head) if abs(len(cells) - width) <= 1]
-    named = [k for k in wide if not any(map(_is_plain, head[k][1]))] or wide[-1:]
-    names, units = [f"column{i}" for i in range(width)], [""] * width
-    if named:
-        at = named[-1]
-        # A row with a broken cell is no head.
-        later = (number for number, cells in head[at + 1 :] if any(map(_is_plain, cells)))
-        first = next(later, first)
-        names = head[at][1]
-        if at > 0 and at - 1 in named and all(map(_is_unit, names)):
-            names, units = head[at - 1][1], names
-    names = [name.strip() or f"Unnamed: {i}" for i, name in enumerate(names)][:width]
-    names += [f"Unnamed: {i}" for i in range(len(names), width)]
-    bare = [unit.strip().strip("[]()") for unit in (*units, *[""] * width)]
-    full_names = [
-        f"{name} [{unit}]" if unit not in ("", "-") and not split(name).unit else name
-        for name, unit in zip(names, bare, strict=False)
-    ]
+            short = len(cells) == width - 1 and ends
+            long = len(cells) == width + 1 and cells[-1].strip().lower() in ("", "comment")
+            numbers = any(_is_number(cell, decimal) for cell in cells)
+            head.append(_Line(number, cells, numbers, len(cells) == width or short or long))
+    return head, len(lines)
+
+
+def _names(head: list[_Line], width: int) -> tuple[int | None, tuple[str, ...]]:
+    """The names' or units' place in the head, None without one, and names with units."""
+    fits = [k for k, line in enumerate(head) if line.fits]
+    named = [k for k in fits if not head[k].numbers] or fits[-1:]
+    if not named:
+        return None, tuple(f"column{i}" for i in range(width))
+    names, units = head[named[-1]].cells, [""] * width
+    if named[-1] - 1 in named and _are_units(names):
+        names, units = head[named[-1] - 1].cells, names
+    found = []
+    for i in range(width):
+        name = names[i].strip() if i < len(names) else ""
+        unit = units[i].strip().strip("[]()") if i < len(units) else ""
+        bare = unit in ("", "-") or bool(split(name).unit)
+        found.append((name or f"Unnamed: {i}") + ("" if bare else f" [{unit}]"))
+    return named[-1], tuple(found)
+
+
+def _body(text: str, first: int, separator: str) -> str:
+    """The text from a line on, without comments, its blanks as tabs where they separate."""
     place = 0
-    for _ in range(skip + first):
+    for _ in range(first):
         place = text.find("\n", place) + 1 or len(text)
     body = text[place:]
     if re.search(r"^\s*[#%]", body, re.MULTILINE):
         body = "\n".join(line for line in body.splitlines() if not _is_comment(line))
     if separator == _BLANKS:
         body = "\n".join("\t".join(line.split()) for line in body.splitlines())
-    return Dialect(separator, decimal, tuple(full_names), body)
+    return body
 
 
 def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int]:
@@ -186,15 +212,13 @@ def _is_number(cell: str, decimal: str) -> bool:
     return bool(_NUMBER.fullmatch(cell.replace(",", ".", 1) if decimal == "," else cell))
 
 
-def _is_plain(cell: str) -> bool:
-    return bool(_NUMBER.fullmatch(cell))
-
-
 def _is_sample(cell: str, decimal: str) -> bool:
     cell = cell.strip()
     return _is_number(cell, decimal) or bool(_SAMPLE.fullmatch(cell) or TIME.fullmatch(cell))
 
 
-def _is_unit(cell: str) -> bool:
-    bare = cell.strip().strip("[]()")
-    return bare in ("", "-") or bool(split(f"x [{bare}]").unit)
+def _are_units(cells: list[str]) -> bool:
+    """Whether the first cell and half of all are units; nobody knows all."""
+    bare = [cell.strip().strip("[]()") for cell in cells]
+    known = [unit in ("", "-") or bool(split(f"x [{unit}]").unit) for unit in bare]
+    return known[0] and 2 * sum(known) >= len(known)

@@ -13,6 +13,7 @@ _PATTERN = (
     r"(?:(?P<H>\d{1,2}):(?P<M>\d{2})(?::(?P<S>\d{2})(?:[.,:](?P<f>\d{1,9})\d*)?)?)?"
     r" *(?P<half>[AaPp][Mm])? *(?P<zone>Z|UTC|[+-]\d{2}:?\d{2})?"
 )
+_BASIC = r"^(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)", r"\1-\2-\3T\4:\5:\6"
 TIME = re.compile(r"(?=\s*\d+[:./-]\d+[:./-]|\s*\d+:\d)\s*" + _PATTERN + r"\s*")
 """What one cell may be."""
 
@@ -31,6 +32,7 @@ def times_of(column: pa.ChunkedArray) -> np.ndarray | None:
         a smaller one after a larger one is the next day's; None where a cell is something else.
     """
     column = pc.utf8_trim_whitespace(column.cast(pa.string()))
+    column = pc.replace_substring_regex(column, *_BASIC)
     known = column.drop_null()
     if not len(known) or not TIME.fullmatch(known[0].as_py()):
         return None

@@ -113,6 +113,7 @@ def stamped(form):
 
 CLOCKS = {
     "iso": (lambda d: d, "time"),
+    "basic iso": (lambda d: d.replace("-", "").replace(":", ""), "time"),
     "iso with a blank": (lambda d: d.replace("T", " "), "Timestamp"),
     "utc": (lambda d: d + "Z", "stamp"),
     "zone": (lambda d: d + "+01:00", "stamp"),
@@ -137,9 +138,11 @@ def test_dates_and_times_of_day_past_midnight(tmp_path, kind):
     assert found.metadata.get("start_ns") == (start if kind != "clock" else None)
 
 
-def test_booleans_lists_and_missing_samples(tmp_path):
-    text = 'time,on,q,u\n0,true,"[1, 2.5]",-\n0.1,False,"[3, 4]",NULL\n0.2,true,"[5, 6]",7\n'
-    found = read(tmp_path, text)
+@pytest.mark.parametrize("form", ["[{}, {}]", "({}, {})", "[{} {}]"])
+def test_booleans_lists_and_missing_samples(tmp_path, form):
+    rows = [("true", (1, 2.5), "-"), ("False", (3, 4), "NULL"), ("on", (5, 6), 7)]
+    lists = (f'{i / 10},{on},"{form.format(*q)}",{u}\n' for i, (on, q, u) in enumerate(rows))
+    found = read(tmp_path, "time,on,q,u\n" + "".join(lists))
     assert found["on"].tolist() == [1, 0, 1]
     assert found["q[1]"].tolist() == [2.5, 4, 6]
     np.testing.assert_array_equal(found["u"], [np.nan, np.nan, 7])
@@ -155,6 +158,22 @@ def test_a_map_says_what_the_text_does_not(tmp_path):
     (tmp_path / "map.toml").write_text('encoding = "klingon"\n[columns]\nx = "a"\n')
     with pytest.raises(LeglabError, match="unknown encoding: klingon"):
         read(tmp_path, f"time;x\n{rows}", columns=tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("time,angle,force\n" + lines(",", ","), "rows have 6 cells, the line above them has 3"),
+        ("time knee angle u force\n" + lines(" "), "'time knee angle u force'.*skip = 1"),
+        ("time,q,u\n" + "".join(f"{t},[1, 2],3\n" for t in TIME), "rows have 4 cells, .* has 3"),
+        ("time,a\n0,x\n" + "".join(f"{t},2\n" for t in TIME), "'a', row 0: 'x' is not a number"),
+        ("time;a\n0;1O,5\n0,1;1,5\n0,2;2,5\n", "'a', row 0: '1O,5' is not a number"),
+    ],
+)
+def test_names_and_rows_that_do_not_fit_are_never_guessed(tmp_path, text, told):
+    with pytest.raises(LeglabError, match=told) as caught:
+        read(tmp_path, text)
+    assert "\n" not in str(caught.value)
 
 
 def test_what_numpy_and_pandas_write(tmp_path):
