@@ -29,6 +29,8 @@ _KINDS = {
         "reference": "reference ref target targets setpoint sp desired des goal demand",
         "effort": "effort efforts torque tau force trq load current",
         "pressure": "pressure press p",
+        "other": "kp kd ki gain error err temperature temp mode status index idx frame id "
+        "limit max min std count enabled voltage",
     }.items()
     for word in words.split()
 }
@@ -200,6 +202,8 @@ class _Column:
     def kind_likeness(self, one: Wanted) -> float:
         """From 0 to 1, by the kind of quantity."""
         kinds, sent = self.kinds, self.kinds & {"command", "reference"}
+        if "other" in kinds:
+            return 0.0
         if "pressure" in kinds or one.kind in CHAMBERS:
             sides = {_CHAMBER_WORDS[word] for word in self.words if word in _CHAMBER_WORDS}
             return float("pressure" in kinds and sides == {one.kind})
