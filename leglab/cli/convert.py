@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from leglab.data import Summary
+    from leglab.data import ColumnMap, Summary
     from leglab.diagnosis.intake.proposal import Proposal
 
 
@@ -166,22 +166,23 @@ def inspect(
     """
     from leglab import data
 
-    if out is not None and (model is None or columns is not None):
-        told = "--out writes the map that --model proposes for columns without a map; allowed: "
-        raise SettingsError(told, given=out, allowed="--out with --model and without --columns")
+    if out is not None and model is None:
+        told = "--out writes the map that is proposed for a model; allowed: "
+        raise SettingsError(told, given=out, allowed="--out with --model")
     if plot == Path("-"):
         plot = Path(f"{file.resolve().stem}.png")
     for path in filter(None, (out, plot)):
         if path.exists() and not overwrite:
             raise FileError(f"{path} exists; --overwrite replaces it", given=path)
     source = _one_recording(file)
-    table, metadata = data.read_table(source, columns=columns, partial=True, timed=False)
+    known = data.read_column_map(columns) if columns is not None else None
+    table, metadata = data.read_table(source, columns=known, partial=True, timed=False)
     table = _cut(table, since, until, str(file))
     unreadable = metadata.pop("unreadable", {})
     summary = data.summarise(table, metadata)
     proposal = None
     if model is not None or not any(name.endswith("_position") for name in table):
-        proposal = _proposal(table, metadata, model)
+        proposal = _proposal(table, metadata, model, known)
     if out is not None:
         text = f"{proposal}\n".encode()
         data.write_atomically(out, lambda stream: stream.write(text))
@@ -234,18 +235,21 @@ def _cut(
 
 
 def _proposal(
-    table: "Mapping[str, np.ndarray]", metadata: "Mapping[str, Any]", model: str | None
+    table: "Mapping[str, np.ndarray]",
+    metadata: "Mapping[str, Any]",
+    model: str | None,
+    known: "ColumnMap | None",
 ) -> "Proposal":
-    """The column map that a model's names make likely."""
+    """The column map that a model's names make likely; what the user's has stays."""
     from leglab.base.units import own_units
     from leglab.diagnosis.intake.proposal import propose, wanted_columns
 
     if model is None:
-        return propose(table, own_units(metadata))
+        return propose(table, own_units(metadata), given=known)
     from leglab.diagnosis.plant.model import Machine
 
     machine = Machine(model)
-    return propose(table, own_units(metadata), wanted_columns(machine), machine.columns)
+    return propose(table, own_units(metadata), wanted_columns(machine), machine.columns, known)
 
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:

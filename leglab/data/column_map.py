@@ -44,7 +44,7 @@ class TextSettings(Configuration):
 
 
 class _MapFile(TextSettings):
-    columns: dict[str, Any] = Field(min_length=1)
+    columns: dict[str, Any] = Field(default_factory=dict)
     clock: str | None = None
     stamps: Literal["header", "log"] = "header"
 
@@ -75,6 +75,13 @@ class ColumnMap:
                 )
             owners[rule.name] = theirs
         object.__setattr__(self, "rules", MappingProxyType(dict(self.rules)))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What stands beside the columns in a file, where it is not as it is by default."""
+        own = {"clock": self.clock} if self.clock is not None else {}
+        own |= {"stamps": self.stamps} if self.stamps != "header" else {}
+        return {**own, **self.text.model_dump(exclude_defaults=True)}
 
     def name_of(self, theirs: str) -> str:
         """Returns the name here of a column of the recording."""
@@ -153,6 +160,8 @@ def read_column_map(path: str | Path) -> ColumnMap:
         told = f"{path}: not a column map in TOML: {error}"
         raise SettingsError(told, given=path) from error
     file = validate_configuration(_MapFile, content, str(path))
+    if not file.columns and not file.model_fields_set - {"columns"}:
+        raise SettingsError(f"{path} needs the setting 'columns', with a column at least")
     rules = {}
     for theirs, rule in file.columns.items():
         if isinstance(rule, str):

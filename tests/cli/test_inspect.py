@@ -139,6 +139,25 @@ def test_what_may_be_either_of_two_is_not_chosen(capsys):
     assert (sure["theirs"], sure["ours"]) == ("u", "elbow_command")
 
 
+def test_a_map_that_is_given_stays_and_is_completed(capsys):
+    model(("hip", "knee"))
+    columns = log(["hip_pos", "b1", "hip_cmd", "knee_cmd"])
+    Path("log.csv").write_text(Path("log.csv").read_text().replace(",", ";").replace(".", ","))
+    text = 'decimal = ","\n[columns]\nb1 = {name = "knee_position", factor = -1.0, offset = 0.1}\n'
+    Path("mine.toml").write_text(text)
+    options = ("--columns", "mine.toml", "--model", "model.xml", "--out", "map.toml")
+    assert leglab("inspect", "log.csv", *options, capsys=capsys)[0] == 0
+    written = Path("map.toml").read_text()
+    assert 'decimal = ","\n[columns]\n' in written
+    assert '"b1" = {name = "knee_position", factor = -1.0, offset = 0.1}\n' in written
+    found = data.read("log.csv", columns="map.toml")
+    np.testing.assert_allclose(found["knee_position"], 0.1 - columns["b1"])
+    np.testing.assert_allclose(found["hip_position"], columns["hip_pos"])
+    Path("mine.toml").write_text('decimal = ","\n')  # and no column yet
+    assert leglab("inspect", "log.csv", *options, "--overwrite", capsys=capsys)[0] == 0
+    assert '"knee_cmd" = "knee_command"' in Path("map.toml").read_text()
+
+
 def test_without_a_model_names_are_made_of_the_columns_own_words(capsys):
     log(["knee.q_meas [deg]", "angle", "hip_cmd", "note2"])
     status, printed, _ = leglab("inspect", "log.csv", capsys=capsys)
@@ -156,8 +175,7 @@ def test_a_map_replaces_nothing_and_needs_a_model(capsys):
     arguments = ("inspect", "log.csv", "--out", "map.toml")
     for options, words in (
         (("--model", "model.xml"), "map.toml exists; --overwrite replaces it"),
-        ((), "--out with --model and without --columns"),
-        (("--model", "model.xml", "--columns", "map.toml"), "without --columns"),
+        ((), "--out writes the map that is proposed for a model; allowed: --out with --model"),
     ):
         status, printed, errors = leglab(*arguments, *options, capsys=capsys)
         assert (status, printed, errors.count("\n")) == (2, "", 1)
@@ -245,7 +263,7 @@ def recordings(folder, *names, end=2.0):
         time = TIME[end > TIME]
         columns = {"knee_position": np.sin(3 * time + k), "knee_command": np.cos(3 * time + k)}
         data.write(Recording(time=time, columns=columns), path)
-    (folder / "notes.txt").write_text("mine")
+    (folder / "notes.md").write_text("mine")
 
 
 def test_folders_of_recordings_are_taken(machine, capsys, folder):
@@ -256,7 +274,7 @@ def test_folders_of_recordings_are_taken(machine, capsys, folder):
     status, _, errors = leglab(*command, "--held-out", "x", capsys=capsys)
     assert status == 2
     first, second, _, last = errors.splitlines()
-    assert first == "warning: now: 1 files are no recordings (notes.txt)"
+    assert first == "warning: now: 1 files are no recordings (notes.md)"
     assert second.startswith("warning: left out: now/table.csv: ")
     assert last == "error: enough"
     assert list(machine["recordings"]) == ["a/recording.parquet", "b/recording.parquet", "x.csv"]
@@ -282,7 +300,7 @@ def test_folders_that_cannot_be_taken(arguments, words, machine, capsys, folder)
     (folder / "texts" / "table.csv").write_text("name,size\na,3\n")
     status, _, errors = leglab("diagnose", "model.xml", *arguments, capsys=capsys)
     assert (status, machine) == (2, {})
-    assert errors.count("\n") == 1 + ("notes.txt" in errors)
+    assert errors.count("\n") == 1 + ("notes.md" in errors)
     assert words in errors
     assert not (folder / "out").exists()
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from leglab.data.column_map import ColumnMap
 from leglab.data.units_in_names import NamedUnit, split
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.thresholds import DEFAULT
@@ -85,11 +86,14 @@ class Line:
     ours: str  #: Its name here; "" where nothing is like it
     sure: bool  #: Whether the line holds until somebody says otherwise
     factor: float = 1.0  #: Ours per theirs
+    offset: float = 0.0  #: Added after the factor
     why: str = ""  #: How name and unit were guessed, and what else is near
 
     def __str__(self) -> str:
         theirs, ours = (json.dumps(name, ensure_ascii=False) for name in (self.theirs, self.ours))
-        rule = ours if self.factor == 1.0 else f"{{name = {ours}, factor = {self.factor!r}}}"
+        factor = f", factor = {self.factor!r}" if self.factor != 1.0 else ""
+        offset = f", offset = {self.offset!r}" if self.offset else ""
+        rule = f"{{name = {ours}{factor}{offset}}}" if factor or offset else ours
         return "# " * (not self.sure) + f"{theirs} = {rule}" + f"  # {self.why}" * bool(self.why)
 
 
@@ -99,6 +103,7 @@ class Proposal:
 
     lines: tuple[Line, ...]  #: One a column of the recording
     missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line gives
+    settings: Mapping[str, Any]  #: How the file is read, as a column map has it
 
     def to_json(self) -> dict[str, Any]:
         """Returns the map as JSON can hold it."""
@@ -110,6 +115,7 @@ class Proposal:
         return "\n".join(
             [
                 "# Proposed by leglab inspect; behind # are guesses. factor: ours per theirs.",
+                *(f"{name} = {json.dumps(value)}" for name, value in self.settings.items()),
                 "[columns]",
                 *(str(line) for line in self.lines if line.ours),
                 *(f"# ? no column for {name}" for name in self.missing),
@@ -154,6 +160,7 @@ def propose(
     units: Mapping[str, str],
     wanted: Sequence[Wanted] = (),
     needed: Sequence[str] = (),
+    given: ColumnMap | None = None,
 ) -> Proposal:
     """Proposes a column map: the assignment that is likeliest as a whole.
 
@@ -163,17 +170,27 @@ def propose(
         wanted: Columns of a model. Without, names are made of the words of the column, "JOINT"
             where there is none.
         needed: Of these, those that a diagnosis needs.
+        given: A map that has been applied; its rules stay, the proposal is for the other columns.
     """
+    given = given or ColumnMap()
+    known = {
+        rule.name: Line(theirs, rule.name, True, rule.factor, rule.offset)
+        for theirs, rule in given.rules.items()
+    }
+    table = {name: samples for name, samples in table.items() if name not in known}
+    wanted = [one for one in wanted if one.name not in known]
     columns = [_Column(name, units.get(name, ""), wanted) for name in table]
-    absent = ["time"] if "time" not in table else []
+    absent = ["time"] if "time" not in {*table, *known} else []
     lines = _assigned(columns, [*(_TIME for _ in absent), *wanted], table)
     if not wanted:
         lines = {c.name: lines[c.name] if lines[c.name].ours else c.alone() for c in columns}
     needed = [*absent, *needed]
-    given = {line.ours for line in lines.values() if line.sure}
+    every = [*known.values(), *(line for name, line in lines.items() if name != "time")]
+    sure = {line.ours for line in every if line.sure}
     return Proposal(
-        lines=tuple(line for name, line in lines.items() if name != "time"),
-        missing=tuple(name for name in needed if name not in given),
+        lines=tuple(every),
+        missing=tuple(name for name in needed if name not in sure),
+        settings=given.settings,
     )
 
 
@@ -280,7 +297,8 @@ def _assigned(
             reasons.append(f"likeness {score:.0%}")
         sure = score >= _SURE and factor != 0.0 and not tied
         doubt = "" if sure and known and not near else "? "
-        lines[name] = Line(name, wanted[i].name, sure, factor or 1.0, doubt + "; ".join(reasons))
+        why = doubt + "; ".join(reasons)
+        lines[name] = Line(name, wanted[i].name, sure, factor or 1.0, why=why)
     return lines
 
 
