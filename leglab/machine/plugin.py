@@ -94,7 +94,7 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
     """
     tables = plugin_tables()
     names = slots(tables)
-    owners = {int(model.actuator_plugin[i]): model.actuator(i).name for i in range(model.nu)}
+    owners = {int(model.actuator_plugin[i]): model.actuator(i).name for i in range(model.nactuator)}
     found = {}
     for i in range(model.nplugin):
         if model.plugin[i] in names:

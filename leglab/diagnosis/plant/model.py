@@ -11,6 +11,8 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import ModelError, SettingsError
+from leglab.diagnosis.plant.activation import stateful, unusable
+from leglab.diagnosis.plant.as_compiled import AsCompiled
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
@@ -72,7 +74,8 @@ class Machine:
         self.path = model_path(path)
         try:
             self._spec = mujoco.MjSpec.from_file(str(self.path))
-        except ValueError as error:
+            self._as_compiled = AsCompiled(self._spec)
+        except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name) from error
         self.file_timestep = float(self._spec.option.timestep)
         self.timestep = timestep or self.file_timestep
@@ -86,7 +89,13 @@ class Machine:
             if kind not in (_HINGE, _SLIDE):
                 told = f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those"
                 raise ModelError(f"{told} can be replayed", given=joint, allowed=("hinge", "slide"))
-        self.actuators = tuple(model.actuator(i).name for i in range(model.nu))
+        self.actuators = tuple(model.actuator(i).name for i in range(model.nactuator))
+        for number, actuator in enumerate(self.actuators):
+            if why := unusable(model, number):
+                told = f"{self.path.name}: actuator {actuator!r} {why}"
+                raise ModelError(told, given=actuator)
+        #: Actuators with an activation, in the order of MuJoCo's `act`.
+        self.stateful = tuple(self.actuators[i] for i in stateful(model))
         data = mujoco.MjData(model)
         # A singular qpos0 (a straight linkage) must not hide a moment.
         data.qpos[:] = model.qpos0 + 0.1
@@ -115,9 +124,14 @@ class Machine:
         return Machine(self.path, timestep=timestep)
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh copy of the model's specification, as in the file."""
+        """A fresh copy of the model's specification, as in the file.
+
+        What the compiler works out from inertia is written out, as `AsCompiled` has it.
+        """
         # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
-        return mujoco.MjSpec.from_file(str(self.path))
+        spec = mujoco.MjSpec.from_file(str(self.path))
+        self._as_compiled.keep(spec)
+        return spec
 
     def instances(self, plugin: str) -> tuple[str, ...]:
         """Instances of a plugin in the unmodified model; a cylinder goes by its actuator."""
@@ -221,6 +235,8 @@ class Measured:
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
     #: Whether something touches what a joint carries, (n,) by joint, where it can.
     touched: dict[str, np.ndarray] = field(default_factory=dict)
+    #: MuJoCo's `act`, (n,) by actuator that has one.
+    activation: dict[str, np.ndarray] = field(default_factory=dict)
     hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the recording
 
 

@@ -71,6 +71,9 @@ def states_at(
         joint = model.joint(name)
         states[:, 1 + int(joint.qposadr[0])] = measured.position[name][samples]
         states[:, 1 + model.nq + int(joint.dofadr[0])] = measured.velocity[name][samples]
+    for name, activation in measured.activation.items():
+        place = 1 + model.nq + model.nv + int(model.actuator(name).actadr[0])
+        states[:, place] = activation[samples]
     start = plugin_offset(model)
     states[:, start : start + model.npluginstate] = plugin
     states[:, [start + place for place in without]] = 0.0

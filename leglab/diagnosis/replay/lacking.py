@@ -45,10 +45,12 @@ def lacking_forces(
     closed = plays(machine, change.variant)
     moments = states_at(machine, model, measured, k, plugin, without=closed)
     moments[:, 0] = states[:, 0]
-    # Held commands change at samples: about one, the mean of both sides acts.
+    # Held commands change at samples: about one, the mean of both sides acts. What steps its
+    # activation first has that of one step before.
     now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
     native = np.isin(machine.actuators, machine.native_actuators())
     command = np.where(native, 0.5 * (now + before), now)
+    command = np.where(model.actuator_actearly, before, command)
     return forces_at(model, moments, command, accelerations(machine, model, measured, half))
 
 

@@ -16,6 +16,7 @@ from leglab.diagnosis.plant.moments import plugin_offset
 from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, lacking_forces
 from leglab.diagnosis.replay.starts import (
     Nudge,
+    activated,
     commanded,
     hidden_slots,
     measure,
@@ -227,6 +228,7 @@ class Replay:
             sent = {a: LOUDER * cut.series.columns[f"{a}_command"] for a in native}
             loud = {a: commanded(change, a, u, self._period) for a, u in sent.items()}
             louder = replace(measured, command={**measured.command, **loud})
+            louder = replace(louder, activation=activated(change, louder, measured.activation))
             found.append(own)
             pushed.append(left(cut, louder, states) - own if native else np.zeros_like(own))
         return np.concatenate(found), np.concatenate(pushed)
@@ -331,17 +333,20 @@ class Replay:
         controls = np.stack([measured.command[a][index] for a in actuators], 2)
         controls = np.repeat(controls, steps, axis=1)
         # Velocities lag half a step, so a kick spans half a step to both sides of its time and
-        # has the mean of what is commanded then. A valve follows its command itself.
+        # has the mean of what is commanded then. A valve follows its command itself, and so does
+        # an activation, which is that of the step before where it is stepped before the force.
         lead = cut.series.command_lead / self._period
-        begins = (np.arange(controls.shape[1]) - 0.5) / steps + lead
-        sample = np.floor(begins).astype(np.int64)
-        later = np.maximum(begins + 1.0 / steps - (sample + 1), 0.0) * steps
+        early = self.machine.base.model.actuator_actearly
         for name in self.machine.native_actuators():
-            command = measured.command[name]
+            i, command = actuators.index(name), measured.command[name]
+            begins = np.arange(controls.shape[1]) / steps
+            begins += -int(early[i]) / steps if name in measured.activation else lead - 0.5 / steps
+            sample = np.floor(begins).astype(np.int64)
+            later = np.maximum(begins + 1.0 / steps - (sample + 1), 0.0) * steps
             now = index[:, :1] + sample
             after = np.minimum(now + 1, command.size - 1)
             kicks = (1.0 - later) * command[np.minimum(now, after)] + later * command[after]
-            controls[:, :, actuators.index(name)] = kicks
+            controls[:, :, i] = kicks
         return controls
 
     def _roll(

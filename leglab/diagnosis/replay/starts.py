@@ -5,6 +5,7 @@ several bristles on one joint (a cylinder's seals, a bearing) share it by their 
 something keeps the deflection of its last slide.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 
 from leglab._native import hydraulics as native
 from leglab.diagnosis.plant import moments
+from leglab.diagnosis.plant.activation import INTEGRATOR, activations, attributes
 from leglab.diagnosis.plant.model import (
     CHAMBERS,
     CYLINDER,
@@ -370,7 +372,67 @@ def measure(
         pushed=pushed,
         hidden_states=cut.hidden_states,
     )
+    if machine.stateful:
+        measured = replace(measured, activation=activated(change, measured))
+        measured = _with_integrators(change, measured, channels)
     return measured, corrected
+
+
+def activated(
+    change: Change, measured: Measured, begun: Mapping[str, np.ndarray] | None = None
+) -> dict[str, np.ndarray]:
+    """Activations by the commands of a measured series, each (n,), by actuator that has one.
+
+    Integrators begin as in the activations `begun`, else at 0.
+    """
+    machine, model = change.machine, change.variant.model
+    if not machine.stateful:
+        return {}
+    period, step = measured.period, machine.timestep
+    start = np.array([begun[name][0] if begun else 0.0 for name in machine.stateful])
+    command = np.stack([measured.command[name] for name in machine.stateful], axis=1)
+
+    def follow() -> np.ndarray:
+        return activations(model, command, max(1, round(period / step)), step, start)
+
+    given = command, attributes(model), start
+    table = measured.hidden_states.get("activation", given, follow)
+    return dict(zip(machine.stateful, table.T, strict=True))
+
+
+def _with_integrators(
+    change: Change, measured: Measured, channels: tuple[Channel, ...]
+) -> Measured:
+    """The series with integrators that begin where the balance of forces has them.
+
+    Commands say how far they move. Where they begin leaves the least force over, by least squares
+    over the samples in which joints are faster than usual: at rest dry friction hides it.
+    """
+    machine, model = change.machine, change.variant.model
+    own = [n for n in machine.stateful if model.actuator(n).dyntype[0] == INTEGRATOR]
+    if not own:
+        return measured
+    speed = sum(np.abs(v) / (v.std() or 1.0) for v in measured.velocity.values())
+    chosen = np.arange(1, speed.size - 1)
+    chosen = chosen[speed[chosen] >= np.median(speed[chosen])]
+    at = replace(measured, samples=chosen)
+    instances = _instances(change, at, channels)
+    instances.reconstruct()
+    joints, rows = sorted({j for n in own for j in machine.driven[n]}), np.arange(chosen.size)
+
+    def left(by: str = "", step: float = 0.0) -> np.ndarray:
+        moved = {n: a + step * (n == by) for n, a in at.activation.items()}
+        other = replace(instances, measured=replace(at, activation=moved))
+        return other._unbalanced(rows, joints).ravel()
+
+    # Another beginning meets the limits of an activation elsewhere: once more, then.
+    for _ in range(2 if model.actuator_actlimited.any() else 1):
+        step, force = 1e-4, left()
+        slopes = np.stack([(left(name, step) - force) / step for name in own], axis=1)
+        off, *_ = np.linalg.lstsq(slopes, -force, rcond=None)
+        begun = {n: at.activation[n] + by for n, by in zip(own, off, strict=True)}
+        at = replace(at, activation=activated(change, at, {**at.activation, **begun}))
+    return replace(measured, activation=at.activation)
 
 
 def _driven(
@@ -421,16 +483,10 @@ def start_states(
     pressures are not measured.
     """
     machine, variant, firsts = change.machine, change.variant, measured.samples
-    plugin = np.tile(variant.plugin_state, (firsts.size, 1))
-    for (element, name), value in change.parameters.items():
-        plugin[:, variant.slot(element, name)] = value
-    for channel in channels:
-        if channel.chamber and channel.cylinder:
-            slot = variant.slot(channel.cylinder, channel.chamber)
-            plugin[:, slot] = measured.pressure[channel.column][firsts]
+    instances = _instances(change, measured, channels)
+    plugin = instances.state
     if pressures is not None:
         plugin[:, hidden_slots(change)] = pressures
-    instances = Instances(machine=machine, measured=measured, variant=variant, state=plugin)
     instances.reconstruct()
     for (element, name), function in change.starts.items():
         plugin[:, variant.slot(element, name)] = function(measured, variant, plugin)
@@ -446,6 +502,19 @@ def start_states(
         slope += (pushed[firsts] - pushed[firsts - 1]) / measured.period
         states[:, place(variant, joint, "velocity")] -= 0.5 * machine.timestep * slope
     return states
+
+
+def _instances(change: Change, measured: Measured, channels: tuple[Channel, ...]) -> Instances:
+    """Plugin instances at the samples of `measured`, with parameters and measured pressures."""
+    variant, firsts = change.variant, measured.samples
+    plugin = np.tile(variant.plugin_state, (firsts.size, 1))
+    for (element, name), value in change.parameters.items():
+        plugin[:, variant.slot(element, name)] = value
+    for channel in channels:
+        if channel.chamber and channel.cylinder:
+            slot = variant.slot(channel.cylinder, channel.chamber)
+            plugin[:, slot] = measured.pressure[channel.column][firsts]
+    return Instances(machine=change.machine, measured=measured, variant=variant, state=plugin)
 
 
 def place(variant: Variant, element: str, quantity: str) -> int:

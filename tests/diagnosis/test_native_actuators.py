@@ -1,0 +1,148 @@
+"""Diagnosis of machines whose MuJoCo actuators have states, limits, or values by the compiler."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from leglab.base.errors import ModelError
+from leglab.base.recording import Recording
+from leglab.base.scale import rms
+from leglab.cli.app import app
+from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.starts import measure
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+
+NOISE = 2e-5  # rad
+
+
+def servo(**attributes):
+    """MJCF of a position servo with attributes of a general actuator."""
+    more = " ".join(f'{name}="{value}"' for name, value in attributes.items())
+    terms = 'gainprm="60" biastype="affine" biasprm="0 -60 -3"'
+    return f'<general name="knee" joint="knee" {terms} {more}/>'
+
+
+# Actuators with a state, and the size of their commands.
+STATEFUL = {
+    "filter": (servo(dyntype="filter", dynprm=0.03), 0.5),
+    "exact": (servo(dyntype="filterexact", dynprm=0.01), 0.5),
+    "limited": (servo(dyntype="filterexact", dynprm=0.01, actrange="-0.3 0.3"), 0.5),
+    "integrator": ('<intvelocity name="knee" joint="knee" kp="60" kv="3" actrange="-2 2"/>', 1.0),
+    "muscle": ('<muscle name="knee" joint="knee" force="15" lengthrange="-2 2"/>', 0.5),
+}
+
+
+def model_of(actuator, *, mass=2.0, armature=0.05, timestep=0.002):
+    """MJCF of a hinge with a weight."""
+    return f"""<mujoco model="leg"><compiler angle="radian"/>
+<option timestep="{timestep}" integrator="implicitfast"/>
+<worldbody><body name="shank"><joint name="knee" axis="0 1 0" damping="0.5" frictionloss="0.1"
+armature="{armature}" stiffness="8"/>
+<inertial mass="{mass}" pos="0 0 -0.2" diaginertia="0.02 0.02 0.002"/></body></worldbody>
+<actuator>{actuator}</actuator></mujoco>"""
+
+
+def simulated(xml, seed, size, *, seconds=4.0):
+    """Time, command, position and activation, by plain MuJoCo in steps of 0.5 ms, at 500 Hz."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    model.opt.timestep = 5e-4
+    data, time = mujoco.MjData(model), np.arange(round(500 * seconds)) / 500.0
+    phases = np.random.default_rng(seed).uniform(0, 6, 4)
+    waves = [
+        np.sin(2 * np.pi * f * time + p) for f, p in zip((0.3, 0.5, 1, 1.7), phases, strict=True)
+    ]
+    command = size * (np.sum(waves, axis=0) - np.sum(np.sin(phases)) * np.exp(-time))
+    position, activation = np.empty(time.size), np.zeros(time.size)
+    for k in range(time.size):
+        position[k] = data.qpos[0]
+        activation[k] = data.act[0] if model.na else 0.0
+        data.ctrl[0] = command[k]
+        mujoco.mj_step(model, data, 4)
+    position += np.random.default_rng(99 + seed).normal(0.0, NOISE, time.size)
+    return time, command, position, activation
+
+
+def logs_of(folder, xml, size, **settings):
+    """Files of three recordings."""
+    files = []
+    for seed in range(3):
+        time, command, position, _ = simulated(xml, seed, size, **settings)
+        files.append(str(folder / f"log_{seed}.csv"))
+        head = "time,knee_command,knee_position"
+        rows = np.stack([time, command, position], axis=1)
+        np.savetxt(files[-1], rows, delimiter=",", header=head, comments="", fmt="%.9g")
+    return files
+
+
+def diagnosed(folder, files, *effects):
+    """What `leglab diagnose model.xml` says, from diagnosis.json."""
+    tried = [word for effect in effects for word in ("--effect", effect)]
+    out = str(folder / "out")
+    run = CliRunner().invoke(
+        app, ["diagnose", str(folder / "model.xml"), *files, *tried, "--out", out]
+    )
+    assert run.exit_code == 0, run.output
+    return json.loads((folder / "out/diagnosis.json").read_text())
+
+
+@pytest.mark.parametrize("kind", STATEFUL)
+def test_a_model_replays_its_own_actuators_with_a_state(kind, tmp_path):
+    actuator, size = STATEFUL[kind]
+    path = tmp_path / "model.xml"
+    path.write_text(model_of(actuator, timestep=5e-4))
+    time, command, position, activation = simulated(path.read_text(), 0, size)
+    columns = {"knee_command": command, "knee_position": position}
+    logs = {name: Recording(time=time, columns=columns) for name in ("log", "again")}
+    problem = set_up(path, logs, ("again",), DiagnosisSettings(threads=1, effects=("payload",)))
+    change = problem.library.change(Hypothesis(), problem.machine)
+    measured, _ = measure(problem.replay.cuts[0], problem.channels, change)
+    np.testing.assert_allclose(measured.activation["knee"], activation, atol=0.01)
+    # The same servo without a state: 1.2 mrad, for replays take steps of 1 ms.
+    assert rms(problem.replay.error(change).values) < 1e-3
+
+
+@pytest.mark.slow("a whole diagnosis of what a replay shows in half a second")
+def test_a_payload_behind_a_filter_is_named(tmp_path):
+    actuator, size = STATEFUL["exact"]
+    (tmp_path / "model.xml").write_text(model_of(actuator))
+    files = logs_of(tmp_path, model_of(actuator, mass=2.6), size)
+    found = diagnosed(tmp_path, files, "payload")
+    assert [effect["name"] for effect in found["effects"]] == ["payload"]
+
+
+def test_a_damping_ratio_does_not_follow_the_inertia(tmp_path):
+    servo = '<position name="knee" joint="knee" kp="60" {}/>'
+    (tmp_path / "model.xml").write_text(model_of(servo.format('dampratio="0.7"')))
+    compiled = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    kv = -compiled.actuator_biasprm[0, 2]
+    files = logs_of(tmp_path, model_of(servo.format(f'kv="{kv:.9g}"'), armature=0.2), 0.5)
+    found = diagnosed(tmp_path, files, "armature")
+    assert [effect["name"] for effect in found["effects"]] == ["armature"]
+    improved = mujoco.MjModel.from_xml_path(str(tmp_path / "out/improved.xml"))
+    assert improved.dof_armature[0] == pytest.approx(0.2, rel=0.03)
+    assert improved.actuator_biasprm[0, 2] == pytest.approx(-kv, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "why"),
+    [
+        ('<pid name="drive" joint="knee" kp="60"/>', "takes 2 controls (pos, vel); allowed: one"),
+        (
+            '<dcmotor name="drive" joint="knee" motorconst="0.05" resistance="1" input="none"/>',
+            "takes 0 controls; allowed: one",
+        ),
+        (
+            '<dcmotor name="drive" joint="knee" motorconst="0.05" resistance="1" inductance="1"/>',
+            "has a state that does not follow from its commands alone",
+        ),
+    ],
+)
+def test_an_actuator_that_cannot_be_replayed_is_named(actuator, why, tmp_path):
+    (tmp_path / "model.xml").write_text(model_of(actuator))
+    with pytest.raises(ModelError, match="drive") as error:
+        Machine(tmp_path / "model.xml")
+    assert why in str(error.value)
