@@ -109,16 +109,22 @@ def _split_seconds(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarra
     found = []
     for name, whole in table.items():
         match = _WHOLE.fullmatch(name)
-        if not match or whole.dtype.kind not in "iuf":
+        if not match or not _counts(whole, 2**33):  # ns up to the year 2242 are an int64
             continue
         for other, part in table.items():
             digits = _PARTS.get(other[len(name) - len(match[2]) :].lower())
-            if digits and other.startswith(match[1]) and other != name and part.dtype.kind in "iuf":
+            if digits and other.startswith(match[1]) and _counts(part, 10**digits):
                 ticks = whole.astype(np.int64) * 10**digits + part.astype(np.int64)
-                unit = {9: "ns", 6: "us"}[digits]
                 stem = match[1] or f"{name} and {other}"
+                unit = "ns" if digits == 9 else "us"
                 found.append((stem, ticks.view(f"M8[{unit}]"), (name, other)))
     return found
+
+
+def _counts(samples: np.ndarray, end: int) -> bool:
+    """Whether all samples are numbers from 0 up to an end."""
+    number = samples.dtype.kind in "if" and samples.size > 0
+    return number and bool(((samples >= 0) & (samples < end)).all())
 
 
 def _dated(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
