@@ -242,14 +242,15 @@ def _proposal(
 ) -> "Proposal":
     """The column map that a model's names make likely; what the user's has stays."""
     from leglab.base.units import own_units
-    from leglab.diagnosis.intake.proposal import propose, wanted_columns
+    from leglab.diagnosis.intake.proposal import propose
 
     if model is None:
         return propose(table, own_units(metadata), given=known)
+    from leglab.diagnosis.plant.columns import usable_columns
     from leglab.diagnosis.plant.model import Machine
 
     machine = Machine(model)
-    return propose(table, own_units(metadata), wanted_columns(machine), machine.columns, known)
+    return propose(table, own_units(metadata), usable_columns(machine), machine.columns, known)
 
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:

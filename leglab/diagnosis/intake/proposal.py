@@ -1,20 +1,19 @@
 """A column map for a recording of somebody else, proposed by likeness of names and by values."""
 
 import json
-import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from difflib import SequenceMatcher
 from typing import Any
 
-import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from leglab.base.likeness import likeness_of_numbers, likeness_of_words, numbered, words_of
 from leglab.data.column_map import ColumnMap
 from leglab.data.units_in_names import NamedUnit, split
-from leglab.diagnosis.plant.model import CHAMBERS, Machine
+from leglab.diagnosis.plant.columns import UsableColumn
+from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
 
 # Kinds of quantities by the words that loggers use for them.
@@ -59,23 +58,7 @@ _USUAL: dict[str, tuple[tuple[str, float], ...]] = {
 }
 # Likeness from which a line holds; below it is a guess, and from the second on nothing.
 _SURE, _NEAR = 0.6, 0.3
-# Words shorter than this are found in any other.
-_SHORT = 3
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A column that a model can use."""
-
-    name: str  #: For instance "knee_position"
-    element: str  #: Joint or actuator
-    kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
-    unit: str  #: Of the column
-    limits: tuple[float, float]  #: Range in this unit; infinite where there is none
-    follows: str = ""  #: Of a command: "position", "velocity", "effort", or "" of a valve
-
-
-_TIME = Wanted("time", "", "time", "s", (-np.inf, np.inf))
+_TIME = UsableColumn("time", "", "time", "s")
 
 
 @dataclass(frozen=True)
@@ -124,41 +107,10 @@ class Proposal:
         )
 
 
-def wanted_columns(machine: Machine) -> tuple[Wanted, ...]:
-    """Lists the columns of a recording that a model can use."""
-    model, found, free = machine.base.model, [], (-np.inf, np.inf)
-    ranges = {}
-    for joint in machine.joints:
-        entry, unit = model.joint(joint), machine.unit(joint)
-        low, high = entry.range.tolist()
-        ranges[joint] = (low, high) if low < high else free
-        found.append(Wanted(f"{joint}_position", joint, "position", unit, ranges[joint]))
-        found.append(Wanted(f"{joint}_velocity", joint, "velocity", f"{unit}/s", free))
-    for name in machine.actuators:
-        entry, joints = model.actuator(name), machine.driven[name]
-        bias, follows, unit = entry.biasprm, "effort", "ctrl"
-        if name in machine.cylinders:
-            follows, unit = "", "1"
-            supply = (0.0, machine.parameter(name, "supply_pressure"))
-            found += [Wanted(f"{joints[0]}_{c}", joints[0], c, "Pa", supply) for c in CHAMBERS]
-        elif entry.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT and entry.gear[0] == 1.0:
-            own = machine.unit(joints[0])
-            if bias[1] or bias[2]:
-                follows = "position" if bias[1] else "velocity"
-                unit = own if bias[1] else f"{own}/s"
-            elif entry.gainprm[0] == 1.0:
-                unit = "N m" if own == "rad" else "N"
-        limits = tuple(entry.ctrlrange.tolist()) if entry.ctrllimited[0] else free
-        if limits == free and follows == "position":
-            limits = ranges[joints[0]]
-        found.append(Wanted(f"{name}_command", name, "command", unit, limits, follows))
-    return tuple(found)
-
-
 def propose(
     table: Mapping[str, np.ndarray],
     units: Mapping[str, str],
-    wanted: Sequence[Wanted] = (),
+    wanted: Sequence[UsableColumn] = (),
     needed: Sequence[str] = (),
     given: ColumnMap | None = None,
 ) -> Proposal:
@@ -197,14 +149,13 @@ def propose(
 class _Column:
     """What the name of a column says."""
 
-    def __init__(self, name: str, unit: str, wanted: Sequence[Wanted]) -> None:
+    def __init__(self, name: str, unit: str, wanted: Sequence[UsableColumn]) -> None:
         self.name = name
         self.unit: NamedUnit = split(name)
         if unit and not self.unit.unit:
             self.unit = split(f"{name} [{unit}]")._replace(stem=name)
-        ours = {word for one in wanted for word in _words(one.element)}
-        known = ours | set(_KINDS) | _PLAIN
-        self.words = [part for word in _words(self.unit.stem) for part in _parts(word, known)]
+        ours = {word for one in wanted for word in words_of(one.element)}
+        self.words = words_of(self.unit.stem, ours | set(_KINDS) | _PLAIN)
         #: Kinds that it may be.
         self.kinds = {_KINDS[word] for word in self.words if word in _KINDS}
         if "position" in self.kinds and {"d", "dot"} & set(self.words):
@@ -216,7 +167,7 @@ class _Column:
         #: Words that say which element is meant.
         self.rest = [word for word in self.words if word not in _KINDS or word in ours]
 
-    def kind_likeness(self, one: Wanted) -> float:
+    def kind_likeness(self, one: UsableColumn) -> float:
         """From 0 to 1, by the kind of quantity."""
         kinds, sent = self.kinds, self.kinds & {"command", "reference"}
         if "other" in kinds:
@@ -238,41 +189,15 @@ class _Column:
 
     def alone(self) -> Line:
         """Returns a line by the column's words, without a model."""
-        kinds = [k for k in (*CHAMBERS, "command", "velocity", "position") if self._is(k)]
-        element = "_".join(w for w in self.rest if w not in _PLAIN and w not in ("d", "dot"))
-        if not kinds:
-            return Line(self.name, "", sure=False)
-        if kinds[0] in CHAMBERS:
-            element = "_".join(w for w in element.split("_") if w not in _CHAMBER_WORDS)
-        owner = "ACTUATOR" if kinds[0] == "command" else "JOINT"
-        why = f"{self.unit.unit}, by the name" if self.unit.unit else ""
-        name = f"{element or owner}_{kinds[0]}"
-        return Line(self.name, name, sure=True, factor=self.unit.factor, why=why)
-
-    def _is(self, kind: str) -> bool:
-        follows = next(iter(self.kinds - {"command", "reference"}), "")
-        one = Wanted("", "", kind, "", (0.0, 0.0), follows)
-        return bool(self.kinds) and self.kind_likeness(one) > 0.5
-
-
-def _words(name: str) -> list[str]:
-    """Words of a name in lower case, `KneeQ_meas[0]` to knee, q, meas, 0."""
-    spaced = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
-    return [word.lower() for word in re.findall(r"[^\W\d_]+|\d+", spaced)]
-
-
-def _parts(word: str, known: set[str]) -> list[str]:
-    """Both words that a word is made of, if they are known: `kneepos`."""
-    if word not in known:
-        for cut in range(1, len(word)):
-            parts = [word[:cut], word[cut:]]
-            if known.issuperset(parts) and max(map(len, parts)) >= _SHORT:
-                return parts
-    return [word]
+        sent = self.kinds & {"command", "reference"}
+        kind = "command" if sent else next(iter(self.kinds & {"position", "velocity"}), "")
+        element = "_".join(w for w in self.rest if w not in _PLAIN) or "JOINT"
+        name = f"{element}_{kind}" if kind else ""
+        return Line(self.name, name, sure=bool(kind), factor=self.unit.factor)
 
 
 def _assigned(
-    columns: Sequence[_Column], wanted: Sequence[Wanted], table: Mapping[str, np.ndarray]
+    columns: Sequence[_Column], wanted: Sequence[UsableColumn], table: Mapping[str, np.ndarray]
 ) -> dict[str, Line]:
     """Gives every column a line, so that the sum of all likenesses is the largest."""
     lines = {column.name: Line(column.name, "", sure=False) for column in columns}
@@ -302,17 +227,17 @@ def _assigned(
     return lines
 
 
-def _likenesses(columns: Sequence[_Column], wanted: Sequence[Wanted]) -> np.ndarray:
+def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> np.ndarray:
     """From 0 to 1 by kind and element, 2 for the same name, (wanted, columns)."""
     scores = np.array([[column.kind_likeness(one) for column in columns] for one in wanted])
-    numbered = _numbered(columns)
+    numbers = numbered(column.name for column in columns)
     for kind in {one.kind for one in wanted}:
         rows = [i for i, one in enumerate(wanted) if one.kind == kind]
-        elements = [_words(wanted[i].element) for i in rows]
+        elements = [words_of(wanted[i].element) for i in rows]
         for k, column in enumerate(columns):
-            own = _by_words(column.rest, elements)
+            own = likeness_of_words(column.rest, elements, _PLAIN | set(_KINDS))
             if own.max() < 0.5:
-                own = _by_number(*numbered.get(column.name, (0, ())), elements)
+                own = likeness_of_numbers(*numbers.get(column.name, (0, ())), elements)
             if len(rows) == 1 and column.kinds and not own.any():  # there is no other element
                 own[:] = 0.6 if set(column.rest) - _PLAIN else 0.7
             scores[rows, k] *= own
@@ -320,59 +245,8 @@ def _likenesses(columns: Sequence[_Column], wanted: Sequence[Wanted]) -> np.ndar
     return np.maximum(scores, same)
 
 
-def _by_words(words: Sequence[str], elements: Sequence[Sequence[str]]) -> np.ndarray:
-    """Likeness of a column's words to those of each element, in any order; not by numbers alone."""
-    count = Counter(word for element in elements for word in element)
-    known = {word for word in words if word in count and word not in _PLAIN}
-    found = np.zeros(len(elements))
-    for i, element in enumerate(elements):
-        weights = [(0.1 if w in _PLAIN or w in _KINDS else 1.0) / count[w] for w in element]
-        ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in element]
-        if any(r > 0 for r, w in zip(ratios, element, strict=True) if not w.isdigit()):
-            # What belongs to another element counts against this one; other words, a little.
-            foreign = len(known - set(element)) / max(len(known), 1)
-            further = 0.01 * sum(word not in element for word in words)
-            found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
-    return found
-
-
-def _ratio(one: str, other: str) -> float:
-    """Likeness of two words: equal, one the beginning of the other, or spelled nearly alike."""
-    if one == other or one.isdigit() or other.isdigit():
-        return float(one == other)
-    if one.startswith(other) or other.startswith(one):
-        return 0.8
-    ratio = SequenceMatcher(None, one, other).ratio()
-    return ratio if ratio > 0.75 and min(len(one), len(other)) >= _SHORT else 0.0
-
-
-def _numbered(columns: Sequence[_Column]) -> dict[str, tuple[int, tuple[int, ...]]]:
-    """Number in a name and the numbers of its peers, whose names differ by nothing else."""
-    peers: dict[str, dict[int, str]] = defaultdict(dict)
-    for column in columns:
-        for match in re.finditer(r"\d+", column.name):
-            rest = f"{column.name[: match.start()]}#{column.name[match.end() :]}"
-            peers[rest][int(match[0])] = column.name
-    found: dict[str, tuple[int, tuple[int, ...]]] = {}
-    for group in sorted(peers.values(), key=len):  # the largest group says which number counts
-        found |= {name: (number, tuple(sorted(group))) for number, name in group.items()}
-    return found
-
-
-def _by_number(number: int, peers: Sequence[int], elements: Sequence[Sequence[str]]) -> np.ndarray:
-    """Likeness by the number in a column's name: an element's own, else its place in the model."""
-    found = np.zeros(len(elements))
-    own = [next((int(w) for w in words[::-1] if w.isdigit()), -1) for words in elements]
-    if peers and len(set(own)) == len(own) and set(peers) <= set(own):
-        found[own.index(number)] = 0.9
-    elif peers and peers[0] in (0, 1) and number - peers[0] < len(elements):
-        # As many columns as elements are those of the model in its order.
-        found[number - peers[0]] = 0.8 if len(peers) == len(elements) else 0.5
-    return found
-
-
 def _units(
-    pairs: Sequence[tuple[Wanted, _Column]], table: Mapping[str, np.ndarray]
+    pairs: Sequence[tuple[UsableColumn, _Column]], table: Mapping[str, np.ndarray]
 ) -> dict[str, tuple[float, str, bool]]:
     """Factor to our unit, 0 where nobody knows; why; whether there is no doubt; by column.
 
@@ -380,7 +254,9 @@ def _units(
     elements has one unit.
     """
     found: dict[str, tuple[float, str, bool]] = {}
-    groups: dict[tuple[str, str], list[tuple[Wanted, _Column, float, float]]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[tuple[UsableColumn, _Column, float, float]]] = defaultdict(
+        list
+    )
     for one, column in pairs:
         samples = table[column.name][np.isfinite(table[column.name])]
         unit, found[column.name] = column.unit, (1.0, "", True)
@@ -407,7 +283,7 @@ def _units(
     return found
 
 
-def _within(low: float, high: float, one: Wanted) -> bool:
+def _within(low: float, high: float, one: UsableColumn) -> bool:
     """Whether a signal is within the range of what it may be, or not far outside."""
     room = DEFAULT.beyond_range * (one.limits[1] - one.limits[0])
     return bool(one.limits[0] - room <= low and high <= one.limits[1] + room)

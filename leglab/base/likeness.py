@@ -1,0 +1,95 @@
+"""Likeness of names: of their words in any order, or of their numbers."""
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from difflib import SequenceMatcher
+
+import numpy as np
+
+# Words shorter than this are found in any other.
+_SHORT = 3
+# Weight of a word that most names have, beside one that names one alone.
+_PLAIN_WEIGHT = 0.1
+# What every further word takes off: it decides between names that are alike but for it.
+_FURTHER = 0.01
+
+
+def words_of(name: str, known: Collection[str] = ()) -> list[str]:
+    """Returns the words and numbers of a name in lower case: of `KneeQ_meas[0]` knee, q, meas, 0.
+
+    One that is made of two `known` words is two: `kneepos`.
+    """
+    spaced = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    found: list[str] = []
+    for word in (word.lower() for word in re.findall(r"[^\W\d_]+|\d+", spaced)):
+        cuts = range(1, len(word)) if word not in known else ()
+        halves = ([word[:cut], word[cut:]] for cut in cuts)
+        pairs = (h for h in halves if set(h) <= set(known) and max(map(len, h)) >= _SHORT)
+        found += next(pairs, [word])
+    return found
+
+
+def likeness_of_words(
+    words: Sequence[str], names: Sequence[Sequence[str]], plain: Collection[str]
+) -> np.ndarray:
+    """Returns from 0 to 1 how like words are to those of each of several names, (names,).
+
+    Args:
+        words: Of a name.
+        names: Words of each.
+        plain: Words that say little. A number alone says nothing.
+    """
+    count = Counter(word for name in names for word in name)
+    known = {word for word in words if word in count and word not in plain}
+    found = np.zeros(len(names))
+    for i, name in enumerate(names):
+        weights = [(_PLAIN_WEIGHT if w in plain else 1.0) / count[w] for w in name]
+        ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in name]
+        if any(r for r, w in zip(ratios, name, strict=True) if not w.isdigit()):
+            # What belongs to another name counts against this one.
+            foreign = len(known - set(name)) / max(len(known), 1)
+            further = _FURTHER * sum(word not in name for word in words)
+            found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
+    return found
+
+
+def _ratio(one: str, other: str) -> float:
+    """Likeness of two words: equal, one the beginning of the other, or spelled nearly alike."""
+    if one == other or one.isdigit() or other.isdigit():
+        return float(one == other)
+    if one.startswith(other) or other.startswith(one):
+        return 0.8
+    ratio = SequenceMatcher(None, one, other).ratio()
+    return ratio if ratio > 0.75 and min(len(one), len(other)) >= _SHORT else 0.0
+
+
+def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
+    """Returns the number in names, and all numbers of those that differ by nothing else."""
+    peers: dict[str, dict[int, str]] = defaultdict(dict)
+    for name in names:
+        for match in re.finditer(r"\d+", name):
+            peers[f"{name[: match.start()]}#{name[match.end() :]}"][int(match[0])] = name
+    found: dict[str, tuple[int, tuple[int, ...]]] = {}
+    for group in sorted(peers.values(), key=len):  # the largest group says which number counts
+        found |= {name: (number, tuple(sorted(group))) for number, name in group.items()}
+    return found
+
+
+def likeness_of_numbers(
+    number: int, peers: Sequence[int], names: Sequence[Sequence[str]]
+) -> np.ndarray:
+    """Returns how like a number is to each of several names: its own number, else its place.
+
+    Args:
+        number: In a name, as of `numbered`.
+        peers: As of `numbered`; those of as many as there are names are in their order.
+        names: Words of each, (names,).
+    """
+    found = np.zeros(len(names))
+    own = [next((int(w) for w in words[::-1] if w.isdigit()), -1) for words in names]
+    if peers and len(set(own)) == len(own) and set(peers) <= set(own):
+        found[own.index(number)] = 0.9
+    elif peers and peers[0] in (0, 1) and number - peers[0] < len(names):
+        found[number - peers[0]] = 0.8 if len(peers) == len(names) else 0.5
+    return found

@@ -1,0 +1,62 @@
+"""Columns of recordings that a model can use, with the units and ranges that it gives them."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from leglab.diagnosis.plant.model import CHAMBERS, Machine
+
+_FREE = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class UsableColumn:
+    """A column that a model can use."""
+
+    name: str  #: For instance "knee_position"
+    element: str  #: Joint or actuator
+    kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
+    unit: str  #: Of the column; "ctrl" where the model alone knows
+    limits: tuple[float, float] = _FREE  #: Range in this unit
+    follows: str = ""  #: Of a command: "position", "velocity", "effort", or "" of a valve
+
+
+def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
+    """Lists the columns of a recording that a model can use."""
+    model = machine.base.model
+    found, ranges = [], {}
+    for joint in machine.joints:
+        low, high = model.joint(joint).range.tolist()
+        ranges[joint] = (low, high) if low < high else _FREE
+        unit = machine.unit(joint)
+        found.append(UsableColumn(f"{joint}_position", joint, "position", unit, ranges[joint]))
+        found.append(UsableColumn(f"{joint}_velocity", joint, "velocity", f"{unit}/s"))
+    for name in machine.cylinders:
+        joint = machine.driven[name][0]
+        supply = (0.0, machine.parameter(name, "supply_pressure"))
+        found += [UsableColumn(f"{joint}_{c}", joint, c, "Pa", supply) for c in CHAMBERS]
+    for name in machine.actuators:
+        unit, follows = _control(machine, name)
+        entry, limits = model.actuator(name), _FREE
+        if entry.ctrllimited[0]:
+            limits = tuple(entry.ctrlrange.tolist())
+        elif follows == "position" and unit != "ctrl":
+            limits = ranges[machine.driven[name][0]]
+        found.append(UsableColumn(f"{name}_command", name, "command", unit, limits, follows))
+    return tuple(found)
+
+
+def _control(machine: Machine, name: str) -> tuple[str, str]:
+    """Unit of an actuator's control, and what it follows; MuJoCo's force is gain u + bias."""
+    if name in machine.cylinders:
+        return "1", ""
+    entry = machine.base.model.actuator(name)
+    stiffness, damping = (float(entry.biasprm[k]) for k in (1, 2))
+    follows = "position" if stiffness else "velocity" if damping else "effort"
+    is_plain = entry.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT and entry.gear[0] == 1.0
+    if not is_plain or (follows == "effort" and entry.gainprm[0] != 1.0):
+        return "ctrl", follows
+    unit = machine.unit(machine.driven[name][0])
+    effort = "N m" if unit == "rad" else "N"
+    return {"position": unit, "velocity": f"{unit}/s", "effort": effort}[follows], follows
