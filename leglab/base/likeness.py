@@ -4,6 +4,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from difflib import SequenceMatcher
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,6 +55,7 @@ def likeness_of_words(
     return found
 
 
+@lru_cache(maxsize=100_000)
 def _ratio(one: str, other: str) -> float:
     """Likeness of two words: equal, one the beginning of the other, or spelled nearly alike."""
     if one == other or one.isdigit() or other.isdigit():

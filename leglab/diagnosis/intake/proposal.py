@@ -234,7 +234,8 @@ def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> n
     for kind in {one.kind for one in wanted}:
         rows = [i for i, one in enumerate(wanted) if one.kind == kind]
         elements = [words_of(wanted[i].element) for i in rows]
-        for k, column in enumerate(columns):
+        for k in np.flatnonzero(scores[rows].any(axis=0)).tolist():
+            column = columns[k]
             own = likeness_of_words(column.rest, elements, _PLAIN | set(_KINDS))
             if own.max() < 0.5:
                 own = likeness_of_numbers(*numbers.get(column.name, (0, ())), elements)
