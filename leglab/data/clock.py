@@ -63,24 +63,24 @@ def time_axis(
         LeglabError: Two columns can be the time, or two units; it does not resolve the rows.
     """
     table = {n: x.astype(np.int64) if x.dtype.kind in "iu" else x for n, x in table.items()}
+    rest = {name: samples for name, samples in table.items() if name != "time"}
     notes: dict[str, object] = {}
     start = 0
     try:
         name, raw = given[0] if given else "time", table.get("time")
         if raw is None or not (given or timed):
             name, raw, parts = time_column(table)
-            table = {n: samples for n, samples in table.items() if n not in parts}
+        else:
+            parts = frozenset(("time",))
         if raw is not None:
-            table.pop("time", None)
+            others = {n: samples for n, samples in table.items() if n not in parts}
             rule = given[1] if given else None
-            time, start, said = _in_seconds(name, raw, rule, _moved(table), timed=timed)
-            table = {"time": time, **table}
+            time, start, said = _in_seconds(name, raw, rule, _moved(others), timed=timed)
+            rest = {"time": time, **others}
             notes = ({"start_ns": start} if start else {}) | ({"time": said} if said else {})
     except LeglabError as error:
-        table.pop("time", None)
         left_out.add("time", error.at(source))
-    floats = {name: _floats(samples, start) for name, samples in table.items()}
-    return floats, {**metadata, **notes}
+    return {n: _floats(samples, start) for n, samples in rest.items()}, {**metadata, **notes}
 
 
 def _in_seconds(
@@ -167,30 +167,33 @@ def _straight(
 
     `moved`, (n - 1,), is where a row has other values than the row before.
     """
-    short = raw.dtype.kind == "f" and raw.dtype.itemsize < 8
-    if time.size < 3 or not np.isfinite(time).all() or (raw.dtype.kind == "f" and not short):
+    short, steps = raw.dtype.kind == "f" and raw.dtype.itemsize < 8, np.diff(time)
+    if time.size < 3 or not np.isfinite(time).all():
         return time, ""
-    largest = raw[np.argmax(np.abs(raw.astype(np.float64)))]
-    resolved = factor * float(np.spacing(np.abs(largest))) if short else factor
+    largest = float(np.abs(raw.astype(np.float64)).max())
     mean = float(time[-1] - time[0]) / (time.size - 1)
-    repeats = bool(((np.diff(time) == 0) & moved).any())
+    resolved = factor * float(np.spacing(raw.dtype.type(largest))) if short else factor
+    if raw.dtype.kind == "f" and not short:
+        resolved = float(steps[steps > 0].min(initial=np.inf))
+    repeats = bool(((steps == 0) & moved).any())
     if not repeats and (not short or resolved <= _KNOWN * mean):
         return time, ""
     line = straight_line(np.arange(time.size), time)
     period = float(line[1] - line[0])
-    told = f"float{8 * raw.dtype.itemsize}" if short else "its unit"
-    told += f" resolves {resolved:.3g} s at {abs(float(largest)):.3g}"
+    told = f"float{8 * raw.dtype.itemsize}" if short else "it"
+    told += f" resolves {resolved:.3g} s at {largest:.3g}"
     # A tick lies half a step from its stamp, and a little more from a line through stamps.
     even = np.abs(time - line).max() <= 0.75 * resolved
     if even and 0 < resolved / np.sqrt(time.size) <= _KNOWN * period * time.size:
         return line, f" ({told}; the rows are even: straightened)"
-    if repeats and not short:
-        resolved = factor * float(np.gcd.reduce(np.diff(raw)))
-        told = f"its steps are {resolved:.3g} s"
+    if raw.dtype.kind == "i":
+        resolved = factor * float(np.gcd.reduce(np.diff(raw))) or np.inf
+    if not short:
+        told = f"its steps are {resolved:.3g} s" if resolved < np.inf else "it stands"
     # Few rows that are there twice are told row by row.
     if repeats and (short or resolved > 2.0 * mean):
         told = f"column {name!r} is the time, and {told}: no use; log "
-        finer = "float64, or time since the start" if short else "a finer unit"
+        finer = "float64, or time since the start" if short else "more digits or a finer unit"
         raise RecordingError(told, given=name, allowed=finer)
     return time, f" ({told})" if short else ""
 

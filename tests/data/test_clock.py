@@ -102,7 +102,7 @@ def test_what_leaves_a_question_is_one(tmp_path, columns, told):
         data.read(write(tmp_path / "a.parquet", **columns))
     assert "\n" not in str(caught.value)
     table, _ = data.read_table(tmp_path / "a.parquet", partial=True, timed=False)
-    assert "time" not in table
+    assert list(table) == [*columns, "a_position"]
     assert "a_position" in table
 
 
@@ -119,6 +119,23 @@ def test_an_even_clock_of_float32_has_its_true_rate(tmp_path, period):
     found = data.read(write(tmp_path / "a.parquet", time=(20_000 + period * ROWS).astype("f4")))
     assert found.sampling_period == pytest.approx(period, rel=1e-3)
     assert "float32 resolves 0.00195 s at 2e+04; the rows are even" in found.metadata["time"]
+
+
+def test_stamps_with_few_digits_have_their_true_rate_or_are_refused(tmp_path):
+    angle = np.sin(ROWS / 9).tolist()
+    for form, start, told in (
+        ("{:.3f}", 0.0, None),
+        ("{:.6g}", 123_456.0, "no use; log more digits"),
+    ):
+        stamps = (form.format(start + k / 2000) for k in ROWS.tolist())
+        rows = "".join(f"{t},{a!r}\n" for t, a in zip(stamps, angle, strict=True))
+        (tmp_path / "a.csv").write_text("time,a\n" + rows)
+        if told:
+            with pytest.raises(LeglabError, match=told):
+                data.read(tmp_path / "a.csv")
+        else:
+            found = data.read(tmp_path / "a.csv")
+            assert found.sampling_period == pytest.approx(0.0005, rel=1e-3)
 
 
 def test_rows_that_are_there_twice_are_no_rounded_stamps(tmp_path):
