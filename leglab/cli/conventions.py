@@ -104,7 +104,7 @@ _PANELS = {
         "duration", "severity", "ramp", "element", "seed", "seeds", "timestep", "tolerance",
         "set_", "load",
     ),
-    "Data": ("recordings", "held_out", "columns", "since", "until", "to"),
+    "Data": ("recordings", "held_out", "columns", "recording", "since", "until", "salvage", "to"),
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write", "csv"),
 }  # fmt: skip
 

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.output import new_file
-from leglab.cli.options import Columns, From, Json, To
+from leglab.cli.options import Columns, From, Json, Salvage, To, Which
 from leglab.cli.terminal import BAD_INPUT, errors, output, print_json, print_wide, tell
 
 if TYPE_CHECKING:
@@ -32,7 +32,9 @@ def convert(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, or a run's folder."
+            metavar="IN",
+            help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, a dataset of LeRobot, or a run's "
+            "folder.",
         ),
     ],
     target: Annotated[
@@ -49,6 +51,8 @@ def convert(
     ] = None,
     since: From = None,
     columns: Columns = None,
+    recording: Which = None,
+    salvage: Salvage = False,
     model: Annotated[
         str | None,
         typer.Option(
@@ -95,37 +99,38 @@ def convert(
     if model is not None and form not in _SHOWING:
         told = f"{form} cannot show a machine; --model goes with {' or '.join(_SHOWING)}"
         raise SettingsError(told, given=form, allowed=_SHOWING)
-    recording = data.read(source, columns=columns)
+    measured = data.read(source, columns=columns, recording=recording, salvage=salvage)
     try:
-        recording = recording.between(since, until)
+        measured = measured.between(since, until)
     except RecordingError as error:
         raise error.at(source) from error
-    lost = data.losses(recording, target, form)
+    lost = data.losses(measured, target, form)
     scene = None
     if model is not None:
-        scene = scene_of(load_model(model, timestep=timestep), recording)
+        scene = scene_of(load_model(model, timestep=timestep), measured)
     with new_file(layout) if layout is not None else nullcontext() as place:
         if place is not None:
-            plotjuggler.write_layout(recording, place)
-        data.write(recording, target, form, scene=scene)
-    repairs = list(recording.metadata.get("repairs", ()))
+            plotjuggler.write_layout(measured, place)
+        data.write(measured, target, form, scene=scene)
+    repairs = list(measured.metadata.get("repairs", ()))
     if as_json:
         found = {
             "source": str(source),
             "target": str(target),
             "format": form,
-            "samples": len(recording),
-            "columns": list(recording.columns),
+            "samples": len(measured),
+            "columns": list(measured.columns),
             "lost": list(lost),
             "repairs": repairs,
         }
         print_json(found, ascii_only=False)
         return
-    for word, lines in (("repaired", repairs), ("lost", lost)):
+    salvaged = measured.metadata.get("salvaged", ())
+    for word, lines in (("salvaged", salvaged), ("repaired", repairs), ("lost", lost)):
         for line in lines:
             errors.print(f"{word}: {line}", markup=False)
-    count = len(recording.columns)
-    tell(f"written to {target}: {form}, {len(recording)} samples of {count} columns")
+    count = len(measured.columns)
+    tell(f"written to {target}: {form}, {len(measured)} samples of {count} columns")
 
 
 def _as_second(text: str | None) -> tuple[float | None, str | None]:
@@ -139,7 +144,10 @@ def _as_second(text: str | None) -> tuple[float | None, str | None]:
 def inspect(
     file: Annotated[
         Path,
-        typer.Argument(help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, or a run's folder."),
+        typer.Argument(
+            help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, a dataset of LeRobot, or a run's "
+            "folder."
+        ),
     ],
     columns: Columns = None,
     model: Annotated[
@@ -156,6 +164,8 @@ def inspect(
     ] = None,
     since: From = None,
     until: To = None,
+    recording: Which = None,
+    salvage: Salvage = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace map and plot.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -176,7 +186,10 @@ def inspect(
             raise FileError(f"{path} exists; --overwrite replaces it", given=path)
     source = _one_recording(file)
     known = data.read_column_map(columns) if columns is not None else None
-    table, metadata = data.read_table(source, columns=known, partial=True, timed=False)
+    tables = data.read_tables(source, columns=known, partial=True, timed=False, salvage=salvage)
+    if recording is not None and recording not in tables:
+        raise RecordingError.unknown("recording", recording, tables)
+    table, metadata = tables[recording or next(iter(tables))]
     table = _cut(table, since, until, str(file))
     unreadable = metadata.pop("unreadable", {})
     summary = data.summarise(table, metadata)
@@ -191,9 +204,13 @@ def inspect(
 
         save_signals(table, metadata, plot, title=file.name)
     if as_json:
-        found = {"file": str(file), **summary.to_json(), "unreadable": unreadable}
+        found = {"file": str(file), "recordings": list(tables), **summary.to_json()}
+        found["unreadable"] = unreadable
         print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
     else:
+        if len(tables) > 1:
+            names = ", ".join(f"{name} ({_rows(part)})" for name, (part, _) in tables.items())
+            tell(f"{len(tables)} recordings, --recording NAME shows another: {names}")
         _show(file, summary, unreadable)
         for path in filter(None, (out, plot)):
             tell(f"written to {path}")
@@ -201,6 +218,10 @@ def inspect(
             tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
     if any(finding.fatal for finding in summary.findings):
         raise typer.Exit(BAD_INPUT)
+
+
+def _rows(table: "Mapping[str, np.ndarray]") -> int:
+    return max((samples.size for samples in table.values()), default=0)
 
 
 def _one_recording(path: Path) -> Path:

@@ -7,7 +7,17 @@ import typer
 
 from leglab.base.errors import SettingsError
 from leglab.base.output import check_apart, check_folder, new_folder
-from leglab.cli.options import Columns, From, HeldOut, Json, Load, Overwrite, To, check_order
+from leglab.cli.options import (
+    Columns,
+    From,
+    HeldOut,
+    Json,
+    Load,
+    Overwrite,
+    Salvage,
+    To,
+    check_order,
+)
 from leglab.cli.terminal import complain, output, print_json, print_table, progress, tell
 
 if TYPE_CHECKING:
@@ -31,6 +41,7 @@ def diagnose(
     columns: Columns = None,
     since: From = None,
     until: To = None,
+    salvage: Salvage = False,
     effect: Annotated[
         list[str] | None,
         typer.Option(
@@ -75,7 +86,11 @@ def diagnose(
 
     def read(paths: list[Path]) -> "dict[str, Recording]":
         return read_recordings(
-            paths, columns, span=(since, until), tell=lambda line: complain(line, "warning")
+            paths,
+            columns,
+            span=(since, until),
+            salvage=salvage,
+            tell=lambda line: complain(line, "warning"),
         )
 
     named, held = split_held_out(model, read(recordings), held_out or [])

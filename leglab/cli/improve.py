@@ -18,6 +18,7 @@ from leglab.cli.options import (
     Load,
     Overwrite,
     Recordings,
+    Salvage,
     To,
     check_order,
 )
@@ -35,6 +36,7 @@ def improve(
     columns: Columns = None,
     since: From = None,
     until: To = None,
+    salvage: Salvage = False,
     effects: Annotated[
         bool,
         typer.Option(help="Look for effects first, and keep those that are sure."),
@@ -55,7 +57,11 @@ def improve(
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])
     found = read_recordings(
-        recordings, columns, span=(since, until), tell=lambda line: complain(line, "warning")
+        recordings,
+        columns,
+        span=(since, until),
+        salvage=salvage,
+        tell=lambda line: complain(line, "warning"),
     )
     named, held = split_held_out(model, found, held_out or [])
     made = ("improved.xml",)

@@ -83,6 +83,13 @@ To = Annotated[
     float | None,
     typer.Option("--to", metavar="S", help="Leave out what is from this second of its time on."),
 ]
+Salvage = Annotated[
+    bool, typer.Option("--salvage", help="Read what is whole of a broken file; says what is lost.")
+]
+Which = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Which recording of a file or dataset that holds several."),
+]
 HeldOut = Annotated[
     list[str] | None,
     typer.Option(help="Recording kept from all fits, repeatable; default: chosen by excitation."),

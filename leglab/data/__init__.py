@@ -1,16 +1,20 @@
 """Recordings in files: the suffix picks the format, or its name does."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
+
+import numpy as np
 
 from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data import csv, matlab, mcap, parquet, plotjuggler, rerun, sysid
+from leglab.data import contents, csv, lerobot, matlab, mcap, parquet, plotjuggler, rerun, sysid
 from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
 from leglab.data.clock import Timed, time_axis
 from leglab.data.column_map import ColumnMap, read_column_map
+from leglab.data.contents import form_at, form_of_folder, format_of
 from leglab.data.files import LeftOut
 from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.scene import Scene
@@ -24,14 +28,17 @@ __all__ = [
     "Finding",
     "Scene",
     "Summary",
+    "form_of_folder",
     "format_of",
     "from_input_output",
     "from_time_series",
     "inspect",
     "losses",
     "read",
+    "read_all",
     "read_column_map",
     "read_table",
+    "read_tables",
     "summarise",
     "to_input_output",
     "to_time_series",
@@ -50,17 +57,9 @@ _MODULES = {
     "plotjuggler": plotjuggler,
     "rerun": rerun,
 }
-# Formats by suffix, where no format is named.
-_SUFFIXES = {
-    ".parquet": "parquet",
-    **dict.fromkeys((".csv", ".txt", ".tsv", ".log", ".dat", ".asc"), "csv"),
-    ".mcap": "mcap",
-    ".mat": "matlab",
-    ".npz": "sysid",
-    ".rrd": "rerun",
-}
-
-SUFFIXES = tuple(suffix for suffix, form in _SUFFIXES.items() if form != "rerun")
+# Others are read alone; `read_tables` returns several tables by the name of the recording.
+_READERS = {**_MODULES, "lerobot": lerobot}
+SUFFIXES = tuple(suffix for suffix, form in contents.SUFFIXES.items() if form != "rerun")
 """Suffixes of files that `read` knows."""
 
 FORMATS = tuple(_MODULES)
@@ -73,26 +72,61 @@ def read(
     columns: ColumnMap | str | Path | None = None,
     repair: bool = True,
     partial: bool = False,
+    salvage: bool = False,
+    recording: str | None = None,
 ) -> Recording:
     """Reads a recording.
 
     Args:
-        path: A `.parquet`, `.csv` or `.mat` file with a `time` column, a `.mcap` file with joint
-            states, the folder of a ROS 2 bag, or a `.npz` file of `mujoco.sysid`.
+        path: A `.parquet`, `.csv`, `.mat` or `.npz` file, a `.mcap` file with joint states, the
+            folder of a ROS 2 bag, or a dataset of LeRobot.
         columns: How the columns of the file are called here, and their units: a map, or its file.
         repair: Whether what can be repaired without inventing data is: exact repetitions of a row
             and empty rows at the end are dropped, and noted in the metadata under "repairs".
         partial: Whether columns that cannot be read (text, of another length, there twice) are left
             out, with the reason by column in the metadata under "unreadable", instead of refusing
             the file.
+        salvage: Whether what is whole of a broken file is read, with a line in the metadata under
+            "salvaged" that counts what is lost, instead of refusing the file.
+        recording: Which one of a file with several, by its name in `read_all`.
 
     Raises:
-        LeglabError: There is no such file, it cannot be read, a column is not numeric, time stamps
-            are missing, repeated or reversed, or the map does not fit; names the file, the row and
-            the column.
+        LeglabError: There is no such file, it cannot be read, it holds several recordings and none
+            is chosen, a column is not numeric, time stamps are missing, repeated or reversed, or
+            the map does not fit; names the file, the row and the column.
     """
-    table, metadata = read_table(path, columns=columns, partial=partial)
+    table, metadata = read_table(
+        path, columns=columns, partial=partial, salvage=salvage, recording=recording
+    )
     return to_recording(table, metadata, source=str(path), repair=repair)
+
+
+def read_all(
+    path: str | Path,
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    partial: bool = False,
+    salvage: bool = False,
+) -> dict[str, Recording]:
+    """Reads all recordings of a file or folder.
+
+    Args:
+        path: See `read`.
+        columns: See `read`.
+        partial: See `read`.
+        salvage: See `read`.
+
+    Returns:
+        Recordings by name; "" is the name of one that is alone in its file.
+
+    Raises:
+        LeglabError: As of `read`.
+    """
+    tables = read_tables(path, columns=columns, partial=partial, salvage=salvage)
+    return {
+        name: to_recording(table, metadata, source=_place(path, name), repair=True)
+        for name, (table, metadata) in tables.items()
+    }
 
 
 def read_table(
@@ -101,53 +135,110 @@ def read_table(
     columns: ColumnMap | str | Path | None = None,
     partial: bool = False,
     timed: bool = True,
+    salvage: bool = False,
+    recording: str | None = None,
 ) -> tuple[dict, dict]:
-    """Reads the columns of a file without checking the values.
+    """Reads the columns of one recording without checking the values.
 
     Args:
         path: The file.
         columns: See `read`.
         partial: See `read`.
         timed: Whether a file without a column `time` is refused.
+        salvage: See `read`.
+        recording: See `read`.
 
     Returns:
         Arrays of shape (n,) by column name, for `inspect`, and the metadata.
 
     Raises:
-        LeglabError: There is no such file, it cannot be read, a column is not numeric, there is no
-            `time`, or the map does not fit.
+        LeglabError: There is no such file, it cannot be read, it holds several recordings and none
+            is chosen, a column is not numeric, there is no `time`, or the map does not fit.
+    """
+    tables = read_tables(path, columns=columns, partial=partial, timed=timed, salvage=salvage)
+    if recording is None and len(tables) > 1:
+        told = f"{path}: {len(tables)} recordings, one at a time: choose by --recording "
+        raise RecordingError(told, given=path, allowed=tables)
+    if recording is not None and recording not in tables:
+        raise RecordingError.unknown(f"recording of {path}", recording, tables)
+    return tables[recording] if recording is not None else next(iter(tables.values()))
+
+
+def read_tables(
+    path: str | Path,
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    partial: bool = False,
+    timed: bool = True,
+    salvage: bool = False,
+) -> dict[str, tuple[dict, dict]]:
+    """Reads the columns of all recordings of a file or folder without checking the values.
+
+    Args:
+        path: See `read`.
+        columns: See `read`.
+        partial: See `read`.
+        timed: See `read_table`.
+        salvage: See `read`.
+
+    Returns:
+        Columns and metadata, as of `read_table`, by the recording's name, as of `read_all`.
+
+    Raises:
+        LeglabError: As of `read_table`.
     """
     path = Path(path)
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_column_map(columns)
-    is_bag = path.is_dir()
-    if not is_bag and not path.is_file():
+    if not path.is_dir() and not path.is_file():
         raise FileError(f"{path}: {no_file(path)}", given=path)
-    packed = path.suffix == ".gz" and format_of(path.stem) == "csv"
-    form = mcap if is_bag else csv if packed else _MODULES[format_of(path)]
-    left_out = LeftOut(partial)
+    form = _READERS[form_at(path)]
+    left_out = LeftOut(partial, salvage=salvage)
     # Only topics have clocks of their own, and how they are brought onto one depends on the names;
     # of text the map says what cannot be known.
     if form in (mcap, csv):
-        table, metadata = form.read_table(path, left_out, columns)
+        found = {"": form.read_table(path, left_out, columns)}
+    elif hasattr(form, "read_tables"):
+        found = form.read_tables(path, left_out)
     else:
-        table, metadata = form.read_table(path, left_out)
+        found = {"": form.read_table(path, left_out)}
+    if not found:
+        raise RecordingError(f"{path}: there is no recording", given=path)
+    return {
+        name: _usable(*part, _place(path, name), columns, left_out.copy(), timed)
+        for name, part in found.items()
+    }
+
+
+def _place(path: str | Path, name: str) -> str:
+    return f"{path}: {name}" if name else str(path)
+
+
+def _usable(
+    table: Mapping[str, np.ndarray],
+    metadata: dict,
+    source: str,
+    columns: ColumnMap | None,
+    left_out: LeftOut,
+    timed: bool,
+) -> tuple[dict, dict]:
+    """A table as it was read, with our names, units and time."""
     is_timed = isinstance(table, Timed)
     if columns is not None:
-        table = columns.apply(table, str(path), left_out)
+        table = columns.apply(table, source, left_out)
     given = columns.time if columns is not None and "time" in table else None
     table, metadata = time_axis(
-        table, metadata, left_out, source=str(path), given=given, timed=is_timed
+        table, metadata, left_out, source=source, given=given, timed=is_timed
     )
     if left_out:
-        reasons = {name: why.removeprefix(f"{path}: ") for name, why in left_out.items()}
+        reasons = {name: why.removeprefix(f"{source}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}
     if timed and "time" not in table:
         if "time" in left_out:
-            raise RecordingError(f"{path}: {metadata['unreadable']['time']}", given="time")
+            raise RecordingError(f"{source}: {metadata['unreadable']['time']}", given="time")
         found = ", ".join(map(repr, table)) or "no column"
         raise RecordingError(
-            f"{path}: no column 'time', found {found}; {MAP_HINT}", given=tuple(table)
+            f"{source}: no column 'time', found {found}; {MAP_HINT}", given=tuple(table)
         )
     return table, metadata
 
@@ -203,19 +294,6 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
         return module.losses(recording)
     # Of the others these hold nothing but numbers.
     return ("metadata",) if recording.metadata and module in (csv, sysid, rerun) else ()
-
-
-def format_of(path: str | Path) -> str:
-    """Returns the format that the suffix of a file stands for.
-
-    Raises:
-        LeglabError: The suffix is not known.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        told = f"{path}: suffix {suffix!r} is not a known format, allowed: "
-        raise FileError(told, given=suffix, allowed=_SUFFIXES)
-    return _SUFFIXES[suffix]
 
 
 def _module(path: Path, form: str | None) -> ModuleType:

@@ -29,6 +29,8 @@ def to_arrays(
     Raises:
         RecordingError: A column is named twice or is not numeric.
     """
+    while any(pa.types.is_struct(field.type) for field in table.schema):
+        table = table.flatten()
     names = table.column_names
     found: dict[str, np.ndarray] = {}
     for name in dict.fromkeys(names):
@@ -40,7 +42,7 @@ def to_arrays(
             if samples.ndim == 1:
                 found[name] = samples
             else:
-                found |= {f"{name}[{i}]": column for i, column in enumerate(samples.T)}
+                found |= {f"{name}[{i}]": part for i, part in enumerate(samples.T)}
         except LeglabError as error:
             left_out.add(name, error)
     return found
@@ -71,12 +73,34 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
         samples = _lists(column) if samples is None else samples
         if samples is not None:
             return samples
+    if _is_list(kind) and (elements := _elements(column)) is not None:
+        return elements
     for row, value in enumerate(column.to_pylist()):
         if value is not None and not _is_number(value, decimal):
             told = f"{path}: column {name!r}, row {row}: {value!r} is not "
             raise RecordingError(told, given=value, allowed="a number")
     told = f"{path}: column {name!r} holds {kind}, allowed are "
     raise RecordingError(told, given=str(kind), allowed="numbers")
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    types = pa.types
+    return types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
+
+
+def _elements(column: pa.ChunkedArray) -> np.ndarray | None:
+    """Numbers of lists of one length, (n, length), of nested ones in a row; None for others."""
+    lengths = pc.unique(pc.list_value_length(column).drop_null()).to_pylist()
+    if len(lengths) != 1 or not lengths[0]:
+        return None
+    found = []
+    for index in range(lengths[0]):
+        element = pc.list_element(column, index)
+        part = _elements(element) if _is_list(element.type) else None
+        if part is None and not pa.types.is_primitive(element.type):
+            return None
+        found.append(element.cast(pa.float64()).to_numpy() if part is None else part)
+    return np.column_stack(found).astype(np.float64)
 
 
 def _is_number(text: object, decimal: str) -> bool:

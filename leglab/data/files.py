@@ -12,11 +12,18 @@ class LeftOut(dict[str, str]):
 
     Args:
         partial: Whether such columns are left out; else the file is refused for the first one.
+        salvage: Whether what is whole of a broken file is read; else the file is refused.
     """
 
-    def __init__(self, partial: bool) -> None:
+    def __init__(self, partial: bool, *, salvage: bool = False) -> None:
         super().__init__()
-        self.partial = partial
+        self.partial, self.salvage = partial, salvage
+
+    def copy(self) -> "LeftOut":
+        """Returns another one with the same content."""
+        other = LeftOut(self.partial, salvage=self.salvage)
+        other.update(self)
+        return other
 
     def add(self, column: str, error: LeglabError) -> None:
         """Leaves a column out.

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -33,8 +33,10 @@ _OPTIONS: dict[str, Any] = {
 _GROUP = 65536
 
 
-def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads all columns of a Parquet file.
+def read_table(
+    path: Path, left_out: LeftOut, *, without: Set[str] = frozenset()
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads the columns of a Parquet file but those `without` use.
 
     Raises:
         LeglabError: The file is truncated, damaged or not Parquet, its metadata is not JSON, or a
@@ -51,7 +53,8 @@ def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], di
     if _DIGEST_KEY in stored and stored[_DIGEST_KEY] != _digest(shape, text or b""):
         told = f"{path}: is damaged: names, length and metadata do not fit their checksum"
         raise FileError(told, given=path)
-    columns = to_arrays(table, path, left_out)
+    unused = [name for name in without if name in table.column_names]
+    columns = to_arrays(table.drop_columns(unused), path, left_out)
     return columns if text is None else Timed(columns), _metadata(path, text)
 
 

@@ -13,9 +13,6 @@ from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
-# Files by which a folder is one recording: a ROS 2 bag, a dataset of LeRobot.
-_WHOLE = ("metadata.yaml", "meta/info.json")
-
 
 def recording_files(paths: Sequence[Path]) -> tuple[dict[Path, Path], list[str]]:
     """Lists recordings, those below folders too; a bag or a dataset is no folder of recordings.
@@ -43,7 +40,7 @@ def recording_files(paths: Sequence[Path]) -> tuple[dict[Path, Path], list[str]]
 
 def _below(path: Path) -> tuple[list[Path], list[Path]]:
     """Recordings and other files below a path, in the order of their names."""
-    if not path.is_dir() or any((path / mark).is_file() for mark in _WHOLE):
+    if not path.is_dir() or data.form_of_folder(path):
         return [path], []
     files: list[Path] = []
     others: list[Path] = []
@@ -63,9 +60,12 @@ def read_recordings(
     columns: Path | None = None,
     *,
     span: tuple[float | None, float | None] = (None, None),
+    salvage: bool = False,
     tell: Callable[[str], object] = lambda line: None,
 ) -> dict[str, Recording]:
     """Reads recordings by file name, or by as many folders before it as make names differ.
+
+    Each one of a file with several has its name there after that of the file.
 
     Columns that cannot be read are left out: only the model says whether they are needed.
 
@@ -73,6 +73,7 @@ def read_recordings(
         paths: Files, or folders of them, of which those that cannot be read are left out.
         columns: File of a column map for all of them, see `leglab.data.read_column_map`.
         span: First and last second that is used, of each recording's time; None: all.
+        salvage: Whether what is whole of broken files is read.
         tell: Gets a line for what a folder holds beside recordings.
 
     Raises:
@@ -85,17 +86,20 @@ def read_recordings(
     refused: list[LeglabError] = []
     for file, given in files.items():
         try:
-            recording = data.read(file, columns=columns, partial=True)
+            several = data.read_all(file, columns=columns, partial=True, salvage=salvage)
         except LeglabError as error:
             if file == given:
                 raise
             refused.append(error)
             notes.append(f"left out: {error}")
             continue
-        try:
-            found[names[file]] = recording.between(*span)
-        except LeglabError as error:
-            raise error.at(names[file]) from error
+        for part, recording in several.items():
+            name = f"{names[file]}/{part}" if part else names[file]
+            try:
+                found[name] = recording.between(*span)
+            except LeglabError as error:
+                raise error.at(name) from error
+            notes += [f"{name}: {line}" for line in recording.metadata.get("salvaged", ())]
     if not found:
         raise refused[0]
     for line in notes:
@@ -158,6 +162,7 @@ def _names(entry: str, name: str) -> bool:
     """Whether what a user wrote means a recording: its path or the end of it, or its folder."""
     parts, wanted = Path(name).parts, Path(entry).parts
     ends = {parts, (*parts[:-1], Path(name).stem), *([parts[:1]] if len(parts) > 1 else [])}
+    ends.add(parts[-1:])
     return any(wanted[-len(end) :] == end for end in ends)
 
 

@@ -1,0 +1,101 @@
+"""Datasets of LeRobot, layouts v2.1 and v3: episodes in Parquet files, names in meta/info.json.
+
+Layout: huggingface.co/docs/lerobot/lerobot-dataset-v3. An episode is a recording; its `timestamp`
+is the time, and an element of a list is called `<feature>/<name>`.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leglab.base.errors import FileError
+from leglab.base.input import read_json
+from leglab.data import parquet
+from leglab.data.files import LeftOut
+
+# Columns that count; all but the time of an episode say where its rows lie in the dataset.
+COUNTERS = frozenset(("index", "frame_index", "episode_index", "task_index"))
+# Features that are no numbers.
+_PICTURES = ("image", "video", "string", "language")
+
+
+def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
+    """Reads the episodes of a dataset, or of one of its files.
+
+    Args:
+        path: The folder, or a file of its folder `data`.
+        left_out: Gets columns that cannot be read.
+
+    Returns:
+        Columns and metadata of each episode, by `episode_<number>`.
+
+    Raises:
+        LeglabError: A file is broken, or there is none.
+    """
+    info = _info(path if path.is_dir() else path.resolve().parents[2])
+    files = sorted(path.glob("data/*/*.parquet")) if path.is_dir() else [path]
+    if not files:
+        told = f"{path}: a dataset of LeRobot without data; allowed: "
+        raise FileError(told, given=path, allowed="files data/chunk-*/*.parquet")
+    features = info.get("features", {})
+    found: dict[str, tuple[dict, dict]] = {}
+    for file in files:
+        table, _ = parquet.read_table(file, left_out, without=_pictures(features))
+        for name, given in features.items():
+            _rename(table, name, _names(given.get("names")))
+        found |= episodes(table)
+    return dict(sorted(found.items(), key=lambda item: int(item[0].rpartition("_")[2])))
+
+
+def episodes(table: Mapping[str, np.ndarray]) -> dict[str, tuple[dict, dict]]:
+    """Cuts a table at its `episode_index`; metadata are empty.
+
+    Args:
+        table: Arrays of shape (n,) by column name.
+    """
+    owner = table["episode_index"]
+    columns = {n: samples for n, samples in table.items() if n not in COUNTERS}
+    return {
+        f"episode_{int(k)}": ({n: x[owner == k] for n, x in columns.items()}, {})
+        for k in np.unique(owner[np.isfinite(owner)])
+    }
+
+
+def is_dataset(path: Path) -> bool:
+    """Returns whether a Parquet file lies in the folder `data` of a dataset."""
+    above = path.resolve().parents
+    return len(above) > 2 and above[1].name == "data" and (above[2] / "meta/info.json").is_file()
+
+
+def _info(root: Path) -> dict[str, Any]:
+    place = root / "meta" / "info.json"
+    info = read_json(place)
+    features = info.get("features") if isinstance(info, dict) else None
+    if not isinstance(features, dict) or not all(isinstance(f, dict) for f in features.values()):
+        told = f"{place}: no description of a dataset of LeRobot; allowed: "
+        raise FileError(told, given=place, allowed="an object with 'features'")
+    return info
+
+
+def _pictures(features: Mapping[str, Mapping]) -> frozenset[str]:
+    return frozenset(name for name, given in features.items() if given.get("dtype") in _PICTURES)
+
+
+def _names(given: Any) -> list[str]:
+    """Names of elements: a list, lists by group as {"motors": [...]}, or places by name."""
+    if isinstance(given, dict) and all(isinstance(place, int) for place in given.values()):
+        return sorted(given, key=lambda name: given[name])
+    if isinstance(given, dict | list):
+        parts = given.values() if isinstance(given, dict) else given
+        return [name for part in parts for name in _names(part)]
+    return [] if given is None else [str(given)]
+
+
+def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:
+    places = [f"{feature}[{i}]" for i in range(len(names))]
+    several = f"{feature}[{len(names)}]" in table or len(set(names)) < len(names)
+    if len(names) > 0 and all(place in table for place in places) and not several:
+        for place, name in zip(places, names, strict=True):
+            table[f"{feature}/{name}"] = table.pop(place)
