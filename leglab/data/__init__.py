@@ -205,8 +205,8 @@ def read_tables(
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {
-        name: _usable(*part, _place(path, name), columns, left_out.copy(), timed)
-        for name, part in found.items()
+        name: _usable(table, metadata, _place(path, name), columns, left_out.copy(), timed)
+        for name, (table, metadata) in found.items()
     }
 
 
