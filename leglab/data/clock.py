@@ -116,7 +116,7 @@ def _in_seconds(
     time = np.where(missing & (raw.dtype.kind == "i"), np.nan, time + offset if offset else time)
     time, rounding = _straight(name, raw, time, float(factor), moved)
     start = int(Fraction(first.item()) * factor * 10**9) if stored != "m" else 0
-    rate = 1.0 / step if (step := _step(time)) else 0.0
+    rate = 1.0 / step if (step := usual_step(time)) else 0.0
     plausible = not rate or (_LEAST_OF_FRACTIONS if plain else _LEAST) <= rate <= _MOST
     said = f"{name} in {unit} since {'1970' if start else 'the start'}, {rate:.6g} Hz{rounding}"
     said += "" if plausible or stored in "Mm" else ": is this its unit?"
@@ -129,7 +129,7 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, Fraction]:
     if named.si == "s":
         return named.unit, _exact(named.factor)
     known = raw[np.isfinite(raw)]
-    step = _step(known - known[0]) if known.size else 0.0
+    step = usual_step(known - known[0]) if known.size else 0.0
     if not step:
         return "s", _SECOND["s"]
     rates = {unit: 1.0 / (step * float(seconds)) for unit, seconds in _SECOND.items()}
@@ -205,11 +205,14 @@ def straight_line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
     return time[0] + level + slope * centred
 
 
-def _step(time: np.ndarray) -> float:
-    """Usual step of stamps forward; 0 where there is none."""
+def usual_step(time: np.ndarray) -> float:
+    """Returns the usual step of stamps, (n,), forward, free of their rounding; 0 without one."""
     forward = np.diff(time)
     forward = forward[forward > 0]
-    return float(np.median(forward)) if forward.size else 0.0
+    if not forward.size:
+        return 0.0
+    median = np.sort(forward)[forward.size // 2]
+    return float(forward[np.abs(forward - median) <= 0.5 * median].mean())
 
 
 def _exact(factor: float) -> Fraction:

@@ -1,6 +1,7 @@
 """From Arrow tables to plain arrays, the same for every format."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,10 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
         return column.to_numpy()
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         return column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+    if kind in (pa.string(), pa.large_string(), pa.string_view()):
+        column = column.cast(pa.string())
+        with suppress(pa.ArrowInvalid):
+            return column.cast(pa.float64()).to_numpy()
         samples = times_of(column)
         samples = _lists(column) if samples is None else samples
         if samples is not None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from leglab.base.units import unit_of
 from leglab.data.checks import Finding, inspect
+from leglab.data.clock import usual_step
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Summary:
     samples: int  #: Rows
     start: float | None  #: First finite time [s]; None without one
     duration: float | None  #: From the first to the last finite time [s]; None without one
-    period: float | None  #: Median interval [s]; None where time does not go forward
+    period: float | None  #: Usual interval [s]; None where time does not go forward
     rate: float | None  #: Its inverse [Hz]
     columns: tuple[ColumnSummary, ...]  #: The columns without the time
     findings: tuple[Finding, ...]  #: Errors in the data, see `leglab.data.inspect`
@@ -64,9 +65,7 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     """
     time = table.get("time", np.empty(0))
     time = time[np.isfinite(time)]
-    forward = np.diff(time)
-    forward = forward[forward > 0]
-    period = float(np.median(forward)) if forward.size else None
+    period = usual_step(time) or None
     columns = []
     for name, samples in table.items():
         if name != "time":

@@ -10,9 +10,7 @@ class NamedUnit(NamedTuple):
 
     stem: str  #: The name without the unit, as it is where there is none
     unit: str  #: The unit as the name has it; "" where there is none
-    factor: (
-        float  #: SI units (s, rad, m, N m, N, Pa, degC, A, V, 1) per unit; 1 where there is none
-    )
+    factor: float  #: SI units per unit; 1 where there is none
     #: s, rad, m, rad/s, m/s^2, N m, N, Pa, degC, A, V or 1: the kind of quantity; "" where none.
     si: str
 
@@ -26,7 +24,7 @@ _KNOWN: dict[str, tuple[float, str]] = {
     **dict.fromkeys(("ns", "nsec", "nanos", "nanosec", "nanosecond", "nanoseconds"), (1e-9, "s")),
     **dict.fromkeys(("min", "minutes"), (60.0, "s")),
     **dict.fromkeys(("h", "hours"), (3600.0, "s")),
-    **dict.fromkeys(("rad", "rads", "radian", "radians"), (1.0, "rad")),
+    **dict.fromkeys(("rad", "radian", "radians"), (1.0, "rad")),
     **dict.fromkeys(("deg", "°", "degree", "degrees"), (math.radians(1.0), "rad")),
     **dict.fromkeys(("turn", "turns", "rev", "revs", "revolutions"), (_TURN, "rad")),
     "mrad": (1e-3, "rad"),
