@@ -196,7 +196,7 @@ def read_tables(
     left_out = LeftOut(partial, salvage=salvage)
     # Only topics have clocks of their own, and how they are brought onto one depends on the names;
     # of text the map says what cannot be known.
-    if form in (mcap, csv):
+    if form in (mcap, csv, matlab, sysid):
         found = {"": form.read_table(path, left_out, columns)}
     elif hasattr(form, "read_tables"):
         found = form.read_tables(path, left_out)

@@ -19,8 +19,10 @@ from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
 from leglab.data.clock import Timed
+from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut, check_notes, first_line, to_json
 from leglab.data.matlab_check import checked
+from leglab.data.variables import check_lengths, table_of
 
 _VARIABLE = "recording"
 _NAME_LENGTH = 63  # MATLAB's namelengthmax until R2025.
@@ -34,8 +36,10 @@ _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads a file of ours, or vectors of one length from another.
+def read_table(
+    path: Path, left_out: LeftOut, columns: ColumnMap | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads a file of ours, or the variables of another, see `leglab.data.variables`.
 
     Units other than the usual ones stand in the metadata under "units", variables that are no
     samples under "left_out".
@@ -48,7 +52,7 @@ def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], di
         ours = variables.get(_VARIABLE)
         if isinstance(ours, dict) and {"time", "signals", "name_map"} <= ours.keys():
             return _own_table(ours, left_out)
-        return _foreign_table(variables, left_out)
+        return table_of(variables, left_out, columns)
     except LeglabError as error:
         raise error.at(path) from error
 
@@ -147,7 +151,7 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
             told = f"'signals' holds {field!r} twice, by its field and by 'name_map'"
             raise FileError(told, given=field)
         _add(table, field, signals[field], left_out)
-    _check_lengths(table, left_out)
+    check_lengths(table, left_out)
     if isinstance(units, dict):
         known = own_units(metadata)
         given = {str(names.get(f, f)): unit for f, unit in units.items()}
@@ -156,39 +160,6 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         if changed:
             metadata["units"] = {**known, **changed}
     return Timed(table), metadata
-
-
-def _foreign_table(
-    variables: Mapping[str, Any], left_out: LeftOut
-) -> tuple[dict[str, np.ndarray], dict]:
-    structs = [value for value in variables.values() if isinstance(value, dict)]
-    if len(variables) == len(structs) == 1:
-        variables = structs[0]
-    samples = {n: np.asarray(v) for n, v in variables.items() if _is_samples(v)}
-    rows = max((len(array) for array in samples.values()), default=0)
-    table: dict[str, np.ndarray] = {}
-    for name, array in samples.items():
-        columns = {name: array}
-        if array.ndim == 2:
-            if len(array) != rows and array.shape[1] == rows:
-                array = array.T
-            columns = {f"{name}[{i}]": column for i, column in enumerate(array.T)}
-        for key, column in columns.items():
-            if key in table:
-                told = f"two variables give column {key!r}"
-                left_out.add(key, RecordingError(told, given=key))
-            table[key] = column.astype(np.float64)
-    for key in left_out:
-        table.pop(key, None)
-    _check_lengths(table, left_out)
-    others = sorted(variables.keys() - samples.keys())
-    return table, {"left_out": others} if others else {}
-
-
-def _is_samples(value: Any) -> bool:
-    """Whether this is a real vector or matrix; a lone number is rather a setting."""
-    real = isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
-    return real and value.ndim in (1, 2) and value.size > 1
 
 
 def _add(table: dict[str, np.ndarray], name: str, value: Any, left_out: LeftOut) -> None:
@@ -220,16 +191,3 @@ def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
     if field == "metadata":
         check_notes(found)
     return found
-
-
-def _check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
-    for name in list(table) if left_out.partial and "time" in table else ():
-        rows, wanted = len(table[name]), len(table["time"])
-        if rows != wanted:
-            why = f"column {name!r} has {rows} samples, 'time' has {wanted}"
-            left_out.add(name, RecordingError(why, given=name))
-            del table[name]
-    lengths = {name: len(column) for name, column in table.items()}
-    if len(set(lengths.values())) > 1:
-        found = ", ".join(f"{name!r} {length}" for name, length in lengths.items())
-        raise RecordingError(f"vectors have different lengths: {found}", given=lengths)

@@ -14,7 +14,12 @@ _HEADER = 128  # bytes
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes a number
 _CHARACTERS = frozenset((1, 2, 4, 16, 17, 18))
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
+_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17
+_TIMESERIES = (
+    "a timeseries, a Dataset or another object, which MATLAB alone reads; in MATLAB: s = "
+    "struct('time', x.Time, 'data', x.Data), of a Dataset of each x = logsout{k}.Values, and "
+    "save('log.mat', 's', '-v7')"
+)
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
 _LARGEST = 2**31  # bytes of a variable, by the format.
@@ -123,7 +128,9 @@ def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
         fields = count * (len(names) // length[0])
         size += _check_nested(parts, fields, order, depth, most)
     else:
-        what = {_OBJECT: "an object", _SPARSE: "a sparse matrix"}.get(kind, f"of class {kind}")
+        what = {_OBJECT: "an object", _SPARSE: "a sparse matrix", _OPAQUE: _TIMESERIES}.get(
+            kind, f"of class {kind}"
+        )
         raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
     if next(parts, None) is not None:
         raise ValueError("an array has more parts than it should")

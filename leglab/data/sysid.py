@@ -12,7 +12,9 @@ from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.clock import Timed
+from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut, first_line
+from leglab.data.variables import table_of
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
@@ -69,12 +71,20 @@ def from_time_series(series: "TimeSeries") -> Recording:
     return Recording(time=table.pop("time"), columns=table)
 
 
-def read_table(path: Path, left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads a file of `TimeSeries.save_to_disk`.
+def read_table(
+    path: Path, left_out: LeftOut, columns: ColumnMap | None = None
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Reads a file of `TimeSeries.save_to_disk`, or the arrays of another, see `variables`.
 
     Raises:
-        LeglabError: The file is truncated or holds something else.
+        LeglabError: The file is truncated, an array holds Python objects, or lengths differ.
     """
+    arrays = _arrays(path, left_out)
+    if not {"times", "data"} <= arrays.keys():
+        try:
+            return table_of(arrays, left_out, columns)
+        except LeglabError as error:
+            raise error.at(path) from error
     series, _ = _classes()
     try:
         found = series.load_from_disk(path)
@@ -95,6 +105,32 @@ def write(recording: Recording, path: Path) -> None:
         LeglabError: The folder cannot be written to, or two columns get one signal name.
     """
     write_atomically(path, to_time_series(recording).save_to_disk)
+
+
+def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
+    """Arrays of a file by name; the fields of a structured one have its name before them."""
+    found: dict[str, Any] = {}
+    try:
+        with np.load(path) as file:
+            for name in file.files:
+                try:
+                    array = file[name]
+                except ValueError as error:
+                    if "allow_pickle" not in str(error):
+                        raise
+                    told = f"{path}: array {name!r} holds Python objects (pickled), which are not "
+                    told += f"read; save numbers: numpy.savez({path.name!r}, {name}=...)"
+                    left_out.add(name, RecordingError(told, given=name))
+                    continue
+                fields = array.dtype.names or ()
+                found |= {f"{name}/{field}": array[field] for field in fields} or {name: array}
+    except LeglabError:
+        raise
+    # Whatever the archive trips over, the cause is the file.
+    except Exception as error:
+        told = f"{path}: not a complete .npz file: {first_line(error)}"
+        raise FileError(told, given=path) from error
+    return found
 
 
 def _classes() -> tuple[Any, Any]:

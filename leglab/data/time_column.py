@@ -8,9 +8,10 @@ import numpy as np
 from leglab.base.errors import RecordingError
 from leglab.data.units_in_names import split
 
-# Words of names, in the languages of the loggers that are met; X_Value is LabVIEW's.
+# Words of names, in the languages of the loggers that are met; X_Value is LabVIEW's, tout
+# Simulink's.
 _WORDS = re.compile(
-    "time|t|timestamps?|stamp|ts|clock|datetime|date|epoch|utc|elapsed|secs?|seconds|millis|micros|"
+    "time|t|tout|timestamps?|stamp|ts|clock|datetime|date|epoch|utc|elapsed|secs?|seconds|millis|micros|"
     "nanos|zeit|uhrzeit|zeitstempel|temps|tiempo|xvalue"
 )
 _WHOLE = re.compile(r"(.*?)[._/ ]*(sec|secs|seconds)", re.IGNORECASE)

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy.io import savemat
 
 from leglab import data
 from leglab.base.errors import LeglabError
@@ -70,3 +71,88 @@ def test_one_file_of_a_dataset_and_the_map_that_is_proposed(tmp_path, capsys):
     assert "choose by --recording episode_0, episode_1, episode_2" in error
     with pytest.raises(LeglabError, match="unknown recording"):
         data.read(file, recording="episode_9")
+
+
+def simulink(time, *signals):
+    """What To Workspace saves as a structure with time: values, label of each signal."""
+    fields = [("values", "O"), ("dimensions", "O"), ("label", "O"), ("blockName", "O")]
+    rows = [(values, float(values.ndim), label, "rig/scope") for values, label in signals]
+    return {"time": time[:, None], "signals": np.array(rows, dtype=fields)}
+
+
+MATRICES = np.moveaxis(np.arange(ROWS * 4.0).reshape(ROWS, 2, 2), 0, -1)
+
+
+@pytest.mark.parametrize(
+    ("variables", "columns"),
+    [
+        ({"q": simulink(TIME, (POSITION[:, None], "angle"))}, {"q": POSITION}),
+        (
+            {"scope": simulink(TIME, (POSITION[:, None], "angle"), (TIME[:, None], ""))},
+            {"scope/angle": POSITION, "scope[1]": TIME},
+        ),
+        ({"m": simulink(TIME, (MATRICES, ""))}, {"m[0]": MATRICES[0, 0], "m[3]": MATRICES[1, 1]}),
+        (
+            {"q": {"Time": TIME, "Data": POSITION}, "tout": TIME, "yout": np.c_[TIME, POSITION]},
+            {"q": POSITION, "yout[0]": TIME, "yout[1]": POSITION},
+        ),
+        ({"tout": TIME, "yout": POSITION, "Ts": 0.02}, {"yout": POSITION}),
+    ],
+    ids=("one signal", "several signals", "matrices", "beside tout", "tout alone"),
+)
+def test_forms_of_simulink(tmp_path, variables, columns):
+    savemat(tmp_path / "log.mat", variables)
+    found = data.read(tmp_path / "log.mat")
+    assert found.time == pytest.approx(TIME, abs=1e-12)
+    assert len(found.columns) == (4 if "m" in variables else len(columns))
+    for name, samples in columns.items():
+        assert found[name].tolist() == samples.tolist(), name
+
+
+def test_series_of_several_clocks_come_onto_the_fastest_one(tmp_path):
+    slow = {"time": TIME[::5], "data": TIME[::5]}
+    variables = {"knee_position": {"time": TIME, "data": POSITION}, "p": slow, "u_command": slow}
+    savemat(tmp_path / "log.mat", variables)
+    found = data.read(tmp_path / "log.mat")
+    last = (ROWS - 1) // 5 * 5
+    assert found["p"][:last] == pytest.approx(TIME[:last], abs=1e-9)
+    assert found["u_command"] == pytest.approx(np.floor(np.arange(ROWS) / 5) / 10)
+    assert "u_command: 60 samples, last value held on a clock of 300" in found.metadata["alignment"]
+
+
+def test_objects_of_matlab_are_refused_with_the_way_out(tmp_path):
+    path = tmp_path / "log.mat"
+    savemat(path, {"logsout": np.ones(3)})
+    content = bytearray(path.read_bytes())
+    content[144] = 17  # The class that MATLAB writes for a timeseries.
+    path.write_bytes(content)
+    with pytest.raises(
+        LeglabError, match=r"timeseries.*in MATLAB: .*save\('log.mat', 's', '-v7'\)"
+    ):
+        data.read(path)
+
+
+def test_arrays_of_numpy_by_name(tmp_path):
+    path = tmp_path / "log.npz"
+    pair = np.zeros(ROWS, dtype=[("p", "f4"), ("i", "i4")])
+    stamps = (EPOCH + np.arange(ROWS) * 20_000_000).astype("M8[ns]")
+    qpos = np.c_[POSITION, TIME]
+    np.savez(path, time=stamps, qpos=qpos, ctrl=POSITION[:, None], pair=pair, joints=["a", "b"])
+    found = data.read(path)
+    assert list(found.columns) == ["qpos[0]", "qpos[1]", "ctrl", "pair/p", "pair/i"]
+    assert found.time == pytest.approx(TIME, abs=1e-9)
+    assert found["qpos[0]"].tolist() == POSITION.tolist()
+    assert found.metadata["start_ns"] == EPOCH
+
+
+def test_arrays_of_numpy_that_do_not_fit(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, time=TIME, knee_position=POSITION[1:])
+    with pytest.raises(LeglabError, match="different lengths: 'time' 300, 'knee_position' 299"):
+        data.read(path)
+    np.savez(path, time=TIME, q=np.array([{}], dtype=object))
+    with pytest.raises(LeglabError, match="array 'q' holds Python objects"):
+        data.read(path)
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(LeglabError, match=r"not a complete .npz file"):
+        data.read(path)
