@@ -18,7 +18,7 @@ from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
-from leglab.base.errors import FileError
+from leglab.base.errors import FileError, LeglabError
 
 _LOCK = ".leglab.lock"
 _WORKPLACE = ".leglab-work."
@@ -189,6 +189,21 @@ def has_locks(path: Path) -> bool:
         except OSError as error:
             return error.errno not in _NO_LOCKS
     return True
+
+
+@contextmanager
+def piece(name: str, missing: dict[str, str]) -> Iterator[None]:
+    """Notes in `missing` why a piece of a result could not be made, instead of raising.
+
+    A search of hours is not lost with a page or a file that comes after it.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = (
+            str(error) if isinstance(error, LeglabError) else f"{type(error).__name__}: {error}"
+        )
+        missing[name] = " ".join(reason.split()).removeprefix(f"{name}: ")
 
 
 def cannot_write(path: Path, error: OSError) -> FileError:

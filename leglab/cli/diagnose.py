@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from leglab.base.errors import SettingsError
-from leglab.base.output import check_apart, check_folder, new_folder
+from leglab.base.output import check_apart, check_folder, new_folder, piece
 from leglab.cli.options import (
     Columns,
     From,
@@ -107,12 +107,14 @@ def diagnose(
                 settings=settings,
                 progress=lambda line: show(description=line),
             )
-            better = improved_model(found, lambda line: show(description=line))
-        if better is not None:
-            written = better.write(partial).name
-            result = result.with_model(written, better.learned, better.errors)
+            with piece("improved.xml", result.missing):
+                better = improved_model(found, lambda line: show(description=line))
+                if better is not None:
+                    learned, errors = better.learned, better.errors
+                    result = result.with_model(better.write(partial).name, learned, errors)
+        with piece("diagnosis.html", result.missing):
+            write_page(result, partial, model=Path(model).stem)
         results.write_diagnosis(result, partial)
-        write_page(result, partial, model=Path(model).stem)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return
@@ -125,7 +127,8 @@ def diagnose(
         print_table(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
-    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out}/diagnosis.html")
+    made_last = out / ("diagnosis.json" if "diagnosis.html" in result.missing else "diagnosis.html")
+    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {made_last}")
 
 
 def _check_effects(names: list[str]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from leglab.base.output import check_apart, check_folder, new_folder, write_atomically
+from leglab.base.output import check_apart, check_folder, new_folder, piece, write_atomically
 from leglab.cli.options import (
     Columns,
     From,
@@ -75,7 +75,8 @@ def improve(
                 progress=lambda line: show(description=line),
             )
         if better is not None:
-            result = replace(result, model=better.write(partial).name)
+            with piece("improved.xml", result.missing):
+                result = replace(result, model=better.write(partial).name)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         write_atomically(partial / "improvement.json", lambda file: file.write(text.encode()))
     if as_json:
@@ -85,8 +86,10 @@ def improve(
     print_table(_table(result))
     told = "no improved.xml: no gain on held-out recordings"
     if better is not None:
-        told = f"{result.closed_fraction:.0%} of the held-out gap closed; {out}/improved.xml"
-    output.print(told, markup=False)
+        place = f"; {out}/improved.xml" if result.model else ""
+        told = f"{result.closed_fraction:.0%} of the held-out gap closed{place}"
+    for line in (told, *(f"{name} is missing: {why}" for name, why in result.missing.items())):
+        output.print(line, markup=False)
 
 
 def _table(result: "Improvement") -> Table:

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from leglab.base.output import piece
 from leglab.base.recording import Recording
 from leglab.base.scale import rms
 from leglab.base.threads import one_blas_thread
@@ -53,6 +54,8 @@ class Improvement:
     recordings: tuple[ReplayError, ...]
     units: dict[str, str]  #: Of the channels
     model: str | None = None  #: File name of the improved model; None where there is none
+    #: What could not be made, each with the reason, as noted by `leglab.base.output.piece`.
+    missing: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The content of improvement.json."""
@@ -116,7 +119,8 @@ def improved_model(
     remainder = None
     little = (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
     if result.verdict != "nothing_missing" and little and result.gap.after > limits.explained:
-        remainder = learn_remainder(problem, final, named=named, progress=progress)
+        with piece("remainder", result.missing):
+            remainder = learn_remainder(problem, final, named=named, progress=progress)
     better = remainder.problem if remainder else problem
     final = remainder.hypothesis if remainder else final
     before, after = problem.noise_levels(problem.library.neutral()), better.noise_levels(final)
@@ -175,7 +179,10 @@ def improve(
         sure, final = _recalibrated(found, kept)
     else:
         problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
-    remainder = learn_remainder(problem, final, named=sure, progress=progress)
+    missing: dict[str, str] = {}
+    remainder = None
+    with piece("remainder", missing):
+        remainder = learn_remainder(problem, final, named=sure, progress=progress)
     final = remainder.hypothesis if remainder else final
     after = remainder.problem if remainder else problem.about(final)
     before = copy(problem)
@@ -202,6 +209,7 @@ def improve(
         horizon=problem.replay.window,
         recordings=_errors(pairs, squares),
         units={c.column: "Pa" if c.chamber else unit(c.joint) for c in problem.channels},
+        missing=missing,
     )
     better = ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
     return outcome, better if improved else None

@@ -6,7 +6,7 @@ their tolerance, and `after` with the named effects.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -267,6 +267,8 @@ class Diagnosis:
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
+        missing: Files of the result that could not be made, each with the reason, as noted by
+            `leglab.base.output.piece`.
         rollouts: Replays of all windows that it took.
         seconds: Wall time.
     """
@@ -289,6 +291,7 @@ class Diagnosis:
     calibration: Calibration | None = None
     model: str = ""
     learned: str = ""
+    missing: dict[str, str] = field(default_factory=dict)
     rollouts: float = 0.0
     seconds: float = 0.0
 
@@ -397,6 +400,7 @@ class Diagnosis:
             "notes": self.notes,
             "learned": self.learned or None,
             "model": self.model or None,
+            "missing": self.missing or None,
         }
         return {key: _plain(value) for key, value in content.items()}
 

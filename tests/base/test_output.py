@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from leglab.base.output import claimed_folder, new_file, new_folder, write_atomi
 from leglab.runs.folder import default_folder
 from leglab.runs.preparation import RunSettings
 from tests.cli.test_cli import leglab
+from tests.helpers.made_up_diagnosis import diagnosis
 from tests.helpers.report_folders import write_folder
 
 RUN = ("run", "nominal", "--model", "knee_bench", "--duration", "2", "--no-figures")
@@ -259,12 +261,12 @@ def test_a_diagnosis_that_breaks_off_leaves_no_folder(tmp_path, capsys, monkeypa
     def full(*_, **__):
         raise LeglabError("x: cannot be written: No space left on device")
 
-    monkeypatch.setattr("leglab.report.diagnosis.page.write_page", full)
+    monkeypatch.setattr("leglab.diagnosis.verdict.output.write_diagnosis", full)
     monkeypatch.setattr(
-        "leglab.diagnosis.verdict.verdict.diagnose", lambda *_, **__: (_Result(), None)
+        "leglab.diagnosis.verdict.verdict.diagnose", lambda *_, **__: (diagnosis(model=""), None)
     )
     monkeypatch.setattr("leglab.diagnosis.improve.improved_model", lambda *_: None)
-    monkeypatch.setattr("leglab.diagnosis.verdict.output.write_diagnosis", _Result.write)
+    monkeypatch.setattr("leglab.report.diagnosis.page.write_page", lambda *_, **__: None)
     shutil.copy(BENCH, tmp_path / "one.parquet")
     shutil.copy(BENCH, tmp_path / "two.parquet")
     recordings = (tmp_path / "one.parquet", tmp_path / "two.parquet")
@@ -276,9 +278,47 @@ def test_a_diagnosis_that_breaks_off_leaves_no_folder(tmp_path, capsys, monkeypa
         assert hidden(tmp_path) == []
 
 
-class _Result:
-    def write(self, folder: Path) -> None:
-        (folder / "diagnosis.json").write_text("{}")
+class _Better:
+    learned, errors = "", ()
+
+    def write(self, folder):
+        raise LeglabError("improved.xml: the model is refused")
+
+
+def test_what_cannot_be_made_costs_no_diagnosis(tmp_path, capsys, monkeypatch):
+    def broken(*_, **__):
+        raise KeyError("channel")
+
+    monkeypatch.setattr(
+        "leglab.diagnosis.verdict.verdict.diagnose", lambda *_, **__: (diagnosis(model=""), None)
+    )
+    monkeypatch.setattr("leglab.diagnosis.improve.improved_model", lambda *_: _Better())
+    monkeypatch.setattr("leglab.report.diagnosis.figures.gap_picture", broken)
+    broken.__name__ = "gap_picture"
+    shutil.copy(BENCH, tmp_path / "one.parquet")
+    out = tmp_path / "out"
+    status, shown, _ = leglab(
+        "diagnose", "knee_bench", tmp_path / "one.parquet", "--out", out, capsys=capsys
+    )
+    assert status == 0
+    missing = {
+        "improved.xml": "the model is refused",
+        "figures/gap*.png": "KeyError: 'channel'",
+    }
+    kept = json.loads((out / "diagnosis.json").read_text())
+    assert kept["missing"] == missing
+    assert (kept["model"], kept["verdict"]) == (None, "named")
+    assert not (out / "improved.xml").exists()
+    assert (out / "figures" / "ranking.png").exists()
+    page = (out / "diagnosis.html").read_text()
+    for name, reason in missing.items():
+        told = f"{name} is missing: {reason}"
+        assert told in " ".join(shown.split())
+        assert told in unescape(page)
+    monkeypatch.setattr("leglab.report.diagnosis.page.write_page", broken)
+    again = ("diagnose", "knee_bench", tmp_path / "one.parquet", "--out", out, "--overwrite")
+    assert leglab(*again, capsys=capsys)[0] == 0
+    assert "diagnosis.html" in json.loads((out / "diagnosis.json").read_text())["missing"]
 
 
 def test_a_folder_with_the_recordings_is_not_replaced(tmp_path, capsys):

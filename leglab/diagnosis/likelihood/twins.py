@@ -1,7 +1,8 @@
 """Effects that no recording of some channels tells apart, whatever the motion.
 
 A late command and a late position sensor shift the same motion against the same command. Only a
-third signal says which: a pressure, or another joint that feels this one.
+third signal says which: a pressure, or another joint that feels this one. A command that is
+constant in all recordings is never late, and its delay no twin of anything.
 """
 
 import mujoco
@@ -28,7 +29,13 @@ def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
         if other[0] in _DELAYS
         and other[0] != key[0]
         and set(machine.driven.get(other[1], (other[1],))) == set(joints)
+        and _changes(problem, dict((key, other))["command_delay"])
     )
+
+
+def _changes(problem: Problem, actuator: str) -> bool:
+    """Tests whether an actuator's command changes during a recording."""
+    return any(np.ptp(series.columns[f"{actuator}_command"]) > 0.0 for series in problem.series)
 
 
 def coupled_joints(machine: Machine) -> tuple[str, ...]:

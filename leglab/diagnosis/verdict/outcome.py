@@ -29,7 +29,10 @@ class Outcome:
 
     def __init__(self, judged: Judgement, specimen: Specimen | None) -> None:
         self.judged, self.specimen, self.found = judged, specimen, judged.sets.found
-        names, rows, fitter = judged.named or judged.confusion[:1], judged.rows, judged.sets.fitter
+        rows, fitter = judged.rows, judged.sets.fitter
+        # The values that are reported were fitted under that name, not a twin's.
+        fitted = {key for row in rows if not row.renamed for key in row.keys}
+        names = judged.named or tuple(k for k in judged.confusion if k in fitted)[:1]
         self.problem = problem = fitter.at.problem
         nothing = next(r for r in rows if not r.keys)
         row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])

@@ -123,4 +123,5 @@ def summary_lines(result: Diagnosis) -> list[str]:
     if result.not_testable:
         names = ", ".join(sorted({n.name for n in result.not_testable}))
         lines.append(f"these recordings hardly show: {names}")
+    lines += [f"{name} is missing: {reason}" for name, reason in result.missing.items()]
     return [*lines, *(f"note: {note}" for note in result.notes)]

@@ -188,7 +188,8 @@ class Sets:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     enter(self._row(there, members, fit.ended))
         for names, row in list(rows.items()):
-            if alike := self._alike(row):
+            alike = self._alike(row)
+            if alike and (alike.keys, False) in rows:  # fitted under the simpler name as well
                 del rows[names]
                 enter(alike)
                 continue

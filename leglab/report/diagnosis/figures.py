@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from leglab.base.output import piece
 from leglab.diagnosis.balance.regions import equally_filled
 from leglab.diagnosis.result import Diagnosis, ResidualTrace, shown_unit
 from leglab.report.diagnosis import words
@@ -70,14 +71,13 @@ def short(name: str, most: int = _LONGEST) -> str:
 
 def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
     """All figures that the diagnosis has content for, in the order of the page."""
-    found = (
-        overlay_picture(result),
-        whole_picture(result),
-        gap_picture(result),
-        ranking_picture(result),
-        rivals_picture(result),
-    )
-    return (*(p for p in found if p is not None), *residual_pictures(result))
+    makers = (overlay_picture, whole_picture, gap_picture, ranking_picture, rivals_picture)
+    found: list[CaptionedFigure] = []
+    for make in (*makers, residual_pictures):
+        with piece(f"figures/{make.__name__.rpartition('_')[0]}*.png", result.missing):
+            made = make(result)
+            found += made if isinstance(made, tuple) else [made] if made else []
+    return tuple(found)
 
 
 def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:

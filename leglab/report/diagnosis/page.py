@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from leglab.base.output import cannot_write, write_atomically
+from leglab.base.output import cannot_write, piece, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis import words
 from leglab.report.diagnosis.figures import CaptionedFigure, pictures
@@ -38,7 +38,10 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
             old.unlink()
     except OSError as error:
         raise cannot_write(place, error) from error
-    drawn = [_drawn(picture, place) for picture in pictures(result)]
+    drawn = []
+    for picture in pictures(result):
+        with piece(f"figures/{picture.name}.png", result.missing):
+            drawn.append(_drawn(picture, place))
     return shell.write_page(_page(result, drawn, model), folder / "diagnosis.html")
 
 
@@ -75,6 +78,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         ),
         improved=result.model,
         improved_words=words.improved_words(result),
+        missing=result.missing,
         first=[figure for figure in figures if figure["name"] in _FIRST],
         figures=[figure for figure in figures if figure["name"] not in _FIRST],
     )

@@ -476,11 +476,10 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
         lines.append(f"{capital(_at(effect))}: confidence {percent(effect.confidence)}.")
     if result.effects:
         lines.append(_CONFIDENCE)
-    lines.append(
-        "The improved model carries no effect without a name."
-        if result.model
-        else "No improved model is written: nothing makes the held-out recordings better."
-    )
+    if result.model:
+        lines.append("The improved model carries no effect without a name.")
+    elif "improved.xml" not in result.missing:
+        lines.append("No improved model is written: nothing makes the held-out recordings better.")
     if result.learned:
         lines.append(f"Learned without a name: {result.learned.rstrip('.')}.")
     return tuple(lines)
