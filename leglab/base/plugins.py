@@ -15,6 +15,7 @@ import importlib.util
 import sys
 import traceback
 from collections.abc import Callable, Iterable
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypedDict
@@ -31,8 +32,9 @@ _sources: dict[str, bool] = {}
 _packages: set[str] = set()
 # Why an entry point could not be loaded, by kind and name.
 _failures: dict[tuple[str, str], str] = {}
-# Files whose content may decide a result.
-_files: set[Path] = set()
+# Files whose content may decide a result, with its digest when they were first loaded: what is
+# written into them afterwards is not what runs.
+_files: dict[Path, bytes] = {}
 # Code that is being imported here brings what it registers along by itself.
 _importing = 0
 _SUFFIXES = (".py", ".xml", ".toml")
@@ -95,7 +97,7 @@ def _take_package(name: str) -> None:
     module = sys.modules.get(name)
     if module is not None:
         _packages.add(name)
-        _files.update(_package_files(module))
+        _take_files(module)
 
 
 def failures(kind: str | None = None) -> tuple[str, ...]:
@@ -127,7 +129,7 @@ def load(source: str) -> None:
         reason = "there is no module of this name, nor a file" if missing else _line(error)
         raise SettingsError(f"--load {source}: {reason}", given=source) from error
     _sources[str(path.resolve()) if is_file else source] = True
-    _files.update(_package_files(module))
+    _take_files(module)
 
 
 def imported(source: str) -> ModuleType:
@@ -154,7 +156,7 @@ def note(module_name: str) -> None:
     _sources.setdefault(
         str(Path(file).resolve()) if module_name == "__main__" else module_name, False
     )
-    _files.update(_package_files(module))
+    _take_files(module)
 
 
 def carried() -> Carried:
@@ -186,10 +188,10 @@ def carry(luggage: Carried) -> None:
 
 
 def code_digest() -> str:
-    """Digest of the files of all that is loaded; what these import from elsewhere is not in it."""
+    """Digest of the files of all that is loaded, and of what these import from beside them."""
     digest = hashlib.sha256()
     for file in sorted(_files):
-        digest.update(file.read_bytes())
+        digest.update(_files[file])
     return digest.hexdigest() if _files else ""
 
 
@@ -234,6 +236,13 @@ def _is_file(module: Any, path: Path) -> bool:
     return file is not None and Path(file).resolve() == path
 
 
+def _take_files(module: ModuleType) -> None:
+    """Notes that results may depend on the files of a module."""
+    for file in _package_files(module):
+        if file not in _files:
+            _files[file] = hashlib.sha256(file.read_bytes()).digest()
+
+
 def _package_files(module: ModuleType) -> Iterable[Path]:
     """The file of a module; all code and data of its package where it belongs to one."""
     file = getattr(module, "__file__", None)
@@ -243,6 +252,12 @@ def _package_files(module: ModuleType) -> Iterable[Path]:
     top = path.parent
     if not (top / "__init__.py").exists():
         yield path
+        if top.name not in ("site-packages", "dist-packages"):
+            # By its text, which is the same in every process, whatever else that has imported.
+            finder = ModuleFinder([str(top)])
+            finder.run_script(str(path))
+            found = (getattr(one, "__file__", None) for one in finder.modules.values())
+            yield from (Path(name).resolve() for name in found if name)
         return
     while (top.parent / "__init__.py").exists():
         top = top.parent

@@ -13,7 +13,15 @@ from rich.table import Table
 from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.output import new_file
 from leglab.cli.options import Columns, From, Json, Salvage, To, Which
-from leglab.cli.terminal import BAD_INPUT, errors, output, print_json, print_wide, tell
+from leglab.cli.terminal import (
+    BAD_INPUT,
+    errors,
+    output,
+    print_json,
+    print_wide,
+    tell,
+    tell_of_models,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,7 +84,7 @@ def convert(
     from leglab.data import plotjuggler
     from leglab.machine.scene import scene_of
     from leglab.machine.simulation import load_model
-    from leglab.runs.folder import RECORDING, read_run
+    from leglab.runs.folder import RECORDING, model_of, read_run
 
     # First of all what costs nothing to check.
     until, to = _as_second(to)
@@ -93,7 +101,8 @@ def convert(
     if (source / RECORDING).is_file():
         run = read_run(source)
         if form in _SHOWING and model is None:
-            model = str(run.configuration.settings["model"])
+            model = model_of(source, run.configuration)
+            tell_of_models([source])
             timestep = run.configuration.settings.get("timestep")
         source = source / RECORDING
     if model is not None and form not in _SHOWING:

@@ -152,7 +152,9 @@ def settings_of(context: typer.Context) -> "RunSettings":
     Raises:
         LeglabError: A name or value of the file or of an entry is not allowed.
     """
+    from leglab.cli.terminal import complain
     from leglab.runs import run_settings
+    from leglab.runs.folder import model_note
     from leglab.runs.preparation import RunSettings
 
     values = given_for(RunSettings, context)
@@ -162,6 +164,8 @@ def settings_of(context: typer.Context) -> "RunSettings":
         sources |= {"ramp_duration": sources["ramp"], "scenario": None}
         told = {n: v for n, v in values.items() if getattr(sources[n], "name", "") == "COMMANDLINE"}
         values = {**run_settings.read_settings(file), **told}
+        if file.suffix == ".json" and "model" not in told and (note := model_note(file)):
+            complain(note, "warning")
     values = run_settings.with_entries(values, context.params.get("set_") or ())
     return RunSettings(**values)
 

@@ -12,7 +12,15 @@ import typer
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import Camera, Jobs, Json, Load, check_jobs, split
-from leglab.cli.terminal import complain, make_many, output, print_json, progress, tell
+from leglab.cli.terminal import (
+    complain,
+    make_many,
+    output,
+    print_json,
+    progress,
+    tell,
+    tell_of_models,
+)
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Filmer, Report
@@ -134,6 +142,8 @@ def report(
         made = partial(make_many, "running", len(settings), make)
     with claimed_folder(place) as workplace:
         runs = read_runs(made() if scenario else folders or ())
+        if video:
+            tell_of_models(folders or ())
         with progress("filming" if video else "writing", 1.0) as show:
 
             def film(path: Path) -> Path:
@@ -274,6 +284,7 @@ def video(
     from leglab.report.film import FRAME_RATE, SIZE, render_film
 
     path = out or (folders[0] / "video.mp4" if len(folders) == 1 else Path("video.mp4"))
+    tell_of_models(folders)
     with progress("rendering", 1.0) as show:
         render_film(
             folders,

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
@@ -73,6 +74,17 @@ def complain(text: str, kind: str = "error") -> None:
     color = {"error": "red", "warning": "yellow"}[kind]
     line = " ".join(text.split("\n"))
     errors.print(Text.assemble((f"{kind}:", color), " ", line))
+
+
+def tell_of_models(folders: Iterable[Path]) -> None:
+    """Warns, a line each, of runs whose model is no longer what its file is."""
+    from leglab.runs.folder import model_note
+    from leglab.runs.record import CONFIGURATION
+
+    files = [folder / CONFIGURATION for folder in folders]
+    notes = [model_note(file) for file in files if file.is_file()]
+    for note in dict.fromkeys(filter(None, notes)):
+        complain(note, "warning")
 
 
 _WIDE = 120  # characters

@@ -25,7 +25,7 @@ def own_fingerprint() -> str:
         file.resolve()
         for folder in folders
         for file in folder.rglob("*")
-        if file.suffix in (".py", ".xml", ".toml", ".so")
+        if file.suffix in (".py", ".xml", ".toml", ".obj", ".so")
     }
     digest = hashlib.sha256()
     for file in sorted(files):

@@ -65,14 +65,24 @@ def model_path(model: str | Path) -> Path:
     return MODELS.get(name).path  # raises, and lists the names
 
 
+def is_shipped(model: str | Path) -> bool:
+    """Whether a model is one that ships with leglab, by name."""
+    names = MODELS.names()
+    return str(model) in names and MODELS.get(str(model)).path.parent in _shipped()
+
+
 def _first_sentence(path: Path) -> str:
     text = path.read_text(encoding="utf-8", errors="replace")
     comment = " ".join(text.partition("<!--")[2].partition("-->")[0].split())
     return comment.partition(". ")[0].rstrip(".")
 
 
+def _shipped() -> tuple[Path, ...]:
+    return tuple(Path(folder).resolve() for folder in leglab.models.__path__)
+
+
 def _register_shipped() -> None:
-    for path in sorted(Path(leglab.models.__path__[0]).glob("*.xml")):
+    for path in sorted(_shipped()[0].glob("*.xml")):
         register_model(path.stem, path)
 
 

@@ -19,10 +19,9 @@ from leglab.base.notebook import data_frame, data_index, html_table, panels
 from leglab.base.output import claimed_folder, write_atomically
 from leglab.base.units import error_unit
 from leglab.jobs.engine import Progress, Results, executor, make_missing
-from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import check_tolerance
 from leglab.runs.folder import content_with
-from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
+from leglab.runs.preparation import RunSettings, basis_of, check_controllers, scenario_of
 from leglab.runs.sweeps.making import made
 from leglab.runs.sweeps.outcome import traces
 
@@ -109,9 +108,9 @@ def run_all(
     """Makes all runs that the folder does not hold yet.
 
     Each run is one file, which is there as a whole or not at all: after an interruption the same
-    call goes on where it was. A run counts only with the same settings and the same code; what a
-    model file of the user's own includes is not looked at. A run that cannot be set up, raises,
-    takes longer than an hour, or whose process dies stops no other one and is not kept.
+    call goes on where it was. A run counts only with the same settings, the same code and the same
+    model, with what that includes and its assets. A run that cannot be set up, raises, takes longer
+    than an hour, or whose process dies stops no other one and is not kept.
 
     Args:
         runs: What to run.
@@ -132,17 +131,17 @@ def run_all(
             writes to it, or the scheduler cannot be reached.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
-    code = fingerprint()
+    bases = [basis_of(run) for run in runs]
 
     def keep(number: int, result: dict[str, Any]) -> dict[str, Any]:
-        kept = {**result, "code": code}
+        kept = {**result, **bases[number]}
         text = json.dumps(kept, allow_nan=False).encode()
         write_atomically(_path(runs[number], folder), lambda file: file.write(text))
         return kept
 
     with claimed_folder(folder):
         found = {
-            number: content_with({"settings": asdict(run), "code": code}, _path(run, folder))
+            number: content_with({"settings": asdict(run), **bases[number]}, _path(run, folder))
             for number, run in enumerate(() if overwrite else runs)
         }
         results = Results({n: result for n, result in found.items() if result}, keep)
@@ -150,7 +149,10 @@ def run_all(
             executor(result_of, jobs, scheduler),
             range(len(runs)),
             results,
-            lambda number: asdict(runs[number]),
+            lambda number: {
+                "settings": asdict(runs[number]),
+                "model_digest": bases[number]["model_digest"],
+            },
             told=lambda n: f"{runs[n].scenario} · {runs[n].controller} · seed {runs[n].seed}",
             progress=progress,
         )
@@ -228,16 +230,16 @@ def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
     return found
 
 
-def result_of(settings: dict[str, Any]) -> dict[str, Any]:
+def result_of(given: dict[str, Any]) -> dict[str, Any]:
     """Makes a run; what `run_all` returns of one.
 
     Args:
-        settings: Those of `RunSettings`.
+        given: `settings` of the run and the `model_digest`.
 
     Raises:
-        LeglabError: It cannot be set up.
+        LeglabError: It cannot be set up, or the model is another one by now.
     """
-    run = made(settings)
+    run = made(given["settings"], given["model_digest"])
     kept = traces(run)
     return {
         "settings": asdict(run.settings),

@@ -11,15 +11,22 @@ from typing import Any
 from leglab import data
 from leglab.base.errors import FileError, LeglabError, RecordingError, SettingsError
 from leglab.base.input import read_json
-from leglab.base.output import check_folder, new_folder
+from leglab.base.output import cannot_write, check_folder, new_folder
 from leglab.base.recording import Recording
 from leglab.jobs.engine import TIMEOUT, Progress, Results, executor, make_missing
-from leglab.jobs.fingerprint import fingerprint
+from leglab.machine.files import since
 from leglab.runs import record
-from leglab.runs.preparation import RunSettings, check_controllers, scenario_of
+from leglab.runs.preparation import (
+    RunSettings,
+    basis_of,
+    check_controllers,
+    prepared,
+    scenario_of,
+)
 from leglab.runs.record import (
     CONFIGURATION,
     METRICS,
+    MODEL,
     RECORDING,
     RUN_FILES,
     RUN_FOLDER,
@@ -87,7 +94,7 @@ def write_run(run: Run, folder: Path, *, overwrite: bool = False) -> Path:
 
 
 def write_result(run: Result, folder: Path) -> None:
-    """Writes `metrics.json` and `run.json` beside a recording.
+    """Writes `metrics.json`, `run.json` and the model's own files beside a recording.
 
     Args:
         run: The run, complete or not.
@@ -96,8 +103,38 @@ def write_result(run: Result, folder: Path) -> None:
     Raises:
         LeglabError: If a file cannot be written.
     """
+    configuration = run.configuration
+    if run.files:
+        try:
+            file = MODEL / run.files.write(folder / MODEL)
+        except OSError as error:
+            raise cannot_write(folder / MODEL, error) from error
+        configuration = configuration.model_copy(update={"model_file": file.as_posix()})
     record.write(run.record, folder / METRICS)
-    record.write(run.configuration, folder / CONFIGURATION)
+    record.write(configuration, folder / CONFIGURATION)
+
+
+def model_of(folder: Path, configuration: RunConfiguration) -> str:
+    """The model on which the run of a folder ran: a name, or the path of the folder's own copy."""
+    file = configuration.model_file
+    return str(configuration.settings["model"]) if file is None else str(folder / file)
+
+
+def model_note(path: Path) -> str:
+    """Says that a run's model is no longer what its file is; empty where it is.
+
+    Args:
+        path: The `run.json` of the run.
+
+    Raises:
+        LeglabError: It cannot be read.
+    """
+    found = record.read(RunConfiguration, path)
+    if found.model_file is None or found.model_source is None:
+        return ""
+    source = Path(found.model_source)
+    change = since(source, found.model_digest)
+    return change and f"{source.name} {change} since this run; the run's own model is used"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -303,7 +340,7 @@ def make_runs(
     """Makes the folders of runs that are not there yet.
 
     A folder is there as a whole or not at all, so the same call goes on where it was interrupted.
-    A folder counts only with the same settings and the same code, as `run_all` of
+    A folder counts only with the same settings, code and model, as `run_all` of
     `leglab.runs.comparison` has it; another one is replaced.
 
     Args:
@@ -322,9 +359,9 @@ def make_runs(
             than a run, or another process writes to it. The other runs are made.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
-    code = fingerprint()
     numbers = range(len(runs))
-    made = [n for n in numbers if not overwrite and _is_made(runs[n], folders[n], code)]
+    bases = [basis_of(run) for run in runs]
+    made = [n for n in numbers if not overwrite and _is_made(runs[n], folders[n], bases[n])]
     for number in numbers:
         if number not in made:
             check_folder(folders[number], mark=METRICS, overwrite=True)
@@ -332,7 +369,11 @@ def make_runs(
         executor(make_folder, jobs, timeout=timeout),
         numbers,
         Results(dict.fromkeys(made), lambda *_: None),
-        lambda n: {"settings": asdict(runs[n]), "folder": str(folders[n].absolute())},
+        lambda n: {
+            "settings": asdict(runs[n]),
+            "basis": bases[n],
+            "folder": str(folders[n].absolute()),
+        },
         told=lambda n: f"{runs[n].scenario} · {runs[n].controller}",
         progress=progress,
     )
@@ -346,8 +387,8 @@ def _asked(settings: RunSettings) -> dict:
     return json.loads(json.dumps(asdict(settings)))
 
 
-def _is_made(settings: RunSettings, folder: Path, code: str) -> bool:
-    wanted = {"asked": _asked(settings), "code": code}
+def _is_made(settings: RunSettings, folder: Path, basis: Mapping[str, str]) -> bool:
+    wanted = {"asked": _asked(settings), **basis}
     there = all((folder / name).is_file() for name in RUN_FILES)
     return there and content_with(wanted, folder / CONFIGURATION) is not None
 
@@ -366,7 +407,7 @@ def make_folder(given: dict[str, Any]) -> None:
     """Makes a run with its recording and writes its folder.
 
     Args:
-        given: `settings` of the run and the `folder`.
+        given: `settings` of the run, their `basis` and the `folder`.
 
     Raises:
         LeglabError: It cannot be set up, or the folder not be written.
@@ -374,9 +415,10 @@ def make_folder(given: dict[str, Any]) -> None:
     """
     settings = RunSettings(**given["settings"])
     folder = Path(given["folder"])
+    prepared(settings, given["basis"]["model_digest"])
     with new_folder(folder, mark=METRICS, made=RUN_FOLDER, overwrite=True) as partial:
         run = record_scenario(settings, partial / RECORDING)
         if (run.record.failure or "").startswith("interrupted"):
             raise KeyboardInterrupt
-        made = {"asked": _asked(settings), "code": fingerprint()}
+        made = {"asked": _asked(settings), "code": given["basis"]["code"]}
         write_result(replace(run, configuration=run.configuration.model_copy(update=made)), partial)

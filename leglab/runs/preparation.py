@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -13,12 +14,13 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import SettingsError
+from leglab.base.errors import ModelError, SettingsError
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
 from leglab.control.contract import CONTROLLERS
+from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import (
     NATIVE_FIELDS,
     check_tolerance,
@@ -26,6 +28,7 @@ from leglab.machine.changes import (
     vary_bodies,
     vary_parameters,
 )
+from leglab.machine.files import model_digest, model_files
 from leglab.machine.parameters import placed_parameters
 from leglab.machine.sensors import SensorConfiguration, in_whole_steps, loop_timing
 from leglab.machine.simulation import Simulation, load_model
@@ -131,6 +134,7 @@ class Preparation:
 
     Attributes:
         sensors: Sensors and timing.
+        files: Of the model; None of one that ships with leglab.
         nominal: The nominal machine in its rest pose; a run moves a machine of its own.
         controller_setup: What every controller may know.
 
@@ -142,11 +146,14 @@ class Preparation:
         check_tolerance(settings.tolerance)
         self._model, self._timestep = settings.model, settings.timestep
         self._parameters: dict[tuple[str, str], float] = {}
+        self.files = model_files(settings.model)
         if settings.parameters:
             plain = Simulation(self._load(visual=False))
             self._parameters = placed_parameters(settings.parameters, plain.elements)
         asked = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
+        if self.files and model_digest(settings.model) != self.files.digest:
+            raise _changed(settings.model)
         timestep = self.nominal.model.opt.timestep
         self.sensors = in_whole_steps(asked, timestep)
         # Before anything is sized by the period.
@@ -223,28 +230,46 @@ class Preparation:
 _PREPARED = 8
 
 
-def prepared(settings: RunSettings) -> Preparation:
-    """The preparation of a run, kept in this process for the next runs that share it.
+def prepared(settings: RunSettings, digest: str | None = None) -> Preparation:
+    """The preparation of a run, kept in this process for the next runs of the same machine.
 
-    A model is read again where its file, or an XML file beside it that it may include, was changed.
+    Args:
+        settings: Of the run.
+        digest: Of the model as the run is to have it; None for the model as it is.
 
     Raises:
-        LeglabError: As `Preparation`.
+        LeglabError: As `Preparation`, or the model is another one by now.
     """
-    file = Path(settings.model)
-    changed: list[Any] = []
-    if file.is_file():
-        beside = {file, *(f for f in file.parent.glob("*.xml") if f.is_file())}
-        changed = [str(file.resolve()), sorted(f"{f} {f.stat().st_mtime_ns}" for f in beside)]
+    now = model_digest(settings.model)
+    if digest not in (None, now):
+        raise _changed(settings.model)
+    # A path is that of another file where the process works in another folder.
+    file = os.path.abspath(settings.model) if Path(settings.model).is_file() else ""
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
-    key = json.dumps([changed, {name: getattr(settings, name) for name in shared}], sort_keys=True)
+    values = {name: getattr(settings, name) for name in shared}
+    key = json.dumps([file, now, values], sort_keys=True)
     return _prepared(key)
 
 
 @lru_cache(_PREPARED)
 def _prepared(key: str) -> Preparation:
-    _, settings = json.loads(key)
+    settings = json.loads(key)[-1]
     return Preparation(RunSettings(scenario="", **settings))
+
+
+def basis_of(settings: RunSettings) -> dict[str, str]:
+    """Digests of all that a run depends on beside its settings: what is kept of it goes by them.
+
+    Raises:
+        LeglabError: There is no such model, or MuJoCo refuses it.
+    """
+    return {"code": fingerprint(), "model_digest": model_digest(settings.model)}
+
+
+def _changed(model: str) -> ModelError:
+    """Returns the error of a model whose files changed while a command worked with them."""
+    told = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
+    return ModelError(told, given=model)
 
 
 def forget_preparations() -> None:

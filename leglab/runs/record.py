@@ -16,9 +16,10 @@ from leglab.base.units import error_unit
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
+MODEL = "model"  # folder of the model's files, where it does not ship with leglab
 # All that commands write into the folder of a run.
 RUN_FOLDER = (
-    *RUN_FILES, "tracking.png", "tracking_change.png", "pressures.png", "commands.png",
+    *RUN_FILES, MODEL, "tracking.png", "tracking_change.png", "pressures.png", "commands.png",
     "report.html", "report.mp4", "video.mp4",
 )  # fmt: skip
 
@@ -161,6 +162,9 @@ class RunConfiguration(BaseModel):
         versions: Of leglab, Python and packages.
         asked: Settings as they were asked for, where a folder is to be found again by them.
         code: Digest of leglab's code, likewise.
+        model_digest: Of the model with all its files; empty of one that ships with leglab.
+        model_file: Where the run's folder has the model; None of one that ships with leglab.
+        model_source: Where that was when it ran; absolute.
     """
 
     settings: dict[str, Any]
@@ -170,6 +174,9 @@ class RunConfiguration(BaseModel):
     versions: dict[str, str] = {}
     asked: dict[str, Any] | None = None
     code: str | None = None
+    model_digest: str = ""
+    model_file: str | None = None
+    model_source: str | None = None
 
 
 _Content = TypeVar("_Content", bound=BaseModel)

@@ -14,6 +14,7 @@ from leglab import __version__
 from leglab.base.recording import Recording
 from leglab.base.scenario import Scenario
 from leglab.data import parquet
+from leglab.machine.files import ModelFiles
 from leglab.runs.clock import adaptation
 from leglab.runs.history import Ending, History, Rows
 from leglab.runs.interrupts import held
@@ -39,6 +40,7 @@ class Result:
     configuration: RunConfiguration  #: Content of `run.json`
     window: float  #: Window of the sliding error [s]
     joints: tuple[str, ...]  #: Names of the driven joints
+    files: ModelFiles | None  #: Of the model that ran; None of one that ships with leglab
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -170,6 +172,7 @@ def _result(
         configuration=configuration,
         window=loop.reference.period,
         joints=loop.simulation.joints,
+        files=loop.preparation.files,
     )
 
 
@@ -270,6 +273,7 @@ def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[d
 
 def _configuration(loop: Loop) -> RunConfiguration:
     settings, scenario, simulation = loop.settings, loop.scenario, loop.simulation
+    files = loop.preparation.files
     return RunConfiguration(
         settings={
             **{name: getattr(settings, name) for name in settings.__dataclass_fields__},
@@ -295,6 +299,8 @@ def _configuration(loop: Loop) -> RunConfiguration:
             "python": platform.python_version(),
             **_package_versions(),
         },
+        model_digest=files.digest if files else "",
+        model_source=str(files.main) if files else None,
     )
 
 

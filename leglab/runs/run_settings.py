@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from leglab.base.errors import SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import first_problem
+from leglab.runs.folder import model_of
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
 
@@ -30,13 +31,15 @@ def read_settings(path: Path) -> dict[str, Any]:
 
     Args:
         path: A TOML file with these names, in which a table `controller` or `reference` holds a
-            `name` and that one's own settings; or the `run.json` of a run, with every setting.
+            `name` and that one's own settings; or the `run.json` of a run, with every setting and
+            the model that ran.
 
     Raises:
         LeglabError: The file cannot be read, or a name or a value is not allowed.
     """
     if path.suffix == ".json":
-        found = dict(read(RunConfiguration, path).settings)
+        run = read(RunConfiguration, path)
+        found = {**run.settings, "model": model_of(path.parent, run)}
     else:
         found = _without_tables(read_toml(path), str(path))
     return checked(found, str(path))

@@ -18,7 +18,7 @@ from leglab.base.errors import LeglabError
 from leglab.jobs import fingerprint
 from leglab.report.figures import comparison_figure
 from leglab.report.style import VERMILION
-from leglab.runs import comparison
+from leglab.runs import preparation
 from leglab.runs.comparison import Comparison, compare, estimate, run_all
 from leglab.runs.sweeps import making
 from tests.cli.test_cli import leglab as command_line
@@ -120,7 +120,7 @@ def test_finished_runs_are_not_repeated(tmp_path, monkeypatch):
     run_all(bench(seeds=3).runs()[1:], tmp_path, jobs=1, overwrite=True)
     assert len(calls) == 7
     # Results of other code do not count.
-    monkeypatch.setattr(comparison, "fingerprint", lambda: "other")
+    monkeypatch.setattr(preparation, "fingerprint", lambda: "other")
     run_all(bench(seeds=1).runs(), tmp_path, jobs=1)
     assert len(calls) == 8
 

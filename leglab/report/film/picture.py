@@ -48,9 +48,9 @@ class Picture:
         supplies_known = any(supply is not None for supply in supplies)
         highest = max((float(np.nanmax(s)) for s in supplies if s is not None), default=160e5)
         scale = _BAR_STEP * np.ceil(highest / _BAR_STEP - 0.05)
-        models = [(str(t.settings["model"]), t.settings.get("timestep")) for t in tracks]
-        self._machines = {model: DrawnMachine(*model, size) for model in dict.fromkeys(models)}
-        machines = [self._machines[model] for model in models]
+        drawn = {track.machine: (track.model, track.machine[1]) for track in tracks}
+        self._machines = {key: DrawnMachine(*model, size) for key, model in drawn.items()}
+        machines = [self._machines[track.machine] for track in tracks]
         self._stages = [DrawnRun(m, t, scale) for m, t in zip(machines, tracks, strict=True)]
         self._frame(machines, np.linspace(*span, _POSES), camera, size)
         left, right = look.traces()

@@ -15,6 +15,7 @@ from leglab.report.film.look import TIMES
 from leglab.report.page.outcome import t90
 from leglab.report.page.wording import readable, readable_unit
 from leglab.runs import metrics, record
+from leglab.runs.folder import model_of
 
 # A run counts as stopped early where it lacks more than this [s].
 _TOLERANCE = 0.05
@@ -38,6 +39,8 @@ class Track:
 
     folder: Path
     settings: Mapping[str, Any]  #: As in `run.json`
+    model: str  #: That ran: a name, or the path of the folder's own copy
+    machine: tuple[str, float | None]  #: What decides it: the model's digest or name, time step
     recording: Recording
     joints: tuple[str, ...]  #: Driven joints with a reference
     actuators: tuple[str, ...]  #: The actuator of each of them
@@ -148,6 +151,8 @@ def load_track(folder: Path) -> Track:
     return Track(
         folder=folder,
         settings=run.settings,
+        model=model_of(folder, run),
+        machine=(run.model_digest or run.settings["model"], run.settings.get("timestep")),
         recording=recording,
         joints=joints,
         actuators=tuple(recording.actuator_of(joint) or joint for joint in joints),

@@ -1,6 +1,6 @@
 """Makes the runs of a sweep that are missing, on this machine or on a Dask cluster."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -15,6 +15,7 @@ from leglab.base.notebook import html_table, panels
 from leglab.base.output import cannot_write, claimed_folder, remove
 from leglab.jobs.engine import Progress, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
+from leglab.machine.files import model_digest
 from leglab.runs.folder import make_runs
 from leglab.runs.sweeps import store, tuning
 from leglab.runs.sweeps.making import figures_of
@@ -179,7 +180,7 @@ def run_sweep(
                 made_by,
                 range(len(plan)),
                 kept,
-                lambda number: _request(plan, number, folder),
+                lambda number: _request(plan, number, folder, models),
                 ready=lambda: _ready(plan, folder, kept),
                 told=lambda _: f"{kept.failed} failed" if kept.failed > failed else "sweeping",
                 progress=progress,
@@ -222,6 +223,11 @@ def record_runs(
             raise SettingsError(told, given=number, allowed=f"0 to {len(plan) - 1}")
     places = [recording_folder(Path(folder).resolve(), number) for number in numbers]
     settings = [plan.settings(number) for number in numbers]
+    models = store.read_record(Path(folder)).models
+    for model in {run.model for run in settings}:
+        if model_digest(model) != models[model]:
+            told = f"{Path(model).name} has changed since this sweep: its runs cannot be made again"
+            raise FileError(told, given=model)
     return make_runs(settings, places, overwrite=True, timeout=plan.timeout, progress=progress)
 
 
@@ -295,10 +301,14 @@ def _tuning_rows(folder: Path, plan: SweepPlan) -> list[dict[str, Any]]:
     return store.read_rows(folder, sorted(names)).to_table(sorted(names)).to_pylist()
 
 
-def _request(plan: SweepPlan, number: int, folder: Path) -> dict[str, Any]:
+def _request(
+    plan: SweepPlan, number: int, folder: Path, models: Mapping[str, str]
+) -> dict[str, Any]:
+    settings = plan.settings(number)
     place = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
     return {
-        "settings": asdict(plan.settings(number)),
+        "settings": asdict(settings),
+        "model_digest": models[settings.model],
         "keep": list(plan.keep),
         "folder": None if place is None else str(place),
     }

@@ -14,7 +14,8 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
     """Makes a run.
 
     Args:
-        given: `settings` of the run, what to `keep`, and the `folder` of its recording or None.
+        given: `settings` of the run, the `model_digest`, what to `keep`, and the `folder` of its
+            recording or None.
 
     Returns:
         What `Outcome` holds.
@@ -23,7 +24,7 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
         WorkError: The run ended early.
         LeglabError: It cannot be set up.
     """
-    run = made(given["settings"])
+    run = made(given["settings"], given["model_digest"])
     if given["folder"] is not None:
         write_run(run, Path(given["folder"]), overwrite=True)
     if run.history.failure:
@@ -32,16 +33,20 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
     return outcome_of(run, given["keep"])
 
 
-def made(settings: dict[str, Any]) -> Run:
+def made(settings: dict[str, Any], model_digest: str) -> Run:
     """Makes a run; what runs of the same machine share is prepared once a process.
 
+    Args:
+        settings: Those of `RunSettings`.
+        model_digest: Of the model as the run is to have it.
+
     Raises:
-        LeglabError: It cannot be set up.
+        LeglabError: It cannot be set up, or the model is another one by now.
         KeyboardInterrupt: The user interrupts.
     """
     wanted = RunSettings(**settings)
     try:
-        run = run_scenario(wanted, preparation=prepared(wanted))
+        run = run_scenario(wanted, preparation=prepared(wanted, model_digest))
     except MemoryError:
         forget_preparations()
         raise

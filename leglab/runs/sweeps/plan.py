@@ -16,7 +16,6 @@ from pydantic import Field
 from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.input import read_bytes, read_json
 from leglab.base.settings import Configuration, validate_configuration
-from leglab.commissioning.setup import model_digest
 from leglab.control.contract import CONTROLLERS
 from leglab.machine.changes import check_tolerance
 from leglab.machine.parameters import placed_parameters
@@ -329,7 +328,7 @@ class SweepPlan:
             progress: Called now and then with 0, the number of runs, and how many are checked.
 
         Returns:
-            Digests of the compiled models by name.
+            Digests of the models by name.
 
         Raises:
             LeglabError: Names the run, the setting and what is allowed.
@@ -344,11 +343,11 @@ class SweepPlan:
                 continue
             settings = self._settings(given)
             try:
-                preparation = checks(settings)
+                files = checks(settings).files
             except LeglabError as error:
                 raise error.at(f"{self._name}: run {number} ({self._told(given)})") from error
             if settings.model not in models:
-                models[settings.model] = model_digest(preparation.nominal).hex()
+                models[settings.model] = files.digest if files else ""
         return models
 
     def _told(self, given: Mapping[str, Any]) -> str:

@@ -70,7 +70,7 @@ class SweepRecord(BaseModel):
     plan: dict[str, Any]  #: Content of the sweep's file
     digest: str  #: Of the plan
     code: str  #: Digest of leglab's code
-    models: dict[str, str]  #: Digests of the compiled models
+    models: dict[str, str]  #: Digests of the models
     runs: Annotated[int, Field(ge=1)]  #: Number of runs
     axes: list[str]  #: Settings in which they differ
     version: str  #: Of leglab

@@ -1,0 +1,171 @@
+"""The files that a model is made of: their digest, and a copy that loads from anywhere."""
+
+import hashlib
+import os
+import re
+import time
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+from leglab.base.errors import LeglabError, ModelError
+from leglab.machine.library import is_shipped, model_path
+from leglab.machine.simulation import load_model
+
+# A file whose times are younger than this may change again without new ones: clocks of file
+# systems tick every few milliseconds [s].
+_TICK = 0.1
+_MOST = 8  # models whose content is remembered
+_XML = (".xml", ".mjcf", ".urdf")
+# What names a file or a folder of assets in MJCF.
+_NAMED = re.compile(rb"""\b(file\w*|\w*dir)(\s*=\s*["'])([^"']*)(?=["'])""")
+_APART = "absolute"  # folder of what is named from the root of the file system
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFiles:
+    """A model as its files had it at one time.
+
+    Attributes:
+        main: The MJCF file, absolute.
+        content: Of it, of what it includes and of its assets, by absolute path.
+        digest: Of all that, wherever it lies.
+    """
+
+    main: Path
+    content: Mapping[Path, bytes] = field(repr=False)
+    digest: str
+
+    def write(self, folder: Path) -> Path:
+        """Writes the files as they lie to each other, so that the model loads from anywhere.
+
+        What MJCF names from the root of the file system gets other names, and lies wherever a name
+        may count from: beside each MJCF file and in the folders of assets.
+
+        Args:
+            folder: To be made.
+
+        Returns:
+            The MJCF file, below the folder.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        texts = [text for file, text in self.content.items() if _is_xml(file)]
+        named = [match.groups() for text in texts for match in _NAMED.finditer(text)]
+        apart = {Path(os.fsdecode(path)) for _, _, path in named if path.startswith(b"/")}
+        near = [file for file in self.content if not _is_below(file, apart) or file == self.main]
+        root = os.path.commonpath([file.parent for file in near])
+        dirs = {os.fsdecode(self._renamed(path)) for what, _, path in named if b"dir" in what}
+        folders = {file.parent.relative_to(root) for file in near if _is_xml(file)}
+        bases = {Path(os.path.normpath(one / base)) for one in folders for base in ("", *dirs)}
+        for file, content in self.content.items():
+            places = {file.relative_to(root)} if file.is_relative_to(root) else set()
+            if _is_below(file, apart):
+                places |= {base / _APART / file.relative_to("/") for base in bases}
+            if _is_xml(file):
+                content = _NAMED.sub(lambda m: m[1] + m[2] + self._renamed(m[3]), content)
+            for place in places:
+                (folder / place).parent.mkdir(parents=True, exist_ok=True)
+                (folder / place).write_bytes(content)
+        return self.main.relative_to(root)
+
+    def _renamed(self, path: bytes) -> bytes:
+        """A path in MJCF as the copy names it: another one if it is absolute and of this model."""
+        known = any(_is_below(file, {Path(os.fsdecode(path))}) for file in self.content)
+        return _APART.encode() + path if path.startswith(b"/") and known else path
+
+
+def _is_below(file: Path, places: Set[Path]) -> bool:
+    """Whether a file is one of some, or lies below one."""
+    return not places.isdisjoint((file, *file.parents))
+
+
+def model_files(model: str | Path) -> ModelFiles | None:
+    """Reads the files of a model; None of one that ships with leglab, which its code stands for.
+
+    Files that are as they were at the last call are not read again.
+
+    Args:
+        model: A name from `model_names()` or the path of an MJCF file.
+
+    Raises:
+        LeglabError: There is no such model, MuJoCo refuses it, or a file cannot be read.
+    """
+    if is_shipped(model):
+        return None
+    main = Path(os.path.abspath(model_path(model)))
+    there = _remembered.get(main)
+    if there and there[0] == _state(there[1].content):
+        return there[1]
+    before = time.time()
+    try:
+        content = {file: file.read_bytes() for file in _files(main)}
+    except OSError as error:
+        told = f"{error.filename}: {error.strerror or error}"
+        raise ModelError(f"{main.name}: cannot read {told}", given=main) from error
+    digest = hashlib.sha256()
+    for file in sorted(content):
+        name = os.path.relpath(file, main.parent).encode()
+        digest.update(hashlib.sha256(name).digest() + hashlib.sha256(content[file]).digest())
+    found = ModelFiles(main=main, content=content, digest=digest.hexdigest())
+    state = _state(content)
+    _remembered.pop(main, None)
+    if state is not None and max(max(s[2:]) for s in state) < (before - _TICK) * 1e9:
+        _remembered[main] = state, found
+        if len(_remembered) > _MOST:
+            del _remembered[next(iter(_remembered))]
+    return found
+
+
+def model_digest(model: str | Path) -> str:
+    """Digest of a model with what it includes and its assets; empty of one that ships with leglab.
+
+    Raises:
+        LeglabError: As `model_files`.
+    """
+    found = model_files(model)
+    return "" if found is None else found.digest
+
+
+def since(source: Path, digest: str) -> str:
+    """What became of a model's files since they had a digest, in words; empty where nothing did."""
+    if not source.is_file():
+        return "was removed"
+    try:
+        same = model_digest(source) == digest
+    except LeglabError:
+        same = False
+    return "" if same else "has changed"
+
+
+# Models with the state of their files, by their MJCF file.
+_remembered: dict[Path, tuple[tuple[tuple[int, ...], ...] | None, ModelFiles]] = {}
+
+
+def _state(files: Mapping[Path, bytes]) -> tuple[tuple[int, ...], ...] | None:
+    """What changes with the content of files; None where one is gone."""
+    try:
+        found = [file.stat() for file in files]
+    except OSError:
+        return None
+    return tuple((one.st_ino, one.st_size, one.st_mtime_ns, one.st_ctime_ns) for one in found)
+
+
+def _files(main: Path) -> set[Path]:
+    """The files of a model.
+
+    MuJoCo lists what the text names, without the folder of height fields, and what the compiled
+    model was made of, without the sides of cubes: so both.
+    """
+    compiled = load_model(main)
+    names = mujoco.mju_getXMLDependencies(str(main))
+    names += [os.fsdecode(name) for name in compiled.paths.split(b"\0") if name]
+    found = {Path(os.path.abspath(main.parent / name)) for name in names}
+    return {main, *(file for file in found if file.is_file())}
+
+
+def _is_xml(file: Path) -> bool:
+    return file.suffix.lower() in _XML
