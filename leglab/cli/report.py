@@ -81,9 +81,9 @@ def report(
     """Writes one page about runs: words, numbers, film and plots in one file.
 
     Give the folders of runs, or a scenario: its runs are made below OUT/runs, and a run that is
-    there with the same settings and code is kept. Writes report.html, which needs no other file,
-    and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the first;
-    that of a comparison its table, intervals as figures and every run.
+    there with the same settings, code and model is kept. Writes report.html, which needs no other
+    file, and report.mp4. The page of a sweep has heat maps and the worst runs, with films of the
+    first; that of a comparison its table, intervals as figures and every run.
     """
     from leglab.report.run.page import check_out, write_report
     from leglab.runs.comparison import is_comparison

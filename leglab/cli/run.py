@@ -42,8 +42,8 @@ def run(
 ) -> None:
     """Runs a scenario headless and writes metrics, recording, configuration and plots.
 
-    With the run.json of a run it makes that run again, to the bit where code and versions are the
-    same; options that are given hold over a file.
+    With the run.json of a run it makes that run again on the model that ran, to the bit where code
+    and versions are the same; options that are given hold over a file.
     """
     from leglab.base.scenario import get_scenario
     from leglab.report.figures import draw_run
@@ -111,8 +111,8 @@ def compare(
     """Runs scenarios with several controllers and seeds and compares the tracking errors.
 
     Writes compare.json and a figure a scenario. Runs that the output folder holds with the same
-    settings and code are not repeated: an interrupted comparison goes on where it was. A run that
-    fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
+    settings, code and model are not repeated: an interrupted comparison goes on where it was. A run
+    that fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
     """
     from leglab.report.comparison.words import failures
     from leglab.report.figures import save_comparison_figure

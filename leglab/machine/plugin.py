@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import functools
+import logging
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -52,10 +53,14 @@ def library_path() -> Path:
 def load_plugin() -> None:
     """Registers leglab's plugins with MuJoCo; further calls do nothing.
 
+    From then on MuJoCo's warnings go to Python's logger "mujoco", once each, instead of into a
+    file MUJOCO_LOG.TXT wherever the process works.
+
     Raises:
         LeglabError: The library does not load, as with a MuJoCo that it was not built against.
     """
     path = library_path()
+    mujoco.set_mju_user_warning(_log)
     try:
         mujoco.mj_loadPluginLibrary(str(path))
     except mujoco.FatalError as error:
@@ -65,6 +70,15 @@ def load_plugin() -> None:
             "version that leglab was built against, or build leglab anew",
             given=mujoco.__version__,
         ) from error
+
+
+@functools.lru_cache(maxsize=1000)
+def _log_once(warning: str) -> None:
+    logging.getLogger("mujoco").warning(warning)
+
+
+def _log(warning: str) -> None:
+    _log_once(warning.partition(" Time = ")[0].strip())
 
 
 def slots(names: Iterable[str]) -> dict[int, str]:
@@ -268,12 +282,11 @@ def _swap_clock(clock: int | None) -> int | None:
 
 
 def _swap_warnings(handler: Any) -> Any:
-    # True stands for MuJoCo's own handler, which the bindings do not give out.
-    mujoco.set_mju_user_warning(None if handler else lambda warning: None)
-    return True
+    mujoco.set_mju_user_warning(handler or (lambda warning: None))
+    return _log  # the bindings do not give out the one before
 
 
-# MuJoCo's warnings go to a log file: whoever suppresses them checks what they warn of.
+# Whoever suppresses MuJoCo's warnings checks what they warn of.
 without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swap_clock)
 
 

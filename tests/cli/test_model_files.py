@@ -17,6 +17,8 @@ from PIL import Image
 
 from leglab.base.errors import LeglabError
 from leglab.machine.files import model_digest, model_files
+from leglab.machine.plugin import without_warnings
+from leglab.machine.simulation import load_model
 from leglab.runs.preparation import RunSettings, prepared
 from tests.cli.test_cli import leglab
 
@@ -48,7 +50,7 @@ HOOK = """
   <worldbody><body name="hook" pos="0 1 0"><geom type="mesh" mesh="hook"/></body></worldbody>
 </mujoco>
 """
-LOAD = '<mujoco><geom name="load" type="capsule" size=".03" fromto="0 0 0 0 0 -.3" mass="{}"/></mujoco>'
+LOAD = '<mujoco><geom type="capsule" size=".03" fromto="0 0 0 0 0 -.3" mass="{}"/></mujoco>'
 SOLID = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 SHORT = ("--duration", "1")
 
@@ -240,3 +242,17 @@ def test_the_digest_of_code_has_what_a_loaded_file_imports(tmp_path):
     assert digest() == before
     (tmp_path / "helper.py").write_text("gain = 2\n")
     assert digest() != before
+
+
+def test_mujoco_leaves_no_log_where_the_user_works(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    model = load_model("knee_bench")
+    with without_warnings():
+        pass
+    for _ in range(2):
+        data = mujoco.MjData(model)
+        data.qpos[:] = np.nan
+        mujoco.mj_step(model, data)
+    assert not list(tmp_path.iterdir())
+    texts = [record.getMessage() for record in caplog.records if "QPOS" in record.getMessage()]
+    assert texts == ["Nan, Inf or huge value in QPOS at DOF 0. The simulation is unstable."]
