@@ -40,6 +40,10 @@ def diverged(_):
     simulation.check()
 
 
+MAP_SETTINGS = ("clock", "columns", "decimal", "encoding", "separator", "skip", "stamps")
+TEXT = (".csv", ".txt", ".tsv", ".log", ".dat", ".asc")
+
+
 def suffix(folder):
     leglab.read(saved(folder / "a.xlsx", ""))
 
@@ -58,9 +62,9 @@ def mapped(folder):
         (cell, leglab.RecordingError, "high", "a number"),
         (scenario("seal_waer"), leglab.SettingsError, "seal_waer", leglab.scenario_names()),
         (scenario("seal_wear", severity=0.5), leglab.SettingsError, 0.5, "[1, 1000]"),
-        (mapped, leglab.SettingsError, "clok", ("clock", "columns", "stamps")),
+        (mapped, leglab.SettingsError, "clok", MAP_SETTINGS),
         (diverged, leglab.SimulationError, -2e3, "below 1000"),
-        (suffix, leglab.FileError, ".xlsx", (".parquet", ".csv", ".mcap", ".mat", ".npz", ".rrd")),
+        (suffix, leglab.FileError, ".xlsx", (".parquet", *TEXT, ".mcap", ".mat", ".npz", ".rrd")),
         (lambda folder: leglab.read(folder / "a.csv"), leglab.FileError, "a.csv", None),
     ],
 )
