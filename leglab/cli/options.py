@@ -111,7 +111,7 @@ Load = Annotated[
     ),
 ]
 
-RECORDINGS = (".parquet", ".csv", ".mcap", ".mat", ".npz")
+RECORDINGS = (".parquet", ".csv", ".txt", ".tsv", ".log", ".dat", ".mcap", ".mat", ".npz")
 """Suffixes that `leglab.data.read` knows."""
 
 _PACKAGE = Path(__file__).parent.parent

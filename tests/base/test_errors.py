@@ -45,7 +45,7 @@ TEXT = (".csv", ".txt", ".tsv", ".log", ".dat", ".asc")
 
 
 def suffix(folder):
-    leglab.read(saved(folder / "a.xlsx", ""))
+    leglab.read(saved(folder / "a.docx", ""))
 
 
 def mapped(folder):
@@ -64,7 +64,7 @@ def mapped(folder):
         (scenario("seal_wear", severity=0.5), leglab.SettingsError, 0.5, "[1, 1000]"),
         (mapped, leglab.SettingsError, "clok", MAP_SETTINGS),
         (diverged, leglab.SimulationError, -2e3, "below 1000"),
-        (suffix, leglab.FileError, ".xlsx", (".parquet", *TEXT, ".mcap", ".mat", ".npz", ".rrd")),
+        (suffix, leglab.FileError, ".docx", (".parquet", *TEXT, ".mcap", ".mat", ".npz", ".rrd")),
         (lambda folder: leglab.read(folder / "a.csv"), leglab.FileError, "a.csv", None),
     ],
 )
