@@ -1,24 +1,31 @@
-"""Messages of MCAP files and the numbers in them."""
+"""Messages of bags, MCAP or sqlite3, and the numbers in them."""
 
+import io
 import mmap
+import sqlite3
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import BinaryIO, cast
 
 import numpy as np
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Message, MessageIndex, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
+from zstandard import ZstdDecompressor
 
 from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
 from leglab.data.files import LeftOut, check_notes, first_line
-from leglab.data.ros_messages import header_stamp, numbers, supported
+from leglab.data.ros_messages import DEFINITIONS, header_stamp, numbers, supported
 
 # Our metadata record, with JSON under the key "metadata".
 METADATA_NAME = "leglab"
+_IDS = 2**16  # of channels, and of schemas, that a file can have
+_SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 
 
 @dataclass
@@ -32,6 +39,39 @@ class Bag:
     messages: list[Message] = field(default_factory=list)
     metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
 
+    lost: list[str] = field(default_factory=list)  #: What is not whole, a line each
+    missing: int = 0  #: Messages of broken chunks
+
+    def take(self, record: object) -> None:
+        """Keeps a record that says or holds something."""
+        # The summary at the end repeats schemas and channels: the first ones count.
+        if isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)
+        elif isinstance(record, Message):
+            channel = self.channels.get(record.channel_id)  # Of a broken chunk, it is at the end.
+            if channel is None or supported(self.kind(channel)):
+                self.messages.append(record)
+        elif isinstance(record, Metadata) and record.name == METADATA_NAME:
+            self.metadata = parse_json(record.metadata["metadata"])
+            check_notes(self.metadata)
+
+    def add(self, part: "Bag", offset: int, path: Path) -> None:
+        """Adds another file, in which ids are counted anew."""
+        for schema in part.schemas.values():
+            self.schemas[schema.id + offset] = schema
+        for channel in part.channels.values():
+            schema_id = channel.schema_id + offset
+            self.channels[channel.id + offset] = replace(channel, schema_id=schema_id)
+        for message in part.messages:
+            message.channel_id += offset
+            owner = self.channels.get(message.channel_id)
+            if owner is not None and supported(self.kind(owner)):
+                self.messages.append(message)
+        self.metadata |= part.metadata
+        self.lost += [f"{path.name}: {line}" for line in part.lost]
+
     def kind(self, channel: Channel) -> str:
         """Returns the type of a channel's messages."""
         schema = self.schemas.get(channel.schema_id)
@@ -44,41 +84,108 @@ class Bag:
         return ", ".join(f"{t!r} ({kind!r})" for t, kind in found.items()) or "no topic"
 
 
-def scan(path: Path) -> Bag:
-    """Reads a whole file.
+def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
+    """Reads whole files, the parts of one recording.
+
+    Args:
+        paths: MCAP or sqlite3 files, packed by zstd where they end on `.zstd`.
+        salvage: Whether what is whole of broken files is read; `lost` counts the rest.
 
     Raises:
-        LeglabError: The file is truncated, a checksum is wrong, or it is no MCAP file.
+        LeglabError: A file is truncated, a checksum is wrong, or it is no bag.
     """
     bag = Bag()
-    wanted: set[int] = set()
-    try:
-        # A mapped file, for its `read` never allocates more than there is, whatever a broken
-        # record says of its length.
-        read = mmap.ACCESS_READ
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=read) as stream:
-            for record in StreamReader(stream, validate_crcs=True).records:  # type: ignore[arg-type]
-                # The summary at the end repeats schemas and channels: the first ones count.
-                if isinstance(record, Schema):
-                    bag.schemas.setdefault(record.id, record)
-                elif isinstance(record, Channel):
-                    bag.channels.setdefault(record.id, record)
-                    if supported(bag.kind(record)):
-                        wanted.add(record.id)
-                elif isinstance(record, Message) and record.channel_id in wanted:
-                    bag.messages.append(record)
-                elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-                    bag.metadata = parse_json(record.metadata["metadata"])
-                    check_notes(bag.metadata)
-    # Whatever the decompressors and parsers trip over, the cause is the file.
-    except Exception as error:
-        at = f"after {len(bag.messages)} readable messages"
-        if isinstance(error, EndOfFile | struct.error):
-            reason = f"it ends {at}; is the file truncated?"
-        else:
-            reason = f"{at}: {first_line(error)}"
-        raise FileError(f"{path}: not a complete MCAP file: {reason}", given=path) from error
+    for index, path in enumerate(paths):
+        part = Bag()
+        try:
+            if path.suffix == ".zstd":
+                packed = ZstdDecompressor().stream_reader(path.open("rb"), read_across_frames=True)
+                _scan(io.BytesIO(packed.read()), part, salvage)
+            else:
+                # A mapped file, for its `read` never allocates more than there is, whatever a
+                # broken record says of its length.
+                read = mmap.ACCESS_READ
+                with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=read) as stream:
+                    _scan(cast(BinaryIO, stream), part, salvage)
+        # Whatever the decompressors and parsers trip over, the cause is the file.
+        except Exception as error:
+            at = f"after {len(part.messages)} readable messages"
+            ends = isinstance(error, EndOfFile | struct.error)
+            if salvage and (part.messages or part.channels):
+                part.lost.append(
+                    f"it ends or is broken {at} ({first_line(error)}), the rest is lost"
+                )
+            else:
+                reason = f"{at}: {first_line(error)}"
+                reason = f"it ends {at}; is the file truncated?" if ends else reason
+                way = "" if salvage else "; --salvage reads what is whole"
+                told = f"{path}: not a complete MCAP file: {reason}{way}"
+                raise FileError(told, given=path) from error
+        bag.add(part, _IDS * index, path)
     return bag
+
+
+def _scan(stream: BinaryIO, bag: Bag, salvage: bool) -> None:
+    if stream.read(len(_SQLITE)) == _SQLITE:
+        scan_sqlite(_SQLITE + stream.read(), bag)
+        return
+    stream.seek(0)
+    broken = chunks = 0
+    whole = True
+    # Of a broken file the checksum of all is wrong; those of its chunks are checked one by one.
+    reader = StreamReader(stream, validate_crcs=not salvage, emit_chunks=True)
+    for record in reader.records:
+        if isinstance(record, Chunk):
+            chunks += 1
+            try:
+                records, whole = breakup_chunk(record, validate_crc=True), True
+            except Exception:
+                if not salvage:
+                    raise
+                records, whole = [], False
+                broken += 1
+        elif isinstance(record, MessageIndex) and not whole:
+            bag.missing += len(record.records)
+            continue
+        else:
+            records = [record]
+        for one in records:
+            bag.take(one)
+    if broken:
+        told = f"{broken} of {chunks} chunks are broken, with them {bag.missing} messages lost"
+        bag.lost.append(told)
+
+
+def scan_sqlite(content: bytes, bag: Bag) -> None:
+    """Reads a bag of sqlite3; definitions of messages are there from ROS 2 Iron on.
+
+    Args:
+        content: The file.
+        bag: Gets what is in it.
+    """
+    database = sqlite3.connect(":memory:")
+    # Versions 2 of the format mean a log beside the file, which a bag that was closed has not.
+    database.deserialize(content[:18] + b"\1\1" + content[20:])
+    named = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    definitions = {kind: ("ros2msg", text) for kind, text in DEFINITIONS.items()}
+    if ("message_definitions",) in named:
+        rows = "topic_type, encoding, encoded_message_definition FROM message_definitions"
+        found = database.execute(f"SELECT {rows}").fetchall()
+        definitions |= {kind: (form, text) for kind, form, text in found if text}
+    rows = "id, name, type, serialization_format FROM topics"
+    for number, topic, kind, encoding in database.execute(f"SELECT {rows}"):
+        form, text = definitions.get(kind, ("", ""))
+        bag.take(Schema(id=number, data=text.encode(), encoding=form, name=kind))
+        bag.take(Channel(number, topic, encoding, {}, number))
+    for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
+        bag.take(Message(number, time, data, time, 0))
+
+
+def _unpacked(data: bytes) -> bytes:
+    """A message, which a bag may hold packed; none that is not begins like that."""
+    if not data.startswith(_ZSTD):
+        return data
+    return ZstdDecompressor().decompressobj().decompress(data)
 
 
 def decode(
@@ -116,7 +223,7 @@ def decode(
                     f"encoded as {channel.message_encoding!r} with a definition in "
                     f"{schema.encoding!r}; allowed: 'cdr' with 'ros2msg'"
                 )
-            content = decoder(message.data)
+            content = decoder(_unpacked(message.data))
             stamp = header_stamp(content)
             is_clock = channel.topic == clock_topic
             found = numbers(schema.name, content, channel.topic, is_clock=is_clock)

@@ -12,6 +12,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from leglab.base.errors import FileError, LeglabError, RecordingError
+from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
@@ -41,6 +42,11 @@ _DESCRIPTION = "/robot_description"
 _HYDRAULIC = frozenset(
     ("pressure_a", "pressure_b", "spool", "oil_temperature", "seal_clearance", "energy_supply")
 )
+# Files of a bag; what is unpacked beside a packed file counts.
+_PARTS = ("*.mcap.zstd", "*.db3.zstd", "*.db3", "*.mcap")
+_PART = re.compile(
+    r"^\s*-\s+(?:path:\s*)?[\"']?([^\s\"']+\.(?:mcap|db3)(?:\.zstd)?)[\"']?\s*$", re.M
+)
 # Names of fields that ROS allows.
 _FIELD = re.compile(r"[a-z](?:_?[a-z0-9])*")
 
@@ -62,7 +68,7 @@ def read_table(
     under "alignment", and `start_ns` where the time axis was moved to 0.
 
     Args:
-        path: The file, or the folder of a ROS 2 bag with one such file.
+        path: The file, or the folder of a ROS 2 bag, whose parts follow one another.
         left_out: Gets columns and topics that cannot be read.
         columns: Names; the clock, and which stamps count. Values are not converted here.
 
@@ -74,8 +80,8 @@ def read_table(
             names shares no time with them.
     """
     columns = columns or ColumnMap()
-    path = _file_of(path)
-    bag = scan(path)
+    files, lacking = _files_of(path, left_out)
+    bag = scan(files, salvage=left_out.salvage)
     clock_topic = _clock_topic(bag, columns, path)
     series = decode(bag, clock_topic, columns.stamps, path, left_out)
     clock = series.pop(clock_topic)
@@ -104,6 +110,8 @@ def read_table(
         start = 0
     if start:
         metadata["start_ns"] = start
+    if lost := [*lacking, *bag.lost]:
+        metadata["salvaged"] = lost
     if notes:
         metadata["alignment"] = [*metadata.get("alignment", ()), *notes]
     return Timed({"time": (clock.stamps - start) / 1e9, **table}), metadata
@@ -256,21 +264,37 @@ def _write_description(scene: Scene, stamp: int, writer: Writer) -> Callable[[in
     return write_poses
 
 
-def _file_of(path: Path) -> Path:
+def _files_of(path: Path, left_out: LeftOut) -> tuple[list[Path], list[str]]:
+    """The parts of a bag, in any order, and a line for those that are missing."""
     if not path.is_dir():
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        names = ", ".join(file.name for file in files) or "none"
+        return [path], []
+    files = {f.name.removesuffix(".zstd"): f for kind in _PARTS for f in path.glob(kind)}
+    listed = path / "metadata.yaml"
+    text = read_bytes(listed).decode(errors="replace") if listed.is_file() else ""
+    named = {Path(name).name.removesuffix(".zstd") for name in _PART.findall(text)}
+    notes = []
+    if lacking := sorted(named - files.keys()):
+        told = f"{path}: no {', '.join(lacking)}, which metadata.yaml names"
+        if not left_out.salvage:
+            way = "; --salvage reads the others"
+            raise FileError(f"{told}{way if files else ''}", given=path)
+        notes.append(told)
+    series = {re.sub(r"_\d+$", "", Path(name).stem) for name in files}
+    if not files or (len(series) > 1 and not named):
+        names = ", ".join(sorted(files)) or "none"
         told = f"{path}: a bag with {len(files)} .mcap files ({names}); allowed: "
         raise FileError(told, given=path, allowed="one")
-    return files[0]
+    return [files[name] for name in sorted(named & files.keys() or files)], notes
 
 
 def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
     candidates = {c.topic for c in bag.channels.values() if bag.kind(c) == JOINT_STATE}
     if not candidates:
         told = f"{path}: no topic of type {JOINT_STATE}; found {bag.topics()}"
+        forms = {c.message_encoding for c in bag.channels.values()} - {"cdr"}
+        if forms:
+            told += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
+            told += "export them as CSV (PlotJuggler, Foxglove)"
         raise RecordingError(told, allowed=(JOINT_STATE,))
     if columns.clock is not None:
         if columns.clock not in candidates:

@@ -36,6 +36,10 @@ _STAMPED = {
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
 }
+_LAYOUT = {
+    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n",
+    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride\n",
+}
 
 
 def _within(parts: Mapping[str, str]) -> str:
@@ -54,8 +58,14 @@ DEFINITIONS = {
         kind: f"std_msgs/Header header\nfloat64 {_SCALARS[kind]}\nfloat64 variance\n{_HEADER}"
         for kind in (FLUID_PRESSURE, TEMPERATURE)
     },
+    "std_msgs/msg/Float32": "float32 data\n",
+    **{
+        f"std_msgs/msg/Float{bits}MultiArray": f"std_msgs/MultiArrayLayout layout\n"
+        f"float{bits}[] data\n{_within(_LAYOUT)}"
+        for bits in (32, 64)
+    },
 }
-"""Of the messages that are written."""
+"""Of the messages that are written, and of those that older bags do not define."""
 
 _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 

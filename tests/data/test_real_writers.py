@@ -1,15 +1,22 @@
 """Files by the writers that users have, read with no option or with the map that is proposed."""
 
+import io
 import json
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from leglab import data
 from leglab.base.errors import LeglabError
+from leglab.base.recording import Recording
 from tests.cli.test_cli import leglab
 
 RATE, ROWS = 50, 300
@@ -155,4 +162,123 @@ def test_arrays_of_numpy_that_do_not_fit(tmp_path):
         data.read(path)
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(LeglabError, match=r"not a complete .npz file"):
+        data.read(path)
+
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+STATE, NUMBER = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
+
+
+def rosbag(folder, storage, mode=CompressionMode.NONE, rows=slice(None)):
+    """A bag by rosbags: joint states and a command."""
+    state, number, header, time = (
+        STORE.types[name]
+        for name in (STATE, NUMBER, "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+    writer = Writer(folder, version=8, storage_plugin=storage)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer as bag:
+        states = bag.add_connection("/joint_states", STATE, typestore=STORE)
+        sent = bag.add_connection("/knee_command", NUMBER, typestore=STORE)
+        for t, q in zip(TIME[rows].tolist(), POSITION[rows].tolist(), strict=True):
+            ns, none = EPOCH + round(1e9 * t), np.empty(0)
+            stamp = header(time(ns // 10**9, ns % 10**9), "")
+            message = state(stamp, ["knee"], np.array([q]), none, none)
+            bag.write(states, ns, STORE.serialize_cdr(message, STATE))
+            bag.write(sent, ns, STORE.serialize_cdr(number(-q), NUMBER))
+    return folder
+
+
+def check_bag(found):
+    assert found.time == pytest.approx(TIME, abs=1e-9)
+    assert found["knee_position"].tolist() == POSITION.tolist()
+    assert found["knee_command"].tolist() == (-POSITION).tolist()
+
+
+@pytest.mark.parametrize(
+    "mode", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE]
+)
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_bags_of_rosbags(tmp_path, storage, mode):
+    folder = rosbag(tmp_path / "bag", storage, mode)
+    before = sorted(folder.iterdir())
+    check_bag(data.read(folder))
+    (folder / "metadata.yaml").unlink()
+    check_bag(data.read(folder))
+    assert sorted(folder.iterdir()) == [p for p in before if p.name != "metadata.yaml"]
+
+
+def split_bag(tmp_path):
+    """Three files of one bag, as rosbag2 splits it by size."""
+    lines = ["rosbag2_bagfile_information:", "  relative_file_paths:"]
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for k in range(3):
+        part = rosbag(tmp_path / f"p{k}", StoragePlugin.MCAP, rows=slice(100 * k, 100 * k + 100))
+        (part / f"p{k}.mcap").rename(folder / f"bag_{k}.mcap")
+        lines.append(f"  - bag_{k}.mcap")
+    (folder / "metadata.yaml").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_a_split_bag_is_one_recording_and_a_lost_part_is_said(tmp_path):
+    folder = split_bag(tmp_path)
+    check_bag(data.read(folder))
+    (folder / "bag_1.mcap").unlink()
+    with pytest.raises(LeglabError, match=r"no bag_1.mcap, which metadata.yaml names; --salvage"):
+        data.read(folder)
+    found = data.read(folder, salvage=True)
+    assert len(found) == 200
+    assert "no bag_1.mcap" in found.metadata["salvaged"][0]
+
+
+def chunked(path):
+    """A file of many chunks; returns where the data of each begins."""
+    data.write(Recording(time=TIME, columns={"knee_position": POSITION}), path)
+    source = make_reader(io.BytesIO(path.read_bytes()))
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=1500, compression=CompressionType.NONE)
+        writer.start()
+        for schema, channel, message in source.iter_messages():
+            if message.sequence == 0:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                number = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(number, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    with path.open("rb") as stream:
+        return [c.chunk_start_offset + 100 for c in make_reader(stream).get_summary().chunk_indexes]
+
+
+def test_what_is_whole_of_a_broken_file_is_salvaged(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    chunks = chunked(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: chunks[5]] + b"\xff" * 40 + whole[chunks[5] + 40 :])
+    code, _, error = leglab("inspect", str(path), capsys=capsys)
+    assert code == 2
+    assert "--salvage reads what is whole" in error
+    code, shown, _ = leglab("inspect", str(path), "--salvage", capsys=capsys)
+    assert code == 0
+    found = data.read(path, salvage=True)
+    (line,) = found.metadata["salvaged"]
+    assert line in shown
+    assert f"1 of {len(chunks)} chunks are broken" in line
+    assert f"{ROWS - len(found)} messages lost" in line
+    path.write_bytes(whole[: chunks[-3]])
+    cut = data.read(path, salvage=True)
+    assert ROWS / 2 < len(cut) < ROWS
+    assert f"{len(cut)} readable messages" in cut.metadata["salvaged"][0]
+
+
+def test_messages_of_another_encoding_are_refused_with_the_way_out(tmp_path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        kind = writer.register_schema("knee", "jsonschema", b"{}")
+        number = writer.register_channel("/knee", "json", kind)
+        writer.add_message(number, EPOCH, b'{"position": 1.0}', EPOCH)
+        writer.finish()
+    with pytest.raises(LeglabError, match="encoded as 'json' are not read: export them as CSV"):
         data.read(path)
