@@ -23,7 +23,7 @@ MISSING = ["", "-", "--", "nan", "NaN", "NAN", "null", "NULL", "Null", "None", "
 """Cells that stand for a missing sample; all other text is refused."""
 
 _BLANKS = " "
-_SEPARATORS = (",", ";", "\t", "|", _BLANKS)
+_SEPARATORS = ",;\t|" + _BLANKS
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(?i:inf|infinity)\s*")
 # Booleans and lists are samples, too, as are dates and times of day.
 _SAMPLE = re.compile(r"(?i:true|false|on|off|yes|no)|[\[(]\s*[-+.]?\d.*[\])]")
@@ -86,16 +86,13 @@ def dialect(text: str, settings: TextSettings, path: Path) -> Dialect:
     if not filled:
         raise FileError(f"{path}: not a CSV file: it is empty", given=path)
     rows = filled[-min(_ROWS, max(2, len(filled) // 2)) :]
-    if settings.separator:
-        separators: tuple[str, ...] = (settings.separator,)
-    else:
-        separators = _SEPARATORS
-    decimals = (settings.decimal,) if settings.decimal else (".", ",")
+    separators = settings.separator or _SEPARATORS
+    decimals = settings.decimal or ".,"
     fits = [(*_fit(rows, s, d), s, d) for d in decimals for s in separators]
     _, width, separator, decimal = max(fits, key=lambda fit: fit[:2])
     table = [_cells(line, separator) for line in rows]
     if not settings.decimal:
-        _check_thousands([cell for row in table for cell in row], separator, path)
+        _check_thousands([cell for row in table for cell in row], path)
     head, first = _head(lines, separator, decimal, [row for row in table if len(row) == width])
     at, names = _names(head, width)
     if head and at is None and len(head[-1].cells) > 1 and not head[-1].numbers:
@@ -184,7 +181,7 @@ def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int]:
     return round(good / max(len(cells), 1) * count / len(rows), 3), width
 
 
-def _check_thousands(cells: list[str], separator: str, path: Path) -> None:
+def _check_thousands(cells: list[str], path: Path) -> None:
     commas = [cell.strip() for cell in cells if "," in cell and not cell.strip().startswith("[")]
     grouped = [cell for cell in commas if _THOUSANDS.fullmatch(cell)]
     if grouped and len(grouped) == len(commas):

@@ -1,6 +1,5 @@
 """Units that stand in the names of columns: `angle [deg]`, `stamp_ms`, `torque_Nm`, `p (bar)`."""
 
-import math
 import re
 from typing import NamedTuple
 
@@ -15,48 +14,34 @@ class NamedUnit(NamedTuple):
     si: str
 
 
-_TURN = 2.0 * math.pi
-# Factor and SI unit by spelling, in lower case; what differs in case alone follows below.
-_KNOWN: dict[str, tuple[float, str]] = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), (1.0, "s")),
-    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), (1e-3, "s")),
-    **dict.fromkeys(("us", "usec", "µs", "μs", "micros", "microseconds"), (1e-6, "s")),
-    **dict.fromkeys(("ns", "nsec", "nanos", "nanosec", "nanosecond", "nanoseconds"), (1e-9, "s")),
-    **dict.fromkeys(("min", "minutes"), (60.0, "s")),
-    **dict.fromkeys(("h", "hours"), (3600.0, "s")),
-    **dict.fromkeys(("rad", "radian", "radians"), (1.0, "rad")),
-    **dict.fromkeys(("deg", "°", "degree", "degrees"), (math.radians(1.0), "rad")),
-    **dict.fromkeys(("turn", "turns", "rev", "revs", "revolutions"), (_TURN, "rad")),
-    "mrad": (1e-3, "rad"),
-    **dict.fromkeys(("rpm", "rev/min", "1/min", "u/min", "min-1"), (_TURN / 60.0, "rad/s")),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), (1.0, "m")),
-    "cm": (1e-2, "m"),
-    "mm": (1e-3, "m"),
-    **dict.fromkeys(("um", "µm", "μm"), (1e-6, "m")),
-    **dict.fromkeys(("nm", "n m", "n*m", "n.m", "n·m", "newtonmeter"), (1.0, "N m")),
-    **dict.fromkeys(("knm", "kn m"), (1e3, "N m")),
-    **dict.fromkeys(("n", "newton", "newtons"), (1.0, "N")),
-    "kn": (1e3, "N"),
-    **dict.fromkeys(("pa", "pascal"), (1.0, "Pa")),
-    "kpa": (1e3, "Pa"),
-    "bar": (1e5, "Pa"),
-    "mbar": (1e2, "Pa"),
-    "psi": (6894.757293168361, "Pa"),
-    **dict.fromkeys(("degc", "°c", "celsius"), (1.0, "degC")),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), (1.0, "A")),
-    "ma": (1e-3, "A"),
-    **dict.fromkeys(("v", "volt", "volts"), (1.0, "V")),
-    "mv": (1e-3, "V"),
-    **dict.fromkeys(("%", "pct", "percent"), (1e-2, "1")),
+# SI units, and for each factor the spellings in lower case, a blank in them as "~".
+_TABLE = {
+    "s": "1 s sec secs second seconds|1e-3 ms msec millis millisecond milliseconds|60 min minutes|"
+    "1e-6 us usec µs μs micros microseconds|1e-9 ns nsec nanos nanosec nanosecond nanoseconds|"
+    "3600 h hours",
+    "rad": "1 rad radian radians|1e-3 mrad|0.017453292519943295 deg ° degree degrees|"
+    "6.283185307179586 turn turns rev revs revolutions",
+    "rad/s": "0.10471975511965977 rpm rev/min 1/min u/min min-1",
+    "m": "1 m meter meters metre metres|1e-2 cm|1e-3 mm|1e-6 um µm μm",
+    "N m": "1 nm n~m n*m n.m n·m newtonmeter|1e3 knm kn~m|1e-3 mnm",
+    "N": "1 n newton newtons|1e3 kn|1e-3 mn",
+    # 1e6 and 1e-3 differ in case alone; nobody measures a machine in mPa.
+    "Pa": "1 pa pascal|1e3 kpa|1e6 mpa|1e5 bar|1e2 mbar|6894.757293168361 psi",
+    "degC": "1 degc °c celsius",
+    "A": "1 a amp amps ampere|1e-3 ma",
+    "V": "1 v volt volts|1e-3 mv",
+    "1": "1 -|1e-2 % pct percent",
 }
-# 1e6 and 1e-3 differ in case alone; nobody measures a machine in mPa or mN m.
-_KNOWN |= {"mpa": (1e6, "Pa"), "mnm": (1e-3, "N m"), "mn": (1e-3, "N"), "-": (1.0, "1")}
-for _spelling, (_factor, _si) in list(_KNOWN.items()):
+_KNOWN: dict[str, tuple[float, str]] = {}
+for _si, _line in _TABLE.items():
+    for _factor, *_spellings in map(str.split, _line.split("|")):
+        _KNOWN |= {word.replace("~", " "): (float(_factor), _si) for word in _spellings}
+for _word, (_each, _si) in list(_KNOWN.items()):
     if _si in ("rad", "m"):  # ... a second, and a second squared
         for _end in ("/s", "_s", "_per_s", "_per_sec", "ps", "/sec", "s^-1"):
-            _KNOWN.setdefault(_spelling + _end, (_factor, f"{_si}/s"))
+            _KNOWN.setdefault(_word + _end, (_each, f"{_si}/s"))
         for _end in ("/s^2", "/s2", "/s²", "_s2", "_per_s2"):
-            _KNOWN.setdefault(_spelling + _end, (_factor, f"{_si}/s^2"))
+            _KNOWN.setdefault(_word + _end, (_each, f"{_si}/s^2"))
 # At the end of a name these are rather a port, an axis or a word than a unit.
 _NO_ENDING = frozenset(("a", "v", "n", "h", "-", "min", "rev", "m", "turn", "ma", "mn"))
 _BRACKETS = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)\s*$")

@@ -201,3 +201,25 @@ def test_numbers_keep_every_bit_in_each_separator(tmp_path):
     ]
     found = read(tmp_path, "time;a\n" + "\n".join(rows))
     assert found == Recording(time=TIME, columns={"a": samples})
+
+
+@pytest.mark.parametrize(
+    ("name", "stem", "factor", "si"),
+    [
+        ("angle [deg]", "angle", np.pi / 180, "rad"),
+        ("stamp_ms", "stamp", 1e-3, "s"),
+        ("torque_Nm", "torque", 1.0, "N m"),
+        ("speed_rad_s", "speed", 1.0, "rad/s"),
+        ("knee_velocity_rpm", "knee_velocity", np.pi / 30, "rad/s"),
+        ("p (bar)", "p", 1e5, "Pa"),
+        ("phi/deg", "phi", np.pi / 180, "rad"),
+        ("knee_pressure_a", "knee_pressure_a", 1.0, ""),
+        ("port_A", "port_A", 1.0, ""),
+        ("q[0]", "q[0]", 1.0, ""),
+        ("time", "time", 1.0, ""),
+    ],
+)
+def test_units_in_names(name, stem, factor, si):
+    found = data.units_in_names.split(name)
+    assert (found.stem, found.si) == (stem, si)
+    assert found.factor == pytest.approx(factor, rel=1e-15)
