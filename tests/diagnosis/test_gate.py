@@ -8,6 +8,7 @@ import pytest
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.diagnosis.balance.units import unquestioned
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.admission import admit
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
@@ -124,13 +125,13 @@ def test_a_wheel_may_turn_beyond_twice_around_and_says_what_was_unwrapped(wheel,
 
 def test_degrees_of_a_wheel_show_in_its_speeds_and_jumps(wheel, turning):
     degrees = changed(turning, "hinge_position", np.rad2deg)
-    with pytest.raises(LeglabError, match=r"57 times as slow; is it in degrees\? allowed: rad"):
-        admit(wheel, {"a": degrees})
+    with pytest.raises(LeglabError, match=r"'hinge_position' in degrees the model fits .* better"):
+        unquestioned(wheel, admit(wheel, {"a": degrees}))
     with pytest.raises(LeglabError, match=r"jumps by 360, .* is it in degrees\?"):
         admit(wheel, {"a": wrapped(degrees, "hinge_position", 360.0)})
     # A drive that is twenty times as strong as its model is no reason to doubt the unit.
     weak = changed(turning, "drive_command", lambda u: u / 20.0)
-    admit(wheel, {"a": weak})
+    unquestioned(wheel, admit(wheel, {"a": weak}))
 
 
 def test_an_encoder_that_begins_anew_within_a_limited_joint_comes_back_into_its_range():
@@ -490,10 +491,10 @@ def test_a_broken_cell_in_a_needed_column_is_named_by_its_row(tmp_path, slide, s
 
 def test_a_recording_in_degrees_is_left_out_if_others_remain(wheel, turning):
     wrong = changed(turning, "hinge_position", np.rad2deg)
-    admitted = admit(wheel, {"a": turning, "b": wrong, "c": turning}, ("a",))
+    admitted = unquestioned(wheel, admit(wheel, {"a": turning, "b": wrong, "c": turning}, ("a",)))
     assert set(admitted.recordings) == {"a", "c"}
     (note,) = admitted.notes
-    assert re.match(r"b: left out, column 'hinge_position' covers .* in degrees\?", note)
+    assert re.match(r"b: left out, with 'hinge_position' in degrees the model fits", note)
 
 
 def without(recording, column):

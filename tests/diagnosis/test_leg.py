@@ -11,8 +11,9 @@ from leglab.diagnosis.effects.spring import rest_position
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.likelihood.sizes import shown, sized
 from leglab.diagnosis.plant.model import Machine, moved
+from leglab.diagnosis.replay.replay import at_replay_step
 from leglab.diagnosis.replay.windows import channels
-from leglab.diagnosis.search.pipeline import DiagnosisSettings, at_replay_step, set_up
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.notes import notes, touching_share
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.runs.preparation import RunSettings

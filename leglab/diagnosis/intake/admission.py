@@ -3,19 +3,16 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
-from leglab.diagnosis.intake.series import Clock, UniformSeries, common_period
+from leglab.diagnosis.intake.series import Clock, common_period
+from leglab.diagnosis.intake.units import in_map, position_units, pressure_unit, within
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
-
-_DEGREES = 180.0 / np.pi
-_UNIT = "is it in bar?"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,11 +50,7 @@ def admit(
         name, others = next(iter(entries)), len(entries) - 1
         more = f" (and {others} more recordings cannot be used)" if others else ""
         raise RecordingError(f"{name}: {dropped[name]}{more}", given=name)
-    for name, entry in usable.items():
-        for column, why in entry.lost.items():
-            # A factor would save all pressures that no recording has in our unit.
-            if _UNIT in why and not any(column in e.pressures for e in usable.values()):
-                raise RecordingError(f"{name}: {why}", given=column)
+    _check_units(entries)
     periods = {name: Clock.of(e.recording.time).period for name, e in usable.items()}
     fastest = min(periods.values())
     for name, period in periods.items():
@@ -65,7 +58,7 @@ def admit(
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
             del usable[name]
-    _check_roles(usable, dropped, held)
+    check_roles(usable, dropped, held)
     columns = _pressures(usable, held)
     for name, entry in list(usable.items()):
         if missing := sorted(columns - entry.pressures):
@@ -89,9 +82,23 @@ def admit(
     )
 
 
-def _check_roles(
-    usable: Mapping[str, "_Entry"], dropped: Mapping[str, str], held: tuple[str, ...]
-) -> None:
+def _check_units(entries: Mapping[str, "_Entry"]) -> None:
+    """Refuses columns that at least half of the recordings have in another unit, as it seems.
+
+    A factor in the column map would save them all.
+    """
+    shared: dict[str, list[str]] = {}
+    for name, entry in entries.items():
+        for column in entry.doubted:
+            shared.setdefault(column, []).append(name)
+    for column, names in shared.items():
+        if 2 * len(names) >= len(entries):
+            why, more = entries[names[0]].doubted[column], len(names) - 1
+            others = f" (and {more} more recordings)" if more else ""
+            raise RecordingError(f"{names[0]}: {why}{others}", given=column)
+
+
+def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[str, ...]) -> None:
     """Refuses what leaves nothing to judge by, or nothing to fit."""
     if held and not set(held) & set(usable):
         told = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
@@ -136,6 +143,7 @@ class _Entry:
         said = recording.metadata.get("time")
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
+        self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         for column, cylinder in known.items():
             why = self._pressure_fault(column, cylinder) if column in own else reasons.get(column)
             if why:
@@ -174,9 +182,10 @@ class _Entry:
             if (found := unwrapped(own.time, own[column], hinge=unit == "rad")) is None:
                 continue
             samples, turn, jumps = found
-            if unit == "rad" and abs(turn / 360.0 - 1.0) < DEFAULT.same:
-                why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad"
-                return f"{why}; is it in degrees? allowed: rad"
+            for whole, units in ((360.0, "degrees"), (1.0, "turns")):
+                if unit == "rad" and abs(turn / whole - 1.0) < DEFAULT.same:
+                    why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad; is it in "
+                    return self._doubt(column, f"{why}{units}?", 2.0 * np.pi / whole)
             if (allowed := _range(self.machine, joint)) is not None:
                 # The turn in which the joint can be.
                 middle = 0.5 * (allowed[0] + allowed[1])
@@ -192,23 +201,21 @@ class _Entry:
         values = self.recording[column]
         low, high = np.nanmin(values), np.nanmax(values)
         said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
-        allowed = _range(self.machine, joint)
-        if allowed is None:
-            # A wheel may turn as far as it likes: only its speeds tell.
-            far = unit == "rad" and max(-low, high) > self.limits.far
-            if far and _in_degrees(self.machine, self.recording, joint):
-                return (
-                    f"{said}, and the model's forces explain its speeds 57 times as slow; is it in "
-                    "degrees? allowed: rad"
-                )
+        if (allowed := _range(self.machine, joint)) is None:
             return None
         lower, upper = allowed
         room = self.limits.beyond_range * (upper - lower)
         if low >= lower - room and high <= upper + room:
             return None
-        degrees = low / _DEGREES > lower - room and high / _DEGREES < upper + room
-        hint = "; is it in degrees?" if unit == "rad" and degrees else ""
-        return f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {unit}{hint}"
+        why = f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {unit}"
+        units = position_units(values, hinge=unit == "rad")
+        found = within(units, (low, high), (lower - room, upper + room))
+        return self._doubt(column, f"{why}; is it in {found[0]}?", found[1]) if found else why
+
+    def _doubt(self, column: str, question: str, factor: float) -> str:
+        """Notes that a column's unit is doubted, and returns the question."""
+        self.doubted[column] = f"{question} {in_map(repr(column), factor)}"
+        return self.doubted[column]
 
     def _pressure_fault(self, column: str, cylinder: str) -> str | None:
         """Why a pressure cannot be used, None if it can."""
@@ -216,14 +223,15 @@ class _Entry:
         finite = values[np.isfinite(values)]
         if finite.size < 0.5 * values.size:
             return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
-        highest = float(np.abs(finite).max())
-        if highest < self.limits.vapour_pressure:
-            supply = self.machine.parameter(cylinder, "supply_pressure")
-            return (
-                f"column {column!r} stays below {highest:.4g}, the supply of {cylinder!r} is "
-                f"{supply:.4g} Pa; {_UNIT} allowed: Pa"
-            )
         joint = self.machine.driven[cylinder][0]
+        both = (self.recording.columns.get(f"{joint}_{c}", finite) for c in CHAMBERS)
+        highest = own = float(np.abs(finite).max())
+        if own >= self.limits.vapour_pressure:  # One chamber alone may be open to the tank.
+            highest = max(float(np.nanmax(np.abs(x), initial=0.0)) for x in both)
+        supply = self.machine.parameter(cylinder, "supply_pressure")
+        if found := pressure_unit(highest, supply):
+            why = f"column {column!r} stays below {own:.4g}, the supply of {cylinder!r} is "
+            return self._doubt(column, f"{why}{supply:.4g} Pa; is it in {found[0]}?", found[1])
         position = self.recording.columns.get(f"{joint}_position", np.zeros(1))
         if np.ptp(finite) == 0.0 and np.nanmax(position) > np.nanmin(position):
             why = f"column {column!r} is {finite[0]:.6g} in every row"
@@ -272,39 +280,6 @@ def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
         return lower, upper
     far = DEFAULT.far
     return (-far, far) if on_cylinder and machine.unit(joint) == "rad" else None
-
-
-def _in_degrees(machine: Machine, recording: Recording, joint: str) -> bool:
-    """Whether the speeds of an unlimited hinge are clearly those of degrees.
-
-    Changes of speed over ten places of a grid of bins are compared with the model's accelerations.
-    It is clear where, with all unlimited hinges taken for degrees, these leave less than half as
-    much over as taken for radians, and less than half of the changes.
-    """
-    model, places = machine.base.model, 10
-    period = max(DEFAULT.bin, Clock.of(recording.time).period)
-    series = UniformSeries.from_recording(recording, "", machine.columns, period=period)
-    if series.time.size < 3 * places:
-        return False
-    data, dof = mujoco.MjData(model), machine.joints.index(joint)
-    known = series.valid[places:] & series.valid[:-places]
-    positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], axis=1)
-    commands = np.stack([series.columns[f"{name}_command"] for name in machine.actuators], axis=1)
-    wheels = [machine.unit(n) == "rad" and _range(machine, n) is None for n in machine.joints]
-    left = []
-    for factor in (1.0, 1.0 / _DEGREES):
-        q = np.where(wheels, factor, 1.0) * positions
-        v = np.gradient(q, period, axis=0)
-        gained = np.empty(len(q))
-        for k in range(len(q)):
-            data.qpos[:], data.qvel[:], data.ctrl[:] = q[k], v[k], commands[k]
-            mujoco.mj_forward(model, data)
-            gained[k] = period * data.qacc[dof]
-        rest = v[:, dof] - np.cumsum(gained)
-        changes, rests = ((x[places:] - x[:-places])[known] for x in (v[:, dof], rest))
-        size = float(np.sum(changes**2))
-        left.append(float(np.sqrt(np.sum(rests**2) / size)) if size > 0.0 else np.inf)
-    return left[1] < 0.5 * min(left[0], 1.0)
 
 
 def _longest_run(mask: np.ndarray) -> int:

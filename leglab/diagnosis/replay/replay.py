@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from leglab.base.errors import RecordingError
+from leglab.base.errors import LeglabError, RecordingError
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 from leglab.diagnosis.plant.moments import plugin_offset
@@ -60,6 +61,23 @@ class Course:
     #: How far a command that is larger by 1 moves each joint within half a window and a whole one,
     #: the median of windows, (2, actuators, joints).
     moves: np.ndarray
+
+
+def at_replay_step(machine: Machine, period: float) -> Machine:
+    """The machine at the step of its replays, whose error `Problem` takes off.
+
+    The longest that divides the sampling period [s], is at most twice the model's own and that the
+    model accepts.
+
+    Raises:
+        LeglabError: The model refuses its own step as well.
+    """
+    own = machine.file_timestep
+    fewest, most = (max(1, int(np.ceil(period / h - 1e-9))) for h in (2.0 * own, own))
+    for steps in range(fewest, most):
+        with suppress(LeglabError):
+            return machine.at_timestep(period / steps)
+    return machine.at_timestep(period / most)
 
 
 class Replay:

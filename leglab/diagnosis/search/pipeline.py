@@ -1,23 +1,23 @@
 """From recordings to fitted sets of effects: the problem, the specimen, the onset, the search."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.threads import threads_allowed
 from leglab.diagnosis.balance.balances import forces_left
+from leglab.diagnosis.balance.units import unquestioned
 from leglab.diagnosis.effects.base import Effect, EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.intake.admission import Admitted, admit
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
 from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.replay import at_replay_step
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.healthy import Specimen, calibrate
@@ -56,7 +56,9 @@ def set_up(
         LeglabError: Model or recordings do not fit each other, or are too short.
     """
     machine = Machine(model)
-    return _problem(machine, admit(machine, recordings, held_out, settings.thresholds), settings)
+    limits = settings.thresholds
+    admitted = unquestioned(machine, admit(machine, recordings, held_out, limits), limits)
+    return _problem(machine, admitted, settings)
 
 
 def _problem(
@@ -101,23 +103,6 @@ def _problem(
     )
 
 
-def at_replay_step(machine: Machine, period: float) -> Machine:
-    """The machine at the step of its replays, whose error `Problem` takes off.
-
-    The longest that divides the sampling period [s], is at most twice the model's own and that the
-    model accepts.
-
-    Raises:
-        LeglabError: The model refuses its own step as well.
-    """
-    own = machine.file_timestep
-    fewest, most = (max(1, int(np.ceil(period / h - 1e-9))) for h in (2.0 * own, own))
-    for steps in range(fewest, most):
-        with suppress(LeglabError):
-            return machine.at_timestep(period / steps)
-    return machine.at_timestep(period / most)
-
-
 def searched(
     model: str | Path,
     recordings: Mapping[str, Recording],
@@ -131,14 +116,14 @@ def searched(
     All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
     """
     machine, limits = Machine(model), settings.thresholds
-    admitted = admit(machine, recordings, held_out, limits)
+    admitted = unquestioned(machine, admit(machine, recordings, held_out, limits), limits)
     if not healthy:
         problem = _problem(machine, admitted, settings)
         problem = _sized(problem, shown(problem))
         progress("looking for an onset")
         found = search(problem, onsets=onset_of(problem), log=progress)
         return found, None, admitted.notes
-    earlier = admit(machine, healthy, (), limits)
+    earlier = unquestioned(machine, admit(machine, healthy, (), limits), limits)
     # A specimen differs in more than the effects that the user asks for.
     whole = replace(settings, effects=None, excluded=())
     before = _problem(machine, earlier, whole, beside=admitted.recordings)

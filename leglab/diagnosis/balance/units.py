@@ -1,0 +1,289 @@
+"""Wrong units and directions of signals: what the model explains with them, and without.
+
+Windows are replayed with a signal as it is, and multiplied by each factor of `intake.units`. A
+machine that has changed is not taken for another unit: no factor near 1 is tried, and one counts
+only where it explains nearly all of the motion, of which the signal as it is explains little.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leglab.base.errors import RecordingError
+from leglab.base.recording import Recording
+from leglab.diagnosis.intake.admission import Admitted, check_roles
+from leglab.diagnosis.intake.remarks import Remark, merged
+from leglab.diagnosis.intake.series import UniformSeries, common_period
+from leglab.diagnosis.intake.units import OPPOSITE, command_units, in_map, position_units
+from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.replay.replay import Replay, at_replay_step
+from leglab.diagnosis.replay.windows import channels, window_length
+from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+
+# Windows of all recordings together, and of one at least and at most: each trial replays them all,
+# and fewer tell no mean from chance.
+_WINDOWS, _FEWEST, _MOST = 16, 4, 8
+# A drive may be weak or strong by these: an effect explains that, and no unit need.
+_GAINS = (0.3, 3.0)
+# Squares beyond so many times those of the motion are those of a replay that blew up.
+_BLOWN = 1e8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubt:
+    """Doubt about the unit or direction of columns of one recording."""
+
+    recording: str
+    columns: tuple[str, ...]  #: That have the same unit
+    factor: float  #: Of these columns, that the model asks for
+    unit: str  #: That they have then, or `OPPOSITE`
+    times_better: float  #: Ratio of the errors of replays as it is, and with the factor
+    alike: tuple[str, ...] = ()  #: Columns whose opposite direction says the same
+
+    @property
+    def words(self) -> str:
+        """The doubt as a question, and what to write if it is right."""
+        better = f"the model fits {self.times_better:.2g} times better"
+        if self.times_better >= 100.0:
+            better = "the model fits more than 100 times better"
+        names = ", ".join(map(repr, self.columns))
+        if self.unit == OPPOSITE:
+            other = "".join(f" (or of {column!r})" for column in self.alike)
+            asked = "check which way the encoder counts and the drive turns"
+            said = f"with the opposite sign of {names}{other} {better}: {asked}"
+        else:
+            said = f"with {names} in {self.unit} {better}: check the unit"
+        return f"{said}; {in_map(names, self.factor)}"
+
+
+def unquestioned(
+    machine: Machine,
+    admitted: Admitted,
+    thresholds: Thresholds = DEFAULT,
+) -> Admitted:
+    """The recordings without those whose units or directions are in doubt.
+
+    Raises:
+        RecordingError: At least half of them share a doubt, or none would be left to fit or judge.
+    """
+    found = doubts(machine, admitted.recordings, thresholds)
+    shared: dict[tuple[tuple[str, ...], str], list[Doubt]] = {}
+    for doubt in found:
+        shared.setdefault((doubt.columns, doubt.unit), []).append(doubt)
+    most = max(shared.values(), key=len, default=[])
+    if most and 2 * len(most) >= len(admitted.recordings):
+        raise RecordingError(f"{most[0].recording}{_others(len(most))}: {most[0].words}")
+    dropped = {doubt.recording: doubt.words for doubt in found}
+    usable = {name: r for name, r in admitted.recordings.items() if name not in dropped}
+    check_roles(usable, dropped, admitted.held_out)
+    remarks = [Remark(f"left out, {why}", name) for name, why in dropped.items()]
+    return Admitted(
+        recordings=usable,
+        held_out=tuple(name for name in admitted.held_out if name in usable),
+        notes=merged(remarks, admitted.recordings) + admitted.notes,
+    )
+
+
+def _others(count: int) -> str:
+    return f" (and {count - 1} more recordings)" if count > 1 else ""
+
+
+def doubts(
+    machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
+) -> list[Doubt]:
+    """Doubts about units and directions, the clearest of each recording.
+
+    Recordings by name have all columns of the machine. One that is too short or does not move is in
+    no doubt.
+    """
+    try:
+        trials = _Trials(machine, recordings, thresholds)
+        as_it_is = trials.errors({})
+    except RecordingError:
+        return []
+    best: dict[str, Doubt] = {}
+    candidates = list(trials.candidates(as_it_is))
+    before = [as_it_is, *(trials.effects() if candidates else ())]
+    for columns, unit, factor in candidates:
+        try:
+            errors = trials.errors(dict.fromkeys(columns, factor))
+        except RecordingError:  # nothing to replay in this unit
+            continue
+        for recording, times in trials.clear(columns, before, errors):
+            known = best.get(recording)
+            said = known.times_better if known else 0.0
+            if known and known.unit == unit == OPPOSITE and _same(times, said, thresholds):
+                best[recording] = replace(known, alike=(*known.alike, *columns))
+            elif times > said:
+                best[recording] = Doubt(
+                    recording=recording,
+                    columns=columns,
+                    factor=factor,
+                    unit=unit,
+                    times_better=times,
+                )
+    return list(best.values())
+
+
+def _same(one: float, other: float, limits: Thresholds) -> bool:
+    return abs(one / other - 1.0) < limits.same
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Squares of a replay, each (windows, joints)."""
+
+    left: np.ndarray  #: Of measured less predicted positions
+    bent: np.ndarray  #: Of departures of the motion from a straight line in time
+    moved: np.ndarray  #: Of the motion, from where it starts
+
+
+def _size(errors: _Errors, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Squares of what bends the motion of the joints of some windows, (joints,)."""
+    return np.maximum(errors.bent[rows].sum(axis=0), 1e-300)
+
+
+def _shares(errors: _Errors, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Errors of some windows as shares of all that bends their motion, (windows,)."""
+    return np.minimum(errors.left[rows] / _size(errors, rows), _BLOWN).sum(axis=1)
+
+
+class _Trials:
+    """Replays of the liveliest part of each recording, with factors on its columns."""
+
+    def __init__(
+        self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
+    ) -> None:
+        self.recordings, self.limits = recordings, limits
+        # Two samples a bin tell a unit as well as ten do, in a fifth of the time.
+        period = max(common_period(recordings, limits), 0.5 * limits.bin)
+        self.machine = at_replay_step(machine, period)
+        shared = set.intersection(*(set(r.columns) for r in recordings.values()))
+        windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
+        length = (windows + 2) * window_length(period, limits)[0]
+        self.series = [
+            _liveliest(
+                UniformSeries.from_recording(r, name, tuple(shared), limits, period=period),
+                [f"{joint}_position" for joint in machine.joints],
+                length,
+            )
+            for name, r in recordings.items()
+        ]
+        grids = {s.name: Recording(time=s.time, columns=s.columns) for s in self.series}
+        self.channels = channels(machine, grids, limits)
+        self._as_logged = self._replay({})
+
+    def _replay(self, factors: Mapping[str, float]) -> Replay:
+        scaled = [
+            replace(s, columns={c: factors.get(c, 1.0) * x for c, x in s.columns.items()})
+            for s in self.series
+        ]
+        return Replay(self.machine, scaled, self.channels, self.limits, threads=1)
+
+    def errors(self, factors: Mapping[str, float]) -> tuple[np.ndarray, _Errors]:
+        """Recording of each window, (windows,), and its squares."""
+        change, replay = Change(self.machine), self._as_logged
+        for actuator in self.machine.actuators:
+            if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
+                change.command(actuator, lambda u, period, factor=factor: factor * u)
+        positions = {c: f for c, f in factors.items() if not c.endswith("_command")}
+        if positions:  # Whose unit decides where windows start, and what touches what.
+            replay = self._replay(positions)
+        joints = len(self.machine.joints)  # their channels come first
+        errors = replay.error(change).values[:, :joints]
+        measured = replay.measured()[:, :joints]
+        moved = measured[:, :, 1:].reshape((*errors.shape, -1)).mean(axis=3) - measured[:, :, :1]
+        place = np.linspace(-1.0, 1.0, replay.bins)
+        line = (moved @ place / (place @ place))[:, :, None] * place
+        bent = ((moved - moved.mean(axis=2, keepdims=True) - line) ** 2).mean(axis=2)
+        return replay.recording, _Errors((errors**2).mean(axis=2), bent, (moved**2).mean(axis=2))
+
+    def effects(self) -> Iterator[tuple[np.ndarray, _Errors]]:
+        """Errors with drives that are weak or strong by an effect."""
+        commands = [f"{actuator}_command" for actuator in self.machine.actuators]
+        for group in {(c,): None for c in commands} | {tuple(commands): None}:
+            for gain in _GAINS:
+                yield self.errors(dict.fromkeys(group, gain))
+
+    def candidates(
+        self, as_it_is: tuple[np.ndarray, _Errors]
+    ) -> Iterator[tuple[tuple[str, ...], str, float]]:
+        """Columns, units and factors to try, of joints whose motion the model does not explain.
+
+        A log has angles of all hinges, or commands of all drives, in one unit more often than not.
+        """
+        machine, (_, errors) = self.machine, as_it_is
+        # A straight line from the measured start explains as much, but for half of its errors.
+        unexplained = errors.left.sum(axis=0) > 0.25 * errors.bent.sum(axis=0)
+        poor = {j for j, bad in zip(machine.joints, unexplained, strict=True) if bad}
+        groups: dict[tuple[str, float], list[str]] = {}
+        for joint in machine.joints:
+            column = f"{joint}_position"
+            units: dict[str, float] = {}
+            for one in self.recordings.values():
+                units |= position_units(one[column], hinge=machine.unit(joint) == "rad")
+            for unit, factor in {OPPOSITE: -1.0, **units}.items():
+                groups.setdefault((unit, factor), []).append(column)
+                if joint in poor:
+                    yield (column,), unit, factor
+        for actuator in machine.actuators:
+            column, entry = f"{actuator}_command", machine.base.model.actuator(actuator)
+            hinge = all(machine.unit(joint) == "rad" for joint in machine.driven[actuator])
+            units = command_units(angle=hinge and float(entry.biasprm[1]) != 0.0)
+            for unit, factor in {OPPOSITE: -1.0, **units}.items():
+                groups.setdefault((f"{unit} ", factor), []).append(column)
+                if poor.intersection(machine.driven[actuator]):
+                    yield (column,), unit, factor
+        for (unit, factor), columns in groups.items():
+            if poor and len(columns) > 1 and factor != -1.0:
+                yield tuple(columns), unit.strip(), factor
+
+    def clear(
+        self,
+        columns: tuple[str, ...],
+        before: list[tuple[np.ndarray, _Errors]],
+        after: tuple[np.ndarray, _Errors],
+    ) -> Iterator[tuple[str, float]]:
+        """Recordings of which a factor on columns explains clearly more, and how much better."""
+        recording, new = after
+        known = [errors for number, errors in before if number.shape == recording.shape]
+        if len(known) < len(before):
+            return
+        machine, share = self.machine, self.limits.smaller_share
+        moved_by = {f"{a}_command": machine.driven[a] for a in machine.actuators}
+        moved_by |= {f"{joint}_position": (joint,) for joint in machine.joints}
+        own = sorted({machine.joints.index(j) for column in columns for j in moved_by[column]})
+        for number, name in enumerate(self.recordings):
+            rows = np.ix_(recording == number, own)
+            as_it_is, *others = (_shares(errors, rows) for errors in known)
+            left = min((as_it_is, *others), key=lambda x: float(x.sum()))
+            least = _shares(new, rows)
+            moved = (new.moved[rows] / _size(new, rows)).sum()
+            if not left.size or not least.sum() < share * min(left.sum(), moved):
+                continue
+            # Each window is a sample of its own: what one of them says may be chance.
+            gain = np.log(np.maximum(left, 1e-300) / np.maximum(least, 1e-300))
+            if gain.mean() > self.limits.beyond_chance * gain.std() / np.sqrt(gain.size):
+                yield name, float(np.sqrt(as_it_is.sum() / least.sum()))
+
+
+def _liveliest(series: UniformSeries, columns: list[str], length: int) -> UniformSeries:
+    """The part of a series, of so many samples, in which its columns move most."""
+    count = series.time.size
+    if count <= length:
+        return series
+    firsts = np.arange(0, count - length + 1, max(1, length // 4))
+    lively = np.zeros(firsts.size)
+    for column in columns:
+        steps = np.abs(np.diff(series.columns[column], prepend=series.columns[column][0]))
+        path = np.concatenate([[0.0], np.cumsum(steps * series.valid)])
+        lively += (path[firsts + length] - path[firsts]) / (path[-1] or 1.0)
+    part = slice(int(firsts[np.argmax(lively)]), None)
+    part = slice(part.start, part.start + length)
+    return replace(
+        series,
+        time=series.time[part],
+        columns={name: samples[part] for name, samples in series.columns.items()},
+        valid=series.valid[part],
+    )
