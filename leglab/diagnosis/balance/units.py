@@ -7,6 +7,7 @@ only where it explains nearly all of the motion, of which the signal as it is ex
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -149,6 +150,11 @@ def _shares(errors: _Errors, rows: tuple[np.ndarray, ...]) -> np.ndarray:
     return np.minimum(errors.left[rows] / _size(errors, rows), _BLOWN).sum(axis=1)
 
 
+def _times(factor: float, samples: np.ndarray, period: float) -> np.ndarray:
+    """A command path that multiplies."""
+    return factor * samples
+
+
 class _Trials:
     """Replays of the liveliest part of each recording, with factors on its columns."""
 
@@ -186,12 +192,16 @@ class _Trials:
         change, replay = Change(self.machine), self._as_logged
         for actuator in self.machine.actuators:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
-                change.command(actuator, lambda u, period, factor=factor: factor * u)
+                change.command(actuator, partial(_times, factor))
         positions = {c: f for c, f in factors.items() if not c.endswith("_command")}
         if positions:  # Whose unit decides where windows start, and what touches what.
             replay = self._replay(positions)
         joints = len(self.machine.joints)  # their channels come first
         errors = replay.error(change).values[:, :joints]
+        # What is the same in all windows is a constant force's, and no unit's.
+        for number in range(len(self.series)):
+            own = replay.recording == number
+            errors[own] -= errors[own].mean(axis=0) if own.any() else 0.0
         measured = replay.measured()[:, :joints]
         moved = measured[:, :, 1:].reshape((*errors.shape, -1)).mean(axis=3) - measured[:, :, :1]
         place = np.linspace(-1.0, 1.0, replay.bins)

@@ -210,7 +210,7 @@ class _Entry:
         why = f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {unit}"
         units = position_units(values, hinge=unit == "rad")
         found = within(units, (low, high), (lower - room, upper + room))
-        return self._doubt(column, f"{why}; is it in {found[0]}?", found[1]) if found else why
+        return self._doubt(column, f"{why}; is it {found[0]}?", found[1]) if found else why
 
     def _doubt(self, column: str, question: str, factor: float) -> str:
         """Notes that a column's unit is doubted, and returns the question."""

@@ -10,7 +10,7 @@ _LENGTHS = {"mm": 1e-3, "inches": 0.0254, "micrometres": 1e-6}
 _PRESSURES = {"bar": 1e5, "MPa": 1e6, "psi": 6894.757, "kPa": 1e3}
 _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
-OPPOSITE = "the opposite direction"
+OPPOSITE = "counted the other way"
 # Counts of encoders in a turn: others lie near enough to ask.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
@@ -48,10 +48,16 @@ def pressure_unit(highest: float, supply: float) -> tuple[str, float] | None:
 def within(
     units: Mapping[str, float], values: tuple[float, float], room: tuple[float, float]
 ) -> tuple[str, float] | None:
-    """First unit, and its factor, in which lowest and highest value lie within a room."""
-    for name, factor in units.items():
-        if room[0] < factor * values[0] and factor * values[1] < room[1]:
-            return name, factor
+    """In which unit, and by which factor, lowest and highest value lie within a room first.
+
+    In words; counted the other way, in another unit, or both.
+    """
+    ways = {OPPOSITE: -1.0} | {f"in {name}": factor for name, factor in units.items()}
+    ways |= {f"in {name}, {OPPOSITE}": -factor for name, factor in units.items()}
+    for words, factor in ways.items():
+        low, high = sorted(factor * value for value in values)
+        if room[0] < low and high < room[1]:
+            return words, factor
     return None
 
 
