@@ -122,6 +122,7 @@ def convert(
             plotjuggler.write_layout(measured, place)
         data.write(measured, target, form, scene=scene)
     repairs = list(measured.metadata.get("repairs", ()))
+    salvaged = list(measured.metadata.get("salvaged", ()))
     if as_json:
         found = {
             "source": str(source),
@@ -131,10 +132,10 @@ def convert(
             "columns": list(measured.columns),
             "lost": list(lost),
             "repairs": repairs,
+            "salvaged": salvaged,
         }
         print_json(found, ascii_only=False)
         return
-    salvaged = measured.metadata.get("salvaged", ())
     for word, lines in (("salvaged", salvaged), ("repaired", repairs), ("lost", lost)):
         for line in lines:
             errors.print(f"{word}: {line}", markup=False)

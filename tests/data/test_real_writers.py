@@ -2,8 +2,11 @@
 
 import io
 import json
+import zipfile
 
+import duckdb
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -282,3 +285,67 @@ def test_messages_of_another_encoding_are_refused_with_the_way_out(tmp_path):
         writer.finish()
     with pytest.raises(LeglabError, match="encoded as 'json' are not read: export them as CSV"):
         data.read(path)
+
+
+FRAME = pd.DataFrame({"time": TIME, "knee_position": POSITION, "knee_command": -POSITION})
+INDEXED = FRAME.set_index(pd.to_datetime(EPOCH + np.arange(ROWS) * 20_000_000)).drop(columns="time")
+
+
+def duck(path, options):
+    frame = FRAME  # noqa: F841 (DuckDB finds it by name)
+    duckdb.sql(f"COPY frame TO '{path}' ({options})")
+
+
+WRITERS = {
+    "pandas.csv": lambda path: FRAME.to_csv(path),
+    "index.csv": lambda path: INDEXED.to_csv(path),
+    "semicolon.csv": lambda path: FRAME.to_csv(path, sep=";", decimal=",", index=False),
+    "pandas.parquet": lambda path: INDEXED.to_parquet(path),
+    "duckdb.parquet": lambda path: duck(path, "FORMAT parquet"),
+    "duckdb.tsv": lambda path: duck(path, "FORMAT csv, DELIMITER '\t'"),
+    "UPPER.CSV": lambda path: FRAME.to_csv(path, index=False),
+    "savetxt.csv": lambda path: np.savetxt(
+        path, FRAME, delimiter=",", header=",".join(FRAME), comments=""
+    ),
+    "numpy.npz": lambda path: np.savez(path, **FRAME),
+    "scipy.mat": lambda path: savemat(path, {name: FRAME[name].to_numpy() for name in FRAME}),
+    "wrong_suffix.csv": lambda path: FRAME.to_parquet(path),
+    "bag": lambda path: rosbag(path, StoragePlugin.MCAP),
+    "sqlite": lambda path: rosbag(path, StoragePlugin.SQLITE3),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_files_of_real_writers_need_no_option(tmp_path, name):
+    WRITERS[name](tmp_path / name)
+    found = data.read(tmp_path / name, partial=True)
+    assert found.time == pytest.approx(TIME, abs=1e-9)
+    assert {"knee_position", "knee_command"} <= found.columns.keys()
+    assert found["knee_position"] == pytest.approx(POSITION, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "way"),
+    [
+        ("a.h5", b"\x89HDF\r\n\x1a\n", "python -c .*h5py.File.*numpy.savez"),
+        ("a.xlsx", None, "python -c .*read_excel.*to_csv"),
+        ("a.parquet.gz", b"\x1f\x8b\x08", "gunzip -k .*a.parquet.gz"),
+        ("a.csv", b"\x28\xb5\x2f\xfd", "unzstd"),
+        ("a.npy", b"\x93NUMPY", "numpy.savez"),
+        ("a.bag", b"#ROSBAG V2.0\n", "rosbags-convert --src .* --dst"),
+        ("a.xls", b"text", "not a complete .xls file"),
+        ("a.rrd", b"RRF2", "cannot be read back"),
+        ("a.docx", b"text", "'.docx' is not a known format, allowed: .parquet"),
+    ],
+)
+def test_what_is_not_read_is_refused_with_the_way_out(tmp_path, name, head, way):
+    path = tmp_path / name
+    if head is None:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("[Content_Types].xml", "")
+            archive.writestr("xl/workbook.xml", "")
+    else:
+        path.write_bytes(head)
+    with pytest.raises(LeglabError, match=way) as caught:
+        data.read(path)
+    assert str(path) in str(caught.value)
