@@ -2,6 +2,7 @@
 
 import json
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from leglab.data import ColumnMap, Summary
     from leglab.diagnosis.intake.proposal import Proposal
+    from leglab.diagnosis.plant.model import Machine
 
 
 # Formats that show a machine.
@@ -281,7 +283,39 @@ def _proposal(
     from leglab.diagnosis.plant.model import Machine
 
     machine = Machine(model)
-    return propose(table, own_units(metadata), usable_columns(machine), machine.columns, known)
+    units, usable = own_units(metadata), usable_columns(machine)
+    proposal = propose(table, units, usable, machine.columns, known)
+    return proposal if proposal.missing else _tried(proposal, machine, table)
+
+
+def _tried(
+    proposal: "Proposal", machine: "Machine", table: "Mapping[str, np.ndarray]"
+) -> "Proposal":
+    """The proposal, with other factors where the model explains the motion far better by them."""
+    from leglab.data.checks import to_recording
+    from leglab.data.files import LeftOut
+    from leglab.diagnosis.balance.units import doubts
+    from leglab.diagnosis.intake.admission import admit
+
+    mapped = proposal.column_map.apply(table, "", LeftOut(partial=True))
+    for _ in machine.columns:  # a doubt hides the next one
+        try:
+            recording = to_recording(mapped, {}, source="", repair=True)
+            admitted = admit(machine, {"": recording}).recordings
+        except RecordingError as error:
+            return replace(proposal, doubt=str(error).removeprefix(": "))
+        found = doubts(machine, admitted)
+        if not found:
+            break
+        (doubt,) = found
+        # Which one of several counts the other way nobody can tell.
+        factor = 1.0 if doubt.alike else doubt.factor
+        for column in (*doubt.columns, *doubt.alike):
+            proposal = proposal.asked(column, factor, doubt.words)
+            mapped[column] = factor * mapped[column]
+        if doubt.alike:
+            break
+    return proposal
 
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:

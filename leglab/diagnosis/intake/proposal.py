@@ -1,17 +1,23 @@
 """A column map for a recording of somebody else, proposed by likeness of names and by values."""
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from leglab.base.likeness import likeness_of_numbers, likeness_of_words, numbered, words_of
-from leglab.data.column_map import ColumnMap
+from leglab.data.column_map import ColumnMap, ColumnRule
 from leglab.data.units_in_names import NamedUnit, split
+from leglab.diagnosis.intake.units import (
+    command_units,
+    position_units,
+    pressure_unit,
+    within,
+)
 from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
@@ -48,14 +54,6 @@ _PLAIN = {
     "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
     "values", "data", "filtered", "sensor", "robot", "observation",
 }  # fmt: skip
-# Units that names often leave out, per unit of ours; the first that fits is taken.
-# Pressures come near the supply's, so theirs begin with the largest.
-_USUAL: dict[str, tuple[tuple[str, float], ...]] = {
-    "rad": (("rad", 1.0), ("deg", np.pi / 180.0)),
-    "m": (("m", 1.0), ("mm", 1e-3)),
-    "Pa": (("MPa", 1e6), ("bar", 1e5), ("kPa", 1e3), ("Pa", 1.0)),
-    "1": (("1", 1.0), ("%", 1e-2)),
-}
 # Likeness from which a line holds; below it is a guess, and from the second on nothing.
 _SURE, _NEAR = 0.6, 0.3
 _TIME = UsableColumn("time", "", "time", "s")
@@ -87,11 +85,33 @@ class Proposal:
     lines: tuple[Line, ...]  #: One a column of the recording
     missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line gives
     settings: Mapping[str, Any]  #: How the file is read, as a column map has it
+    doubt: str = ""  #: Why a diagnosis would refuse the recording with this map
+
+    @property
+    def column_map(self) -> ColumnMap:
+        """The lines that hold."""
+        return ColumnMap(
+            rules={
+                line.theirs: ColumnRule(name=line.ours, factor=line.factor, offset=line.offset)
+                for line in self.lines
+                if line.sure
+            }
+        )
+
+    def asked(self, column: str, factor: float, why: str) -> "Proposal":
+        """Returns the proposal with another factor on one of our columns, and why."""
+        lines = (
+            replace(one, factor=factor * one.factor, offset=factor * one.offset, why=f"? {why}")
+            if one.sure and one.ours == column
+            else one
+            for one in self.lines
+        )
+        return replace(self, lines=tuple(lines))
 
     def to_json(self) -> dict[str, Any]:
         """Returns the map as JSON can hold it."""
         lines = [asdict(line) for line in self.lines if line.ours]
-        return {"columns": lines, "missing": list(self.missing)}
+        return {"columns": lines, "missing": list(self.missing), "doubt": self.doubt}
 
     def __str__(self) -> str:
         unused = [json.dumps(line.theirs) for line in self.lines if not line.ours]
@@ -102,6 +122,7 @@ class Proposal:
                 "[columns]",
                 *(str(line) for line in self.lines if line.ours),
                 *(f"# ? no column for {name}" for name in self.missing),
+                *([f"# ? {self.doubt}"] if self.doubt else []),
                 *([f"# not used: {', '.join(unused)}"] if unused else []),
             ]
         )
@@ -254,37 +275,45 @@ def _units(
     The name says the unit, else the range of the joint, control or supply; what was logged of all
     elements has one unit.
     """
-    found: dict[str, tuple[float, str, bool]] = {}
-    groups: dict[tuple[str, str], list[tuple[UsableColumn, _Column, float, float]]] = defaultdict(
-        list
-    )
+    found = {column.name: (1.0, "", True) for _, column in pairs}
+    groups: dict[str, list[tuple[UsableColumn, str, np.ndarray]]] = defaultdict(list)
     for one, column in pairs:
-        samples = table[column.name][np.isfinite(table[column.name])]
-        unit, found[column.name] = column.unit, (1.0, "", True)
+        unit, samples = column.unit, table[column.name][np.isfinite(table[column.name])]
         if unit.unit and unit.si != one.unit:
             why = f"in {unit.unit}, the model's is {one.unit}: factor?"
             found[column.name] = (0.0, why, False)
         elif unit.unit:
             found[column.name] = (unit.factor, f"{unit.unit}, by the name", True)
-        elif samples.size and one.unit in _USUAL and np.isfinite(one.limits).all():
-            ends = (float(samples.min()), float(samples.max()))
-            groups[one.kind.split("_")[0], one.unit].append((one, column, *ends))
-    for (_, ours), group in groups.items():
-        fits = {
-            name: [_within(factor * low, factor * high, one) for one, _, low, high in group]
-            for name, factor in _USUAL[ours]
-        }
-        name = next((name for name, each in fits.items() if 2 * sum(each) >= len(each)), ours)
-        for (one, column, low, high), fitting in zip(group, fits[name], strict=True):
-            allowed = f"[{one.limits[0]:.4g}, {one.limits[1]:.4g}] {ours}"
-            why = "" if name == ours else f"{name}, by the range {allowed}"
-            if not fitting:
-                why = f"covers [{low:.4g}, {high:.4g}] {name}, allowed {allowed}: factor?"
-            found[column.name] = (dict(_USUAL[ours])[name], why, not why)
+        elif samples.size and np.isfinite(one.limits).all():
+            kind = "pressure" if one.kind in CHAMBERS else f"{one.kind} {one.unit}"
+            groups[kind].append((one, column.name, samples))
+    for group in groups.values():
+        guesses = [_guess(one, samples) for one, _, samples in group]
+        # Ranges may be too narrow for a joint or two, units are wrong of all.
+        guessed, factor = Counter(guesses).most_common(1)[0][0]
+        for one, name, samples in group:
+            low, high = factor * samples.min(), factor * samples.max()
+            allowed = f"[{one.limits[0]:.4g}, {one.limits[1]:.4g}] {one.unit}"
+            why = f"{guessed}, by the range {allowed}" if guessed else ""
+            if not within({"": 1.0}, (low, high), _room(one)):
+                why = f"covers [{low:.4g}, {high:.4g}], allowed {allowed}: factor?"
+            found[name] = (factor, why, not why)
     return found
 
 
-def _within(low: float, high: float, one: UsableColumn) -> bool:
-    """Whether a signal is within the range of what it may be, or not far outside."""
-    room = DEFAULT.beyond_range * (one.limits[1] - one.limits[0])
-    return bool(one.limits[0] - room <= low and high <= one.limits[1] + room)
+def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
+    """Unit of a signal and its factor by the range of what it may be; as it is where none fits."""
+    plain, ends = ("", 1.0), (float(samples.min()), float(samples.max()))
+    if one.kind in CHAMBERS:
+        return pressure_unit(ends[1], one.limits[1]) or plain
+    if one.kind == "position":
+        units = position_units(samples, hinge=one.unit == "rad")
+    else:
+        units = command_units(angle=one.unit == "rad")
+    return within({"": 1.0, **units}, ends, _room(one)) or plain
+
+
+def _room(one: UsableColumn) -> tuple[float, float]:
+    """The range of a column and as much beyond it as a range that was guessed may be off."""
+    low, high = one.limits
+    return low - DEFAULT.beyond_range * (high - low), high + DEFAULT.beyond_range * (high - low)
