@@ -311,7 +311,7 @@ def _tried(
         # Which one of several counts the other way nobody can tell.
         factor = 1.0 if doubt.alike else doubt.factor
         for column in (*doubt.columns, *doubt.alike):
-            proposal = proposal.asked(column, factor, doubt.words)
+            proposal = proposal.asked(column, factor, doubt.words.partition(": ")[0])
             mapped[column] = factor * mapped[column]
         if doubt.alike:
             break

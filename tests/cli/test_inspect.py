@@ -112,7 +112,7 @@ def test_units_by_name_and_by_the_range_of_the_joint(capsys):
     np.testing.assert_allclose(found["knee_command"], columns["u_Nm"])
     columns = log(["enc", "u"], size=30.0)
     np.testing.assert_allclose(proposed(capsys)["knee_position"], np.radians(columns["enc"]))
-    assert "# ? deg, by the range [-1.571, 1.571] rad" in Path("map.toml").read_text()
+    assert "# ? degrees, by the range [-1.571, 1.571] rad" in Path("map.toml").read_text()
     columns = log(["knee", "pA", "pB", "u"], size=1.5)
     for name in ("pA", "pB"):
         columns[name] += 80.0
@@ -122,6 +122,28 @@ def test_units_by_name_and_by_the_range_of_the_joint(capsys):
     np.testing.assert_allclose(found["knee_pressure_b"], 1e5 * columns["pB"])
     assert "# ? bar, by the range [0, 1.6e+07] Pa" in Path("map.toml").read_text()
     assert '# "knee" = "knee_position"  # ? likeness 50%' in Path("map.toml").read_text()
+
+
+def test_a_map_is_tried_on_the_model(capsys):
+    model(("elbow",), limits='damping="0.5" armature="0.05"')
+    machine = mujoco.MjModel.from_xml_path("model.xml")
+    machine.opt.timestep = 1e-3
+    state, angle = mujoco.MjData(machine), np.empty(600)
+    command = 0.5 * np.sin(0.03 * np.arange(600)) + 0.3 * np.sin(0.11 * np.arange(600))
+    for k, sent in enumerate(command):
+        angle[k] = state.qpos[0]
+        state.ctrl[0] = sent
+        mujoco.mj_step(machine, state, 10)
+    time = 0.01 * np.arange(600)
+    for factor, said in (
+        (1.0, '"q" = "elbow_position"\n'),
+        (180.0 / np.pi, '"q" = {name = "elbow_position", factor = 0.0174532925'),
+        (-1.0, '"q" = "elbow_position"  # ? with the opposite sign of'),
+    ):
+        log = Recording(time=time, columns={"q": factor * angle, "u": command})
+        data.write(log, "log.csv")
+        printed = leglab("inspect", "log.csv", "--model", "model.xml", capsys=capsys)[1]
+        assert said in printed
 
 
 def test_what_may_be_either_of_two_is_not_chosen(capsys):
@@ -227,7 +249,9 @@ def test_a_span_of_a_recording(capsys):
         assert errors == f"error: log.csv: {words}\n"
 
 
-@pytest.mark.parametrize("count", [1, 130])
+@pytest.mark.parametrize(
+    "count", [1, 6, pytest.param(130, marks=pytest.mark.slow("draws a hundred panels"))]
+)
 def test_a_plot_of_all_columns(count, capsys, folder):
     time = np.r_[TIME[:200], TIME[200:] + 1.0]
     columns = {f"a{k}_position": np.where(TIME < 1, np.nan, np.sin(k * TIME)) for k in range(count)}

@@ -306,10 +306,8 @@ def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
     plain, ends = ("", 1.0), (float(samples.min()), float(samples.max()))
     if one.kind in CHAMBERS:
         return pressure_unit(ends[1], one.limits[1]) or plain
-    if one.kind == "position":
-        units = position_units(samples, hinge=one.unit == "rad")
-    else:
-        units = command_units(angle=one.unit == "rad")
+    units = position_units(samples, hinge=one.unit == "rad") if one.unit in ("rad", "m") else {}
+    units |= command_units(angle=False) if one.kind == "command" else {}
     return within({"": 1.0, **units}, ends, _room(one)) or plain
 
 
