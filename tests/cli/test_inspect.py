@@ -293,6 +293,7 @@ def recordings(folder, *names, end=2.0):
 def test_folders_of_recordings_are_taken(machine, capsys, folder):
     recordings(folder / "now", "a/recording.parquet", "b/recording.parquet", "x.csv")
     recordings(folder / "before", "x.csv")
+    (folder / "before" / "x.csv").rename(folder / "before" / "x.CSV")
     (folder / "now" / "table.csv").write_text("name,size\na,3\n")
     command = ("diagnose", "model.xml", "now", "--healthy", "before", "--from", "0.5")
     status, _, errors = leglab(*command, "--held-out", "x", capsys=capsys)
@@ -304,7 +305,7 @@ def test_folders_of_recordings_are_taken(machine, capsys, folder):
     assert list(machine["recordings"]) == ["a/recording.parquet", "b/recording.parquet", "x.csv"]
     assert machine["held_out"] == ("x.csv",)
     assert {r.time[0] for r in machine["recordings"].values()} == {0.5}
-    assert list(machine["healthy"]) == ["x.csv"]
+    assert list(machine["healthy"]) == ["x.CSV"]
 
 
 @pytest.mark.parametrize(

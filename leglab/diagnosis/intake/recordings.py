@@ -51,7 +51,8 @@ def _below(path: Path) -> tuple[list[Path], list[Path]]:
             more, rest = _below(entry)
             files, others = files + more, others + rest
         else:
-            (files if entry.suffix.lower() in data.SUFFIXES else others).append(entry)
+            suffix = Path(entry.name.removesuffix(".gz")).suffix.lower()
+            (files if suffix in data.SUFFIXES else others).append(entry)
     return files, others
 
 
