@@ -290,12 +290,15 @@ def _units(
     for group in groups.values():
         guesses = [_guess(one, samples) for one, _, samples in group]
         # Ranges may be too narrow for a joint or two, units are wrong of all.
-        guessed, factor = Counter(guesses).most_common(1)[0][0]
-        for one, name, samples in group:
-            low, high = factor * samples.min(), factor * samples.max()
+        size = Counter(abs(factor) for _, factor in guesses).most_common(1)[0][0]
+        usual = next(guess for guess in guesses if abs(guess[1]) == size)
+        for (one, name, samples), guess in zip(group, guesses, strict=True):
+            guessed, factor = guess if abs(guess[1]) == size else (usual[0], size)
+            low, high = sorted((factor * samples.min(), factor * samples.max()))
             allowed = f"[{one.limits[0]:.4g}, {one.limits[1]:.4g}] {one.unit}"
             why = f"{guessed}, by the range {allowed}" if guessed else ""
-            if not within({"": 1.0}, (low, high), _room(one)):
+            room = _room(one)
+            if not room[0] <= low <= high <= room[1]:
                 why = f"covers [{low:.4g}, {high:.4g}], allowed {allowed}: factor?"
             found[name] = (factor, why, not why)
     return found
@@ -303,12 +306,17 @@ def _units(
 
 def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
     """Unit of a signal and its factor by the range of what it may be; as it is where none fits."""
-    plain, ends = ("", 1.0), (float(samples.min()), float(samples.max()))
+    low, high = float(samples.min()), float(samples.max())
+    room = _room(one)
+    found: tuple[str, float] | None = None
     if one.kind in CHAMBERS:
-        return pressure_unit(ends[1], one.limits[1]) or plain
-    units = position_units(samples, hinge=one.unit == "rad") if one.unit in ("rad", "m") else {}
-    units |= command_units(angle=False) if one.kind == "command" else {}
-    return within({"": 1.0, **units}, ends, _room(one)) or plain
+        found = pressure_unit(high, one.limits[1])
+    elif not room[0] <= low <= high <= room[1]:
+        hinge, moves = one.unit == "rad", one.unit in ("rad", "m")
+        units = position_units(samples, hinge=hinge) if moves else {}
+        units |= command_units(angle=False) if one.kind == "command" else {}
+        found = within(units, (low, high), room)
+    return found or ("", 1.0)
 
 
 def _room(one: UsableColumn) -> tuple[float, float]:
