@@ -200,7 +200,8 @@ def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
     name = model.actuator(number).name
     where = f"actuator {name!r}" if name else f"actuator {number}"
     if not levers.any():
-        raise ModelError(f"{where} moves no joint", given=name)
+        told = f"{where} moves no joint in the rest pose; {_ALLOWED}"
+        raise ModelError(told, given=name)
     dof = int(levers.argmax())
     joint = int(model.dof_jntid[dof])
     others = np.delete(levers, dof)

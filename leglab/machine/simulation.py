@@ -68,12 +68,15 @@ def load_model(
 
 
 def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Lever arm of every actuator on every degree of freedom [m/rad or 1], (nu, nv)."""
-    moments = np.zeros((model.nu, model.nv))
+    """Lever arm of every actuator on every degree of freedom [m/rad or 1], (nactuator, nv).
+
+    Of an actuator with several outputs, which nothing here commands, that of the first.
+    """
+    moments = np.zeros((data.moment_rownnz.size, model.nv))
     mujoco.mju_sparse2dense(
         moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
     )
-    return moments
+    return moments[model.actuator_outadr]
 
 
 class Simulation:
@@ -123,7 +126,8 @@ class Simulation:
             self.centre[i], self.half[i] = drive.centre, drive.half
         still = [name for name, row in zip(self.actuators, moments, strict=True) if not row.any()]
         if still:
-            raise ModelError(f"actuator {still[0]!r} moves no joint", given=still[0])
+            told = f"actuator {still[0]!r} moves no joint; allowed: "
+            raise ModelError(told, given=still[0], allowed="actuators on a hinge or slide joint")
         self._joint_ids = model.dof_jntid[np.abs(moments).argmax(axis=1)]
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
         for i, joint in enumerate(self.joints):

@@ -91,6 +91,9 @@ class Machine:
                 raise ModelError(f"{told} can be replayed", given=joint, allowed=("hinge", "slide"))
         self.actuators = tuple(model.actuator(i).name for i in range(model.nactuator))
         for number, actuator in enumerate(self.actuators):
+            if not actuator:
+                told = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
+                raise ModelError(told, given=number, allowed='an attribute name="..."')
             if why := unusable(model, number):
                 told = f"{self.path.name}: actuator {actuator!r} {why}"
                 raise ModelError(told, given=actuator)

@@ -81,9 +81,9 @@ def states_at(
 
 
 def commands_at(machine: Machine, measured: Measured, samples: np.ndarray) -> np.ndarray:
-    """Measured commands, (samples, actuators)."""
+    """Measured commands, (..., actuators) at samples of any shape."""
     columns = [measured.command[name][samples] for name in machine.actuators]
-    return np.stack(columns, axis=1) if columns else np.zeros((samples.size, 0))
+    return np.stack(columns, axis=-1) if columns else np.zeros((*samples.shape, 0))
 
 
 def accelerations(

@@ -13,7 +13,7 @@ from mujoco import rollout
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
-from leglab.diagnosis.plant.moments import plugin_offset
+from leglab.diagnosis.plant.moments import commands_at, plugin_offset
 from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, lacking_forces
 from leglab.diagnosis.replay.starts import (
     Nudge,
@@ -348,7 +348,7 @@ class Replay:
     def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
         """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
         actuators, steps = self.machine.actuators, self.substeps
-        controls = np.stack([measured.command[a][index] for a in actuators], 2)
+        controls = commands_at(self.machine, measured, index)
         controls = np.repeat(controls, steps, axis=1)
         # Velocities lag half a step, so a kick spans half a step to both sides of its time and
         # has the mean of what is commanded then. A valve follows its command itself, and so does
