@@ -63,13 +63,19 @@ class Machine:
     """An MJCF model whose hinge and slide joints are measured.
 
     By its file, or the name of a model that ships with leglab, at a time step of replays [s], the
-    file's own for None.
+    file's own for None. Positions of `followers` are computed from those of the other joints.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
     """
 
-    def __init__(self, path: str | Path, *, timestep: float | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        timestep: float | None = None,
+        followers: Collection[str] = (),
+    ) -> None:
         leglab.machine.plugin.load_plugin()
         self.path = model_path(path)
         try:
@@ -84,8 +90,9 @@ class Machine:
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
         self.base = self.variant(())  #: the model as it is
         model = self.base.model
-        self.joints = tuple(model.joint(i).name for i in range(model.njnt))
-        for joint, kind in zip(self.joints, model.jnt_type, strict=True):
+        #: Names of all joints, by number.
+        self.all_joints = tuple(model.joint(i).name for i in range(model.njnt))
+        for joint, kind in zip(self.all_joints, model.jnt_type, strict=True):
             if kind not in (_HINGE, _SLIDE):
                 told = f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those"
                 raise ModelError(f"{told} can be replayed", given=joint, allowed=("hinge", "slide"))
