@@ -51,4 +51,5 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
         own = np.sqrt(np.diag(mass))
         share = np.abs(mass) / np.outer(own, own) - np.eye(model.nv)
         found |= set(np.flatnonzero((share > ROUNDING).any(axis=1)).tolist())
-    return tuple(machine.joints[int(model.dof_jntid[k])] for k in sorted(found))
+    names = (machine.all_joints[int(model.dof_jntid[k])] for k in sorted(found))
+    return tuple(name for name in names if name in machine.joints)

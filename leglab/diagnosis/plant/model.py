@@ -11,6 +11,7 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import ModelError, SettingsError
+from leglab.diagnosis.plant.followers import Followers, determined
 from leglab.diagnosis.plant.activation import stateful, unusable
 from leglab.diagnosis.plant.as_compiled import AsCompiled
 from leglab.diagnosis.plant.hidden_states import HiddenStates
@@ -28,6 +29,12 @@ SUPPLY = "leglab.supply"
 
 Edit = tuple[Hashable, Callable[[mujoco.MjSpec], None]]
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_KINDS = {int(mujoco.mjtJoint.mjJNT_FREE): "free", int(mujoco.mjtJoint.mjJNT_BALL): "ball"}
+_WAY_OUT = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "hinges and slides; --fix-base holds the base where the model "
+    "has it",
+    int(mujoco.mjtJoint.mjJNT_BALL): "hinges and slides, three hinges in place of a ball",
+}
 _OFF = mujoco.mjtDisableBit
 _CACHED_VARIANTS = 64
 # Models are compiled one at a time.
@@ -63,7 +70,8 @@ class Machine:
     """An MJCF model whose hinge and slide joints are measured.
 
     By its file, or the name of a model that ships with leglab, at a time step of replays [s], the
-    file's own for None. Positions of `followers` are computed from those of the other joints.
+    file's own for None. Positions of `followers` are computed from those of the other joints. Free
+    joints are taken out where `fix_base`: the base stays where the model has it.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
@@ -75,12 +83,15 @@ class Machine:
         *,
         timestep: float | None = None,
         followers: Collection[str] = (),
+        fix_base: bool = False,
     ) -> None:
         leglab.machine.plugin.load_plugin()
-        self.path = model_path(path)
+        self.path, self.fix_base = model_path(path), fix_base
         try:
             self._spec = mujoco.MjSpec.from_file(str(self.path))
             self._as_compiled = AsCompiled(self._spec)
+            if fix_base:
+                take_free_joints_out(self._spec)
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name) from error
         self.file_timestep = float(self._spec.option.timestep)
@@ -94,8 +105,17 @@ class Machine:
         self.all_joints = tuple(model.joint(i).name for i in range(model.njnt))
         for joint, kind in zip(self.all_joints, model.jnt_type, strict=True):
             if kind not in (_HINGE, _SLIDE):
-                told = f"{self.path.name}: joint {joint!r} is neither hinge nor slide; only those"
-                raise ModelError(f"{told} can be replayed", given=joint, allowed=("hinge", "slide"))
+                raise ModelError(
+                    f"{self.path.name}: joint {joint!r} is a {_KINDS[kind]} joint, whose pose no "
+                    f"column measures; allowed: {_WAY_OUT[kind]}",
+                    given=joint,
+                    allowed=("hinge", "slide"),
+                )
+        #: Joints that equality constraints determine; None where all are measured.
+        self.followers = Followers(model, self.all_joints, followers) if followers else None
+        led = self.followers.leading if self.followers else {}
+        #: Joints that are measured.
+        self.joints = tuple(joint for joint in self.all_joints if joint not in led)
         self.actuators = tuple(model.actuator(i).name for i in range(model.nactuator))
         for number, actuator in enumerate(self.actuators):
             if not actuator:
@@ -111,11 +131,11 @@ class Machine:
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
-        #: Joints that each actuator moves, those of its moments, by actuator.
-        self.driven = {
-            name: tuple(self.joints[int(model.dof_jntid[k])] for k in moved(row))
-            for name, row in zip(self.actuators, self.moments, strict=True)
-        }
+        #: Measured joints that each actuator moves, those of its moments, by actuator.
+        self.driven = {}
+        for name, row in zip(self.actuators, self.moments, strict=True):
+            own = [self.all_joints[int(model.dof_jntid[k])] for k in moved(row)]
+            self.driven[name] = tuple(dict.fromkeys(x for j in own for x in led.get(j, (j,))))
         self.cylinders = self.instances(CYLINDER)
         self.on_cylinders = frozenset(j for c in self.cylinders for j in self.driven[c])
 
@@ -131,16 +151,40 @@ class Machine:
 
     def at_timestep(self, timestep: float) -> "Machine":
         """The same machine with another time step [s]."""
-        return Machine(self.path, timestep=timestep)
+        return self._with(timestep, self.follower_names)
 
-    def spec(self) -> mujoco.MjSpec:
+    def _with(self, timestep: float, followers: Collection[str]) -> "Machine":
+        return Machine(self.path, timestep=timestep, followers=followers, fix_base=self.fix_base)
+
+    @property
+    def follower_names(self) -> tuple[str, ...]:
+        """Joints that are not measured, since equality constraints determine them."""
+        return self.followers.names if self.followers else ()
+
+    @property
+    def leading(self) -> frozenset[str]:
+        """Joints that move followers."""
+        led = self.followers.leading.values() if self.followers else ()
+        return frozenset(joint for each in led for joint in each)
+
+    def measured_by(self, columns: Collection[str]) -> "Machine":
+        """The machine whose followers are what equalities determine and no column measures."""
+        absent = {j for j in self.all_joints if f"{j}_position" not in columns}
+        found = determined(self.base.model, self.all_joints, absent)
+        same = found == set(self.follower_names)
+        return self if same else self._with(self.timestep, found)
+
+    def spec(self, *, whole: bool = False) -> mujoco.MjSpec:
         """A fresh copy of the model's specification, as in the file.
 
-        What the compiler works out from inertia is written out, as `AsCompiled` has it.
+        What the compiler works out from inertia is written out, as `AsCompiled` has it. Free joints
+        that are taken out are there if it is to be `whole`.
         """
         # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
         spec = mujoco.MjSpec.from_file(str(self.path))
         self._as_compiled.keep(spec)
+        if self.fix_base and not whole:
+            take_free_joints_out(spec)
         return spec
 
     def instances(self, plugin: str) -> tuple[str, ...]:
@@ -211,6 +255,15 @@ class Machine:
         if len(self._variants) > _CACHED_VARIANTS:
             self._variants.popitem(last=False)
         return self._variants[key]
+
+
+def take_free_joints_out(spec: mujoco.MjSpec) -> None:
+    """Fixes all bodies with a free joint where a specification has them, in place."""
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    for joint in free:
+        spec.delete(joint)
+    for key in list(spec.keys) if free else ():  # of another number of positions
+        spec.delete(key)
 
 
 def moved(moments: np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ def states_at(
     """
     states = np.zeros((samples.size, mujoco.mj_stateSize(model, STATE)))
     states[:, 1 : 1 + model.nq] = model.qpos0
-    for name in machine.joints:
+    for name in (*machine.joints, *machine.follower_names):
         joint = model.joint(name)
         states[:, 1 + int(joint.qposadr[0])] = measured.position[name][samples]
         states[:, 1 + model.nq + int(joint.dofadr[0])] = measured.velocity[name][samples]
@@ -94,7 +94,8 @@ def accelerations(
     NaN of a joint that a hypothesis adds.
     """
     k, out = measured.samples, np.full((measured.samples.size, model.nv), np.nan)
-    for dof, joint in zip(dofs(model, machine.joints), machine.joints, strict=True):
+    joints = (*machine.joints, *machine.follower_names)
+    for dof, joint in zip(dofs(model, joints), joints, strict=True):
         v = measured.velocity[joint]
         out[:, dof] = (v[k + half] - v[k - half]) / (2 * half * measured.period)
     return out

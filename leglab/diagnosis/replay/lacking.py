@@ -20,7 +20,10 @@ from leglab.diagnosis.replay.windows import Channel
 
 
 def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Joints whose drives' forces can be known: not those of cylinders without pressures."""
+    """Joints whose drives' forces can be known: not those of cylinders without pressures.
+
+    Nor those that lead others, as the forces of equalities between exact positions are unknown.
+    """
     known = {channel.column for channel in channels}
     blind = {
         joint
@@ -28,7 +31,7 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
         for joint in machine.driven[cylinder]
         if not {f"{machine.driven[cylinder][0]}_{c}" for c in CHAMBERS} <= known
     }
-    return tuple(joint for joint in machine.joints if joint not in blind)
+    return tuple(joint for joint in machine.joints if joint not in blind | machine.leading)
 
 
 def lacking_forces(

@@ -45,6 +45,9 @@ class Pushes:
         for k, data in enumerate(poses(machine, series)):
             moment = actuator_moments(model, data)[acting]
             mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
+            if machine.followers is not None:  # they move with what leads them
+                moves, mass = machine.followers.motion(data.qpos), np.linalg.inv(inverse)
+                inverse = moves @ np.linalg.solve(moves.T @ mass @ moves, moves.T)
             self._response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
             slowing = model.dof_damping + damping @ moment**2
             decay += np.maximum(slowing[dofs], 0.0) * inverse[dofs, dofs]
@@ -75,8 +78,10 @@ def poses(
     model = machine.base.model
     data = mujoco.MjData(model)
     places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    positions = np.stack([series.columns[f"{name}_position"] for name in machine.joints], axis=1)
-    for row in positions[samples]:
-        data.qpos[places] = row
+    columns = [series.columns[f"{name}_position"][samples] for name in machine.joints]
+    rows = np.tile(model.qpos0, (columns[0].size, 1))
+    rows[:, places] = np.stack(columns, axis=1)
+    for row in machine.followers.positions(rows) if machine.followers else rows:
+        data.qpos[:] = row
         mujoco.mj_fwdPosition(model, data)
         yield data

@@ -183,6 +183,7 @@ class Replay:
             starts = self._starts(change, parts)
         if nudge is not None:
             starts[:, place(change.variant, nudge.element, nudge.quantity)] += nudge.size
+            starts = closed(change, starts)
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)

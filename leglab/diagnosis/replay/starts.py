@@ -258,7 +258,8 @@ class Instances:
     def balance(self, rest_time: float) -> None:
         """Sets the deflection of bristles that slid less than twice theirs in a time [s].
 
-        Joints of cylinders without measured pressures are left as they are.
+        Joints of cylinders without measured pressures, and those that lead others by equalities,
+        are left as they are.
         """
         measured, samples = self.measured, self.measured.samples
         back = np.maximum(samples - round(rest_time / measured.period), 0)
@@ -266,7 +267,11 @@ class Instances:
         for joint in self.machine.joints:
             acting = self._bristles(joint)
             driven = joint in self.machine.on_cylinders
-            if not acting or (driven and len(self.pressures(joint)) < len(CHAMBERS)):
+            if (
+                joint in self.machine.leading
+                or not acting
+                or (driven and len(self.pressures(joint)) < len(CHAMBERS))
+            ):
                 continue
             travel = np.abs(measured.position[joint][samples] - measured.position[joint][back])
             # What a contact carries at rest depends on speeds far below the noise: nobody knows it.
@@ -353,6 +358,9 @@ def measure(
         for joint, own in zip(machine.joints, driven, strict=True):
             position[joint], velocity[joint], pushed[joint] = own
 
+    if machine.followers is not None:
+        _follow(cut, machine, position, velocity)
+
     def of_piston(cylinder: str) -> np.ndarray:
         moved = velocity[machine.driven[cylinder][0]]
         name = f"piston of {cylinder}"
@@ -435,6 +443,41 @@ def _with_integrators(
     return replace(measured, activation=at.activation)
 
 
+def _follow(
+    cut: Cut, machine: Machine, position: dict[str, np.ndarray], velocity: dict[str, np.ndarray]
+) -> None:
+    """Adds the motion of the joints that equalities determine, (n,) each."""
+    model, followers = machine.base.model, machine.followers
+    assert followers is not None
+    given = tuple(position[j] for j in machine.joints) + tuple(velocity[j] for j in machine.joints)
+
+    def solved() -> tuple[np.ndarray, np.ndarray]:
+        rows = np.tile(model.qpos0, (given[0].size, 1))
+        speeds = np.zeros((given[0].size, model.nv))
+        for joint in machine.joints:
+            rows[:, model.joint(joint).qposadr[0]] = position[joint]
+            speeds[:, model.joint(joint).dofadr[0]] = velocity[joint]
+        rows = followers.positions(rows)
+        return rows, followers.velocities(rows, speeds)
+
+    rows, speeds = cut.hidden_states.get("followers", given, solved)
+    for joint in followers.names:
+        position[joint] = rows[:, model.joint(joint).qposadr[0]]
+        velocity[joint] = speeds[:, model.joint(joint).dofadr[0]]
+
+
+def closed(change: Change, states: np.ndarray) -> np.ndarray:
+    """Full physics states, (windows, nstate), with followers where equalities have them."""
+    joints, followers = change.machine.all_joints, change.machine.followers
+    if followers is None:
+        return states
+    out, variant = states.copy(), change.variant
+    places, speeds = ([place(variant, j, q) for j in joints] for q in ("position", "velocity"))
+    out[:, places] = followers.positions(states[:, places], near=True)
+    out[:, speeds] = followers.velocities(out[:, places], states[:, speeds])
+    return out
+
+
 def _driven(
     cut: Cut,
     channels: tuple[Channel, ...],
@@ -493,7 +536,7 @@ def start_states(
     instances.balance(rest_time)
     states = moments.states_at(machine, variant.model, measured, firsts, plugin)
     states[:, 0] = cut.series.time[firsts]
-    for joint in machine.joints:
+    for joint in (*machine.joints, *machine.follower_names):
         # MuJoCo's velocity lags half a step behind its position: the slope before counts.
         v = measured.velocity[joint]
         pushed = measured.pushed.get(joint, np.zeros_like(v))
