@@ -9,6 +9,7 @@ from leglab.base.errors import SettingsError
 from leglab.base.output import check_apart, check_folder, new_folder, piece
 from leglab.cli.options import (
     Columns,
+    FixBase,
     From,
     HeldOut,
     Json,
@@ -48,6 +49,7 @@ def diagnose(
             help="Effect to consider, of docs/reference/effects.md, repeatable; default: all."
         ),
     ] = None,
+    fix_base: FixBase = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     load: Load = None,
@@ -68,6 +70,7 @@ def diagnose(
         recording_files,
         split_held_out,
     )
+    from leglab.diagnosis.plant.model import Machine
     from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.verdict import output as results
     from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
@@ -93,14 +96,15 @@ def diagnose(
             tell=lambda line: complain(line, "warning"),
         )
 
-    named, held = split_held_out(model, read(recordings), held_out or [])
+    machine = Machine(model, fix_base=fix_base)
+    named, held = split_held_out(machine, read(recordings), held_out or [])
     before = read(healthy) if healthy else None
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
     made = ("diagnosis.html", "improved.xml", "figures")
     with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as partial:
         with progress("diagnosis") as show:
             result, found = run_diagnosis(
-                model,
+                machine,
                 named,
                 held_out=held,
                 healthy=before,

@@ -12,6 +12,7 @@ from rich.table import Table
 from leglab.base.output import check_apart, check_folder, new_folder, piece, write_atomically
 from leglab.cli.options import (
     Columns,
+    FixBase,
     From,
     HeldOut,
     Json,
@@ -41,6 +42,7 @@ def improve(
         bool,
         typer.Option(help="Look for effects first, and keep those that are sure."),
     ] = True,
+    fix_base: FixBase = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     load: Load = None,
@@ -52,6 +54,7 @@ def improve(
     """
     from leglab.diagnosis.improve import improve as run_improvement
     from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.plant.model import Machine
 
     check_order(model, recordings)
     check_folder(out, overwrite=overwrite, mark="improvement.json")
@@ -63,12 +66,13 @@ def improve(
         salvage=salvage,
         tell=lambda line: complain(line, "warning"),
     )
-    named, held = split_held_out(model, found, held_out or [])
+    machine = Machine(model, fix_base=fix_base)
+    named, held = split_held_out(machine, found, held_out or [])
     made = ("improved.xml",)
     with new_folder(out, mark="improvement.json", made=made, overwrite=overwrite) as partial:
         with progress("improvement") as show:
             result, better = run_improvement(
-                model,
+                machine,
                 named,
                 held_out=held,
                 effects=effects,

@@ -94,6 +94,10 @@ HeldOut = Annotated[
     list[str] | None,
     typer.Option(help="Recording kept from all fits, repeatable; default: chosen by excitation."),
 ]
+FixBase = Annotated[
+    bool,
+    typer.Option("--fix-base", help="Hold bodies with a free joint where the model has them."),
+]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")
 ]

@@ -14,6 +14,7 @@ from leglab.base.scale import rms
 from leglab.base.threads import one_blas_thread
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.remainder.learning import (
     MEMORY_WORDS,
     Remainder,
@@ -140,7 +141,7 @@ def _recalibrated(
 
 @one_blas_thread()
 def improve(
-    model: str | Path,
+    model: str | Path | Machine,
     recordings: Mapping[str, Recording],
     *,
     held_out: Iterable[str] | None = None,
@@ -151,7 +152,7 @@ def improve(
     """Improves a model by recordings.
 
     Args:
-        model: MJCF file, or the name of a model that ships with leglab.
+        model: MJCF file, the name of a model that ships with leglab, or its machine.
         recordings: By name.
         held_out: Names of those that prove the gain; None for the choice of `split_held_out`.
         effects: Whether effects are looked for first; those of confidence 0.8 are kept.

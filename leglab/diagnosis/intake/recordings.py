@@ -1,7 +1,7 @@
 """Recordings for a diagnosis: read, and one of them held out."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +123,7 @@ def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def split_held_out(
-    model: str | Path,
+    model: str | Path | Machine,
     recordings: Mapping[str, Recording],
     wanted: Sequence[str],
     thresholds: Thresholds = DEFAULT,
@@ -147,7 +147,7 @@ def split_held_out(
             told = "every recording is held out; allowed: "
             raise SettingsError(told, given=tuple(wanted), allowed="at least one to fit")
         return recordings, tuple(held)
-    machine = Machine(model)
+    machine = machine_for(model, recordings.values())
     usable = admit(machine, recordings, (), thresholds).recordings
     if len(usable) > 1:
         return recordings, held_out_choice(usable, machine)
@@ -157,6 +157,16 @@ def split_held_out(
     recordings[name] = whole.between(whole.time[0], cut)
     recordings[tail] = whole.between(cut, whole.time[-1] + 1.0)
     return recordings, (tail,)
+
+
+def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) -> Machine:
+    """Returns a model's machine, whose followers are those that a recording does not measure.
+
+    Raises:
+        LeglabError: The model cannot be loaded or replayed.
+    """
+    machine = model if isinstance(model, Machine) else Machine(model)
+    return machine.measured_by(frozenset.intersection(*(frozenset(r.columns) for r in recordings)))
 
 
 def _names(entry: str, name: str) -> bool:

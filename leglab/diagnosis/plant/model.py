@@ -1,7 +1,7 @@
 """The machine under diagnosis: its model, compiled variants, and where parameters live."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -11,9 +11,9 @@ import numpy as np
 
 import leglab.machine.plugin
 from leglab.base.errors import ModelError, SettingsError
-from leglab.diagnosis.plant.followers import Followers, determined
 from leglab.diagnosis.plant.activation import stateful, unusable
 from leglab.diagnosis.plant.as_compiled import AsCompiled
+from leglab.diagnosis.plant.followers import Followers, determined
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT

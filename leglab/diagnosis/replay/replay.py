@@ -18,6 +18,7 @@ from leglab.diagnosis.replay.lacking import balanced_joints, comparable_forces, 
 from leglab.diagnosis.replay.starts import (
     Nudge,
     activated,
+    closed,
     commanded,
     hidden_slots,
     measure,

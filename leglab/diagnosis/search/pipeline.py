@@ -14,6 +14,7 @@ from leglab.diagnosis.balance.units import unquestioned
 from leglab.diagnosis.effects.base import Effect, EffectParameter
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.intake.admission import Admitted, admit
+from leglab.diagnosis.intake.recordings import machine_for
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.likelihood.sizes import Shown, shown, sized
 from leglab.diagnosis.plant.model import Machine
@@ -45,7 +46,7 @@ class DiagnosisSettings:
 
 
 def set_up(
-    model: str | Path,
+    model: str | Path | Machine,
     recordings: Mapping[str, Recording],
     held_out: Iterable[str],
     settings: DiagnosisSettings,
@@ -55,8 +56,7 @@ def set_up(
     Raises:
         LeglabError: Model or recordings do not fit each other, or are too short.
     """
-    machine = Machine(model)
-    limits = settings.thresholds
+    machine, limits = machine_for(model, recordings.values()), settings.thresholds
     admitted = unquestioned(machine, admit(machine, recordings, held_out, limits), limits)
     return _problem(machine, admitted, settings)
 
@@ -104,7 +104,7 @@ def _problem(
 
 
 def searched(
-    model: str | Path,
+    model: str | Path | Machine,
     recordings: Mapping[str, Recording],
     held_out: Iterable[str],
     healthy: Mapping[str, Recording] | None,
@@ -115,7 +115,8 @@ def searched(
 
     All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
     """
-    machine, limits = Machine(model), settings.thresholds
+    limits = settings.thresholds
+    machine = machine_for(model, [*recordings.values(), *(healthy or {}).values()])
     admitted = unquestioned(machine, admit(machine, recordings, held_out, limits), limits)
     if not healthy:
         problem = _problem(machine, admitted, settings)

@@ -35,7 +35,7 @@ def write_model(
         LeglabError: MuJoCo refuses the patched model.
     """
     machine = problem.machine
-    spec = machine.spec()
+    spec = machine.spec(whole=True)
     # The patched model lies elsewhere than meshes and textures.
     for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
         place = str(getattr(spec.compiler, attribute))

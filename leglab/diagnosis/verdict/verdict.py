@@ -17,6 +17,7 @@ from leglab.diagnosis.balance.isolation import bin_motion, isolate
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.intake.recordings import split_held_out
 from leglab.diagnosis.likelihood.unknowns import EVERY
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
@@ -32,7 +33,7 @@ from leglab.diagnosis.verdict.whole import whole_recording
 
 @one_blas_thread()
 def diagnose(
-    model: str | Path,
+    model: str | Path | Machine,
     recordings: Mapping[str, Recording],
     *,
     held_out: Iterable[str] | None = None,
@@ -43,7 +44,7 @@ def diagnose(
     """Diagnoses a model on recordings.
 
     Args:
-        model: MJCF file, or the name of a model that ships with leglab.
+        model: MJCF file, the name of a model that ships with leglab, or its machine.
         recordings: By name.
         held_out: Names of the recordings on which the verdict is judged; None for the choice of
             `split_held_out`, which cuts the end off a single recording.
