@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from leglab.base.errors import FileError
 from leglab.base.input import read_json
@@ -34,7 +36,7 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
     Raises:
         LeglabError: A file is broken, or there is none.
     """
-    info = _info(path if path.is_dir() else path.resolve().parents[2])
+    info = _info(path)
     files = sorted(path.glob("data/*/*.parquet")) if path.is_dir() else [path]
     if not files:
         told = f"{path}: a dataset of LeRobot without data; allowed: "
@@ -45,12 +47,15 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
         table, _ = parquet.read_table(file, left_out, without=_pictures(features))
         for name, given in features.items():
             _rename(table, name, _names(given.get("names")))
-        found |= episodes(table)
+        for name, part in episodes(table).items():
+            if name in found:  # It goes on in another file.
+                part = {n: np.concatenate([found[name][0][n], x]) for n, x in part.items()}
+            found[name] = part, {}
     return dict(sorted(found.items(), key=lambda item: int(item[0].rpartition("_")[2])))
 
 
-def episodes(table: Mapping[str, np.ndarray]) -> dict[str, tuple[dict, dict]]:
-    """Cuts a table at its `episode_index`; metadata are empty.
+def episodes(table: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+    """Cuts a table at its `episode_index`.
 
     Args:
         table: Arrays of shape (n,) by column name.
@@ -58,18 +63,33 @@ def episodes(table: Mapping[str, np.ndarray]) -> dict[str, tuple[dict, dict]]:
     owner = table["episode_index"]
     columns = {n: samples for n, samples in table.items() if n not in COUNTERS}
     return {
-        f"episode_{int(k)}": ({n: x[owner == k] for n, x in columns.items()}, {})
+        f"episode_{int(k)}": {n: x[owner == k] for n, x in columns.items()}
         for k in np.unique(owner[np.isfinite(owner)])
     }
 
 
 def is_dataset(path: Path) -> bool:
-    """Returns whether a Parquet file lies in the folder `data` of a dataset."""
+    """Returns whether a Parquet file is of a dataset, by its folder or by its columns."""
+    if _root(path) is not None:
+        return True
+    try:
+        return {"episode_index", "frame_index", "timestamp"} <= set(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError, UnicodeDecodeError):
+        return False
+
+
+def _root(path: Path) -> Path | None:
+    """The folder of the dataset that a file of its folder `data` belongs to."""
     above = path.resolve().parents
-    return len(above) > 2 and above[1].name == "data" and (above[2] / "meta/info.json").is_file()
+    if len(above) > 2 and above[1].name == "data" and (above[2] / "meta/info.json").is_file():
+        return above[2]
+    return None
 
 
-def _info(root: Path) -> dict[str, Any]:
+def _info(path: Path) -> dict[str, Any]:
+    root = path if path.is_dir() else _root(path)
+    if root is None:
+        return {}
     place = root / "meta" / "info.json"
     info = read_json(place)
     features = info.get("features") if isinstance(info, dict) else None
@@ -94,6 +114,8 @@ def _names(given: Any) -> list[str]:
 
 
 def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:
+    if len(names) == 1 and feature in table:  # Of one element it is no list.
+        table[f"{feature}[0]"] = table.pop(feature)
     places = [f"{feature}[{i}]" for i in range(len(names))]
     several = f"{feature}[{len(names)}]" in table or len(set(names)) < len(names)
     if len(names) > 0 and all(place in table for place in places) and not several:

@@ -124,7 +124,8 @@ def _load(path: Path) -> dict[str, Any]:
             found = loadmat(io.BytesIO(checked(content)), simplify_cells=True)
     # Whatever the parser trips over, the cause is the file.
     except Exception as error:
-        told = f"{path}: not a complete MATLAB file: {first_line(error)}"
+        what = "" if "in MATLAB:" in str(error) else "not a complete MATLAB file: "
+        told = f"{path}: {what}{first_line(error)}"
         raise FileError(told, given=path) from error
     return {name: value for name, value in found.items() if not name.startswith("__")}
 

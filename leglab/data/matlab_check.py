@@ -15,11 +15,19 @@ _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes a number
 _CHARACTERS = frozenset((1, 2, 4, 16, 17, 18))
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17
-_TIMESERIES = (
-    "a timeseries, a Dataset or another object, which MATLAB alone reads; in MATLAB: s = "
-    "struct('time', x.Time, 'data', x.Data), of a Dataset of each x = logsout{k}.Values, and "
-    "save('log.mat', 's', '-v7')"
+# What MATLAB does with objects that it alone reads; {0} is the variable.
+_SAVE = "; save('log.mat', '-struct', 's', '-v7')"
+_DATASET = (
+    "for k = 1:{0}.numElements, e = {0}{{k}}; s.(matlab.lang.makeValidName(e.Name)) = "
+    "struct('time', e.Values.Time, 'data', e.Values.Data); end"
 )
+_WAYS_OUT = {
+    "timeseries": "s.{0} = struct('time', {0}.Time, 'data', {0}.Data)",
+    "table": "s = table2struct({0}, 'ToScalar', true)",
+    "timetable": "s = table2struct(timetable2table({0}), 'ToScalar', true)",
+    "Simulink.SimulationData.Dataset": _DATASET,
+    "Simulink.SimulationOutput": "{0} = {0}.logsout; " + _DATASET,
+}
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
 _LARGEST = 2**31  # bytes of a variable, by the format.
@@ -106,6 +114,11 @@ def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
         raise ValueError(f"array flags of {len(flags)} bytes")
     word = struct.unpack_from(f"{order}I", flags)[0]
     kind = word & 0xFF
+    if kind == _OPAQUE:
+        raise ValueError(_way_out(parts))
+    if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):
+        what = {_OBJECT: "an object", _SPARSE: "a sparse matrix"}.get(kind, f"of class {kind}")
+        raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
     dimensions = _integers(_part(parts, {_INT32}, "dimensions"), order)
     if not 2 <= len(dimensions) <= _MOST_DIMENSIONS or min(dimensions) < 0:
         raise ValueError(f"an array of dimensions {dimensions}")
@@ -120,21 +133,25 @@ def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
         size += _LETTER * len(_part(parts, _CHARACTERS, "text"))
     elif kind == _CELL:
         size += _check_nested(parts, count, order, depth, most)
-    elif kind == _STRUCT:
+    else:
         length = _integers(_part(parts, {_INT32}, "length of field names"), order)
         names = _part(parts, {_INT8}, "field names")
         if len(length) != 1 or length[0] < 1 or len(names) % length[0]:
             raise ValueError("field names do not fit their length")
         fields = count * (len(names) // length[0])
         size += _check_nested(parts, fields, order, depth, most)
-    else:
-        what = {_OBJECT: "an object", _SPARSE: "a sparse matrix", _OPAQUE: _TIMESERIES}.get(
-            kind, f"of class {kind}"
-        )
-        raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
     if next(parts, None) is not None:
         raise ValueError("an array has more parts than it should")
     return _within(most, size)
+
+
+def _way_out(parts: Iterator[tuple[int, bytes]]) -> str:
+    """Names an object, which has its name, its system and its class as texts, and what to do."""
+    texts = [part.rstrip(b"\0").decode(errors="replace") for kind, part in parts if kind == _INT8]
+    name, kind = ([*texts, "", "", ""][0] or "x"), [*texts, "", "", ""][2]
+    way = _WAYS_OUT.get(kind, _WAYS_OUT["timeseries"]).format(name)
+    what = kind or "an object"
+    return f"variable {name!r} is a {what}, which MATLAB alone reads; in MATLAB: {way}{_SAVE}"
 
 
 def _within(most: int, size: int) -> int:

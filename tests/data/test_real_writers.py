@@ -2,6 +2,7 @@
 
 import io
 import json
+import struct
 import zipfile
 
 import duckdb
@@ -69,6 +70,15 @@ def test_an_episode_of_lerobot_is_a_recording_with_columns_by_name(tmp_path, ver
     assert last["observation.state/knee.pos"] == pytest.approx(0.8 * POSITION, abs=1e-6)
 
 
+def test_a_file_alone_is_cut_into_episodes(tmp_path):
+    lerobot(tmp_path / "set", "v3.0")
+    file = tmp_path / "alone.parquet"
+    (tmp_path / "set/data/chunk-000/file-000.parquet").rename(file)
+    found = data.read_all(file)
+    assert list(found) == ["episode_0", "episode_1", "episode_2"]
+    assert found["episode_1"]["observation.state[0]"] == pytest.approx(0.9 * POSITION, abs=1e-6)
+
+
 def test_one_file_of_a_dataset_and_the_map_that_is_proposed(tmp_path, capsys):
     lerobot(tmp_path / "set", "v3.0")
     file = str(tmp_path / "set/data/chunk-000/file-000.parquet")
@@ -130,15 +140,25 @@ def test_series_of_several_clocks_come_onto_the_fastest_one(tmp_path):
     assert "u_command: 60 samples, last value held on a clock of 300" in found.metadata["alignment"]
 
 
-def test_objects_of_matlab_are_refused_with_the_way_out(tmp_path):
+def element(kind, content):
+    return struct.pack("<2I", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [
+        ("timeseries", r"s.out = struct\('time', out.Time, 'data', out.Data\); save\("),
+        ("Simulink.SimulationData.Dataset", r"for k = 1:out.numElements, e = out{k}; s"),
+        ("timetable", r"s = table2struct\(timetable2table\(out\), 'ToScalar', true\); save\("),
+    ],
+)
+def test_objects_of_matlab_are_refused_with_the_way_out(tmp_path, kind, way):
     path = tmp_path / "log.mat"
-    savemat(path, {"logsout": np.ones(3)})
-    content = bytearray(path.read_bytes())
-    content[144] = 17  # The class that MATLAB writes for a timeseries.
-    path.write_bytes(content)
-    with pytest.raises(
-        LeglabError, match=r"timeseries.*in MATLAB: .*save\('log.mat', 's', '-v7'\)"
-    ):
+    savemat(path, {"time": TIME})
+    texts = b"".join(element(1, text.encode()) for text in ("out", "MCOS", kind))
+    opaque = element(6, struct.pack("<2I", 17, 0)) + texts  # As MATLAB writes it.
+    path.write_bytes(path.read_bytes() + element(14, opaque))
+    with pytest.raises(LeglabError, match=f"variable 'out' is a {kind}, .*in MATLAB: {way}"):
         data.read(path)
 
 
