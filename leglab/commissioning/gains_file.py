@@ -12,6 +12,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from leglab.base.output import write_atomically
+from leglab.machine.files import model_digest
+from leglab.machine.library import is_shipped
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
 
@@ -74,7 +76,10 @@ class GainsFile:
             simulation: The machine, for the names of its joints.
             sensors: Sensors and timing of the loop.
         """
-        entry = tomllib.loads(self.path.read_text()).get(str(model))
+        tables = tomllib.loads(self.path.read_text())
+        # A name of its own costs a look at the model's files.
+        asked = any(key.partition(" ")[0] == Path(model).name for key in tables)
+        entry = tables.get(stored_name(model)) if asked else None
         if entry is None or any(entry[name] != getattr(sensors, name) for name in self.timing):
             return None
         rows = [entry["joints"].get(name) for name in simulation.joints]
@@ -109,6 +114,15 @@ class ControllerGains(GainsFile, Generic[T]):
             machine = Simulation(load_model(model))
             tables[model] = self.table(machine, sensors, self.tune(model, machine, sensors))
         self.path.write_text(self.text(tables))
+
+
+def stored_name(model: str) -> str:
+    """By which gains of a model are stored: its name, or its file's with a digest of the model.
+
+    Raises:
+        LeglabError: There is no such model.
+    """
+    return model if is_shipped(model) else f"{Path(model).name} {model_digest(model)[:16]}"
 
 
 def _key(name: str) -> str:

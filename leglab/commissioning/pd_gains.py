@@ -13,7 +13,7 @@ import numpy as np
 
 from leglab.base.errors import LeglabError
 from leglab.commissioning.calibration import drive_signs, free_inertia, native_speed_limit
-from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile, Row
+from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile, Row, stored_name
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
@@ -395,7 +395,7 @@ def tuned_tables(
             done += 1
             machine.reset()
             rows.append(tune(machine, i, sensors=sensors))
-        found[model] = PD.table(machine, sensors, rows)
+        found[stored_name(model)] = PD.table(machine, sensors, rows)
     return found
 
 

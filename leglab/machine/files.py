@@ -5,6 +5,7 @@ import os
 import re
 import time
 from collections.abc import Mapping, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import mujoco
 
 from leglab.base.errors import LeglabError, ModelError
 from leglab.machine.library import is_shipped, model_path
-from leglab.machine.simulation import load_model
+from leglab.machine.plugin import load_error, load_plugin
 
 # A file whose times are younger than this may change again without new ones: clocks of file
 # systems tick every few milliseconds [s].
@@ -160,9 +161,15 @@ def _files(main: Path) -> set[Path]:
     MuJoCo lists what the text names, without the folder of height fields, and what the compiled
     model was made of, without the sides of cubes: so both.
     """
-    compiled = load_model(main)
-    names = mujoco.mju_getXMLDependencies(str(main))
-    names += [os.fsdecode(name) for name in compiled.paths.split(b"\0") if name]
+    load_plugin()
+    try:
+        spec = mujoco.MjSpec.from_file(str(main))
+        names = mujoco.mju_getXMLDependencies(str(main))
+    except (ValueError, mujoco.FatalError) as error:
+        raise load_error(error, main.name) from error
+    # What does not compile by itself may do so with the time step or parameters of a run.
+    with suppress(ValueError, mujoco.FatalError):
+        names += [os.fsdecode(name) for name in spec.compile().paths.split(b"\0") if name]
     found = {Path(os.path.abspath(main.parent / name)) for name in names}
     return {main, *(file for file in found if file.is_file())}
 

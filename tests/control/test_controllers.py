@@ -13,6 +13,7 @@ import leglab.controllers
 import leglab.models
 from leglab import RunSettings, run_scenario
 from leglab.commissioning.calibration import ValveMap
+from leglab.commissioning.gains_file import stored_name
 from leglab.commissioning.pd_gains import (
     PD,
     SPEEDS,
@@ -150,6 +151,24 @@ def test_tuning_one_model_keeps_the_stored_gains_of_the_others(tmp_path):
     replace(PD, path=file).store({"own/arm.xml": {**before["knee_bench"]}})
     after = tomllib.loads(file.read_text())
     assert after == {**before, "own/arm.xml": before["knee_bench"]}
+
+
+def test_stored_gains_are_those_of_the_model_not_of_its_path(tmp_path):
+    model, file = tmp_path / "bench.xml", tmp_path / "gains.toml"
+    model.write_text((Path(leglab.models.__path__[0]) / "knee_bench.xml").read_text())
+    simulation, sensors = Simulation(load_model(model)), SensorConfiguration()
+    file.write_text("")
+    gains = replace(PD, path=file)
+    rows = PD.rows("knee_bench", simulation, sensors)
+    table = tomllib.loads(PD.path.read_text())["knee_bench"]
+    gains.store({stored_name(str(model)): table})
+    assert gains.rows(str(model), simulation, sensors) == rows
+    copy = tmp_path / "elsewhere" / "bench.xml"
+    copy.parent.mkdir()
+    copy.write_text(model.read_text())
+    assert gains.rows(str(copy), simulation, sensors) == rows
+    model.write_text(model.read_text() + "<!-- edited -->")
+    assert gains.rows(str(model), simulation, sensors) is None
 
 
 def test_stored_gains_are_what_tuning_gives_and_more_would_break_a_margin():
