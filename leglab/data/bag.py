@@ -119,7 +119,8 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
                 reason = f"{at}: {first_line(error)}"
                 reason = f"it ends {at}; is the file truncated?" if ends else reason
                 way = "" if salvage else "; --salvage reads what is whole"
-                told = f"{path}: not a complete MCAP file: {reason}{way}"
+                what = "bag of sqlite3" if ".db3" in path.name else "MCAP file"
+                told = f"{path}: not a complete {what}: {reason}{way}"
                 raise FileError(told, given=path) from error
         bag.add(part, _IDS * index, path)
     return bag
@@ -208,6 +209,7 @@ def decode(
     """
     factory = DecoderFactory()
     rows: dict[str, list[tuple[int, int | None, dict[str, float]]]] = {clock_topic: []}
+    undecoded: dict[str, list[str]] = {}
     for message in sorted(bag.messages, key=lambda m: m.log_time):
         channel = bag.channels[message.channel_id]
         owner = channel.topic.removeprefix("/")
@@ -229,6 +231,9 @@ def decode(
             found = numbers(schema.name, content, channel.topic, is_clock=is_clock)
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
+            if left_out.salvage:
+                undecoded.setdefault(channel.topic, []).append(first_line(error))
+                continue
             told = RecordingError(f"{where}: {first_line(error)}", given=channel.topic)
             if channel.topic == clock_topic or not left_out.partial:
                 raise told from error
@@ -236,6 +241,9 @@ def decode(
             del rows[channel.topic]
             continue
         of_topic.append((message.log_time, stamp, found))
+    for topic, reasons in undecoded.items():
+        why = f"{len(reasons)} messages cannot be decoded, the first: {reasons[0]}"
+        bag.lost.append(f"topic {topic!r}: {why}")
     return {topic: _series(topic, found, wanted_stamps, path) for topic, found in rows.items()}
 
 

@@ -63,20 +63,24 @@ def read_table(
         )
     except (pa.ArrowException, UnicodeEncodeError) as error:
         raise FileError(f"{path}: not a CSV file: {first_line(error)}", given=path) from error
+    metadata = {}
     if broken:
         row = broken[0]
-        raise FileError(
-            f"{path}: row {row.number - 1} has {row.actual_columns} cells instead of "
-            f"{row.expected_columns} ({row.text!r}); is the file truncated?",
-            given=path,
+        told = (
+            f"row {row.number - 1} has {row.actual_columns} cells instead of "
+            f"{row.expected_columns} ({row.text!r})"
         )
+        if not left_out.salvage:
+            way = "; is the file truncated? --salvage leaves such rows out"
+            raise FileError(f"{path}: {told}{way}", given=path)
+        metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {told}"]
     # Of a comma too many at the end of each line.
     empty = [
         name
         for name, column in zip(table.column_names, table.columns, strict=True)
         if name.startswith("Unnamed: ") and column.null_count == len(column)
     ]
-    return to_arrays(table.drop_columns(empty), path, left_out, decimal=found.decimal), {}
+    return to_arrays(table.drop_columns(empty), path, left_out, decimal=found.decimal), metadata
 
 
 def write(recording: Recording, path: Path) -> None:

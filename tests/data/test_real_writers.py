@@ -2,8 +2,10 @@
 
 import io
 import json
+import sqlite3
 import struct
 import zipfile
+from contextlib import closing
 
 import duckdb
 import numpy as np
@@ -292,6 +294,28 @@ def test_what_is_whole_of_a_broken_file_is_salvaged(tmp_path, capsys):
     cut = data.read(path, salvage=True)
     assert ROWS / 2 < len(cut) < ROWS
     assert f"{len(cut)} readable messages" in cut.metadata["salvaged"][0]
+
+
+def test_rows_that_are_not_whole_are_salvaged(tmp_path):
+    path = tmp_path / "log.csv"
+    FRAME.to_csv(path, index=False)
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(LeglabError, match="--salvage leaves such rows out"):
+        data.read(path)
+    found = data.read(path, salvage=True)
+    assert len(found) == ROWS - 1
+    assert "1 rows are left out, the first: row 299" in found.metadata["salvaged"][0]
+
+
+def test_a_message_that_is_not_whole_is_salvaged(tmp_path):
+    folder = rosbag(tmp_path / "bag", StoragePlugin.SQLITE3)
+    with closing(sqlite3.connect(folder / "bag.db3")) as database, database:
+        database.execute("UPDATE messages SET data = x'00' WHERE rowid = 5")
+    with pytest.raises(LeglabError, match="topic '/joint_states', message 2"):
+        data.read(folder)
+    found = data.read(folder, salvage=True)
+    assert len(found) == ROWS - 1
+    assert "1 messages cannot be decoded" in found.metadata["salvaged"][0]
 
 
 def test_messages_of_another_encoding_are_refused_with_the_way_out(tmp_path):
