@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from leglab import data
+from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.balance.units import doubts
 from leglab.diagnosis.intake.admission import admit
@@ -139,3 +140,33 @@ def test_a_valve_that_is_counted_the_other_way(case, pressures):
         (found,) = doubts(bench, logs)
         assert (found.recording, found.columns) == ("walk", ("knee_valve_command",))
         assert found.factor == -1.0
+
+
+def glitches(recording, rng):
+    """Drop-outs to zero and spikes of a position, stale first rows, and 8 ms of zeros."""
+    angle = recording["knee_position"].copy()
+    places = rng.choice(np.arange(50, angle.size - 50, 8), 20, replace=False)
+    angle[places[:10]] = 0.0
+    angle[places[10:]] += rng.choice([-0.3, 0.3], 10)
+    angle[1:3] = angle[0] = angle[-1] + 1.0
+    return recording.with_columns({"knee_position": angle}), np.append(places, (0, 1, 2))
+
+
+def test_samples_that_no_motion_supports_are_left_out_and_counted_in_a_line():
+    bench = Machine("knee_bench")
+    walk = of_bench("nominal")["walk"]
+    spoilt, places = glitches(walk, np.random.default_rng(0))
+    admitted = admit(bench, {"walk": spoilt})
+    left_out = np.isnan(admitted.recordings["walk"]["knee_position"])
+    assert set(np.flatnonzero(left_out)) == set(places)
+    (line,) = (note for note in admitted.notes if "jump away" in note)
+    assert "'knee_position' 23, worst " in line
+    assert not any("jump" in note for note in admit(bench, {"walk": walk}).notes)
+
+
+def test_two_publishers_in_one_column_are_named():
+    walk = of_bench("nominal")["walk"]
+    angle = walk["knee_position"].copy()
+    angle[::2] += 0.1
+    with pytest.raises(LeglabError, match=r"every other row of column 'knee_position'"):
+        admit(Machine("knee_bench"), {"walk": walk.with_columns({"knee_position": angle})})

@@ -7,6 +7,7 @@ import numpy as np
 
 from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
+from leglab.diagnosis.intake.outliers import alternates, unsupported
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, common_period
@@ -144,13 +145,14 @@ class _Entry:
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
+        mixed = self._leave_out()
         for column, cylinder in known.items():
             why = self._pressure_fault(column, cylinder) if column in own else reasons.get(column)
             if why:
                 self.lost[column] = why
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
         # Why the recording cannot be used at all.
-        self.fault = self._missing(recording, reasons) or self._unwrap()
+        self.fault = self._missing(recording, reasons) or mixed or self._unwrap()
         for joint in machine.joints:
             self.fault = self.fault or self._position_fault(joint)
 
@@ -172,6 +174,31 @@ class _Entry:
                 return f"{why}; allowed: numbers, NaN where one is missing"
         if len(recording) < 3:
             return f"{len(recording)} samples are too few to replay"
+        return None
+
+    def _leave_out(self) -> str | None:
+        """Leaves out samples that no motion supports; says which position is two signals in one.
+
+        Commands may jump.
+        """
+        for column, samples in self.recording.columns.items():
+            if column.endswith("_command"):
+                continue
+            if column.endswith("_position") and alternates(samples):
+                why = f"every other row of column {column!r} is another signal's; two publishers?"
+                return f"{why} allowed: one source a column"
+            if (gone := unsupported(samples)).any():
+                kept = np.where(gone, np.nan, samples)
+                self.recording = self.recording.with_columns({column: kept})
+                rows = np.arange(samples.size)
+                known = np.isfinite(kept)
+                if not known.any():
+                    continue
+                off = np.abs(samples - np.interp(rows, rows[known], kept[known]))[gone]
+                worst = int(np.flatnonzero(gone)[np.argmax(off)])
+                at = f"{samples[worst]:.4g} at {self.recording.time[worst]:.5g} s"
+                text = "samples that jump away from the motion are left out"
+                self.remarks.append(Remark(text, self.name, f"{column!r} {gone.sum()}, worst {at}"))
         return None
 
     def _unwrap(self) -> str | None:

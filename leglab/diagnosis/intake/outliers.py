@@ -1,0 +1,61 @@
+"""Samples that no motion supports: drop-outs to zero, spikes, rows from before the log began."""
+
+import numpy as np
+from scipy.ndimage import percentile_filter
+
+from leglab.diagnosis.intake.series import quantum
+from leglab.diagnosis.thresholds import DEFAULT
+
+# Neighbours whose steps say what is usual: a spike makes two of them, a few do not show in most.
+_NEAR, _MOST = 41, 80
+
+
+def unsupported(samples: np.ndarray) -> np.ndarray:
+    """Mask of the samples of a signal with inertia, (n,), NaN where missing, that cannot be.
+
+    One sample of any value, or a run of zeros, to which the signal jumps and from which it comes
+    back, and a first value from which it jumps away: by steps that are many times the usual ones
+    nearby and a quantised signal's least. An impact turns a motion round by steps like those before
+    it, a command may jump: neither is meant.
+    """
+    good = np.flatnonzero(np.isfinite(samples))
+    found = np.zeros(samples.size, dtype=bool)
+    if good.size < _NEAR:
+        return found
+    values = samples[good]
+    steps = np.diff(values)
+    sizes = np.abs(steps)
+    usual = percentile_filter(sizes, _MOST, size=_NEAR, mode="nearest")
+    moves = sizes[sizes > 0.0]
+    least = max(quantum(values), float(np.median(moves)) if moves.size else 0.0)
+    far = sizes > DEFAULT.certain * np.maximum(usual, least)
+    zeros = np.flatnonzero((values[:-1] == 0.0) & (values[1:] != 0.0))
+    for start in np.flatnonzero(far).tolist():  # The first sample of a run follows this step.
+        if found[good[start]]:
+            continue
+        end = start + 1
+        if values[end] == 0.0:
+            later = zeros[np.searchsorted(zeros, end)] if zeros.size and zeros[-1] >= end else None
+            end = end if later is None else int(later)
+        if end < steps.size and far[end] and steps[end] * steps[start] < 0.0:
+            found[good[start + 1 : end + 1]] = True
+    first = int(np.argmax(steps != 0.0)) if moves.size else 0
+    if moves.size and first < _NEAR and far[first] and not found[good[first + 1]]:
+        found[good[: first + 1]] = True
+    return found
+
+
+def alternates(samples: np.ndarray) -> bool:
+    """Whether every other sample of a signal, (n,), belongs to another signal.
+
+    Each differs from its neighbours, most of the time in turn, by many times of what the next but
+    one differs, and a quantised signal's least step.
+    """
+    values = samples[np.isfinite(samples)]
+    if values.size < _NEAR:
+        return False
+    steps = np.diff(values)
+    turns = float(np.mean(steps[1:] * steps[:-1] < 0.0))
+    across = float(np.median(np.abs(values[2:] - values[:-2])))
+    usual = max(across, quantum(values[::2]))
+    return turns > 0.9 and float(np.median(np.abs(steps))) > DEFAULT.certain * usual > 0.0
