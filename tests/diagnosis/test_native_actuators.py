@@ -146,3 +146,32 @@ def test_an_actuator_that_cannot_be_replayed_is_named(actuator, why, tmp_path):
     with pytest.raises(ModelError, match="drive") as error:
         Machine(tmp_path / "model.xml")
     assert why in str(error.value)
+
+
+def test_a_model_that_its_time_step_makes_unstable_is_refused(tmp_path):
+    path = tmp_path / "model.xml"
+    # A damper of 300 N m s/rad, explicit, on 0.15 kg m^2: factors of -3 a step of 2 ms.
+    stiff = '<position name="knee" joint="knee" kp="60" kv="300"/>'
+    time, command, position, _ = simulated(model_of(servo()), 0, 0.5)
+    path.write_text(model_of(stiff).replace("implicitfast", "Euler"))
+    columns = {"knee_command": command, "knee_position": position}
+    logs = {name: Recording(time=time, columns=columns) for name in ("log", "again")}
+    with pytest.raises(ModelError, match="joint 'knee', driven by 'knee', blows up .* 0.002 s"):
+        set_up(path, logs, ("again",), DiagnosisSettings(threads=1, effects=("payload",)))
+
+
+def test_a_pendulum_without_an_actuator_swings_down(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(model_of("").replace('stiffness="8"', 'ref="1"'))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, positions = mujoco.MjData(model), []
+    while data.time < 3.0:
+        positions.append(float(data.qpos[0]))
+        mujoco.mj_step(model, data)
+    time = 0.002 * np.arange(len(positions))
+    noise = np.random.default_rng(0).normal(0.0, NOISE, time.size)
+    log = Recording(time=time, columns={"knee_position": np.array(positions) + noise})
+    settings = DiagnosisSettings(threads=1, effects=("payload",))
+    problem = set_up(path, {"log": log, "again": log}, ("again",), settings)
+    change = problem.library.change(Hypothesis(), problem.machine)
+    assert rms(problem.replay.error(change, forces=True).values) < 1e-3

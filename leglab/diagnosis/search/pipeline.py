@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from leglab.base.errors import ModelError
 from leglab.base.recording import Recording
 from leglab.base.threads import threads_allowed
 from leglab.diagnosis.balance.balances import forces_left
@@ -79,27 +80,53 @@ def _problem(
     together = {**recordings, **others}
     found = channels(machine, together, limits)
     period = common_period(together, limits)
-    machine = at_replay_step(machine, period)
     needed = tuple(dict.fromkeys([*(c.column for c in found), *machine.columns]))
-    return Problem(
-        machine,
-        Library(
+    series = [
+        UniformSeries.from_recording(r, name, needed, limits, period=period)
+        for name, r in recordings.items()
+    ]
+
+    def posed(machine: Machine) -> Problem:
+        return Problem(
             machine,
-            names=settings.effects,
-            excluded=settings.excluded,
-            specimen=specimen,
-            # When in its period a sample was taken, or a command arrived, no log tells: times are
-            # rounded to it.
-            shortest=float(period / np.sqrt(12.0)),
-        ),
-        [
-            UniformSeries.from_recording(r, name, needed, limits, period=period)
-            for name, r in recordings.items()
-        ],
-        found,
-        [i for i, name in enumerate(recordings) if name not in admitted.held_out],
-        threads=settings.threads,
-        thresholds=limits,
+            Library(
+                machine,
+                names=settings.effects,
+                excluded=settings.excluded,
+                specimen=specimen,
+                # When in its period a sample was taken, or a command arrived, no log tells: times
+                # are rounded to it.
+                shortest=float(period / np.sqrt(12.0)),
+            ),
+            series,
+            found,
+            [i for i, name in enumerate(recordings) if name not in admitted.held_out],
+            threads=settings.threads,
+            thresholds=limits,
+        )
+
+    problem = posed(at_replay_step(machine, period))
+    if problem.blown and problem.machine.timestep > machine.file_timestep:
+        # A longer step than the model's own is a choice of replays, which is to blame then.
+        steps = int(np.ceil(period / machine.file_timestep - 1e-9))
+        problem = posed(machine.at_timestep(period / steps))
+    _check_stable(problem)
+    return problem
+
+
+def _check_stable(problem: Problem) -> None:
+    """Refuses a model that its own time step makes unstable."""
+    if not (joint := problem.blown):
+        return
+    machine = problem.machine
+    drives = " and ".join(repr(a) for a in machine.actuators if joint in machine.driven[a])
+    driven = f", driven by {drives}," if drives else ""
+    helps = "; at half of it it does not" if problem.finer_helps else ""
+    raise ModelError(
+        f"{machine.path.name}: joint {joint!r}{driven} blows up in simulations of the model as it "
+        f"is, at time steps of {machine.timestep:.4g} s{helps}; allowed: ",
+        given=machine.timestep,
+        allowed='a shorter timestep, integrator="implicitfast" or softer gains',
     )
 
 
