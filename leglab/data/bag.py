@@ -174,12 +174,22 @@ def scan_sqlite(content: bytes, bag: Bag) -> None:
         found = database.execute(f"SELECT {rows}").fetchall()
         definitions |= {kind: (form, text) for kind, form, text in found if text}
     rows = "id, name, type, serialization_format FROM topics"
-    for number, topic, kind, encoding in database.execute(f"SELECT {rows}"):
+    for row in database.execute(f"SELECT {rows}"):
+        number, topic, kind, encoding = _typed(row, (int, str, str, str))
         form, text = definitions.get(kind, ("", ""))
         bag.take(Schema(id=number, data=text.encode(), encoding=form, name=kind))
         bag.take(Channel(number, topic, encoding, {}, number))
-    for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
+    for row in database.execute("SELECT topic_id, timestamp, data FROM messages"):
+        number, time, data = _typed(row, (int, int, bytes))
         bag.take(Message(number, time, data, time, 0))
+
+
+def _typed(row: tuple, types: tuple[type, ...]) -> tuple:
+    """The values of a row; sqlite3 itself takes any type in any column."""
+    for value, kind in zip(row, types, strict=True):
+        if not isinstance(value, kind):
+            raise ValueError(f"{value!r} where {kind.__name__} should be")
+    return row
 
 
 def _unpacked(data: bytes) -> bytes:
