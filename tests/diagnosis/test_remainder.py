@@ -250,7 +250,7 @@ def test_a_part_is_the_same_in_python_and_in_a_model():
     change = Change(machine)
     part.apply(change)
     spec = machine.spec()
-    part.write(spec)
+    part.write(spec, machine)
     written = spec.compile()
     variant = change.variant
     start, table = plugin.elements(written)[part.name]

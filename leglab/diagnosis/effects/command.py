@@ -1,6 +1,6 @@
 """Native actuators: their gain, and what happens to a command on its way to any."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -11,6 +11,7 @@ from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, 
 from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.plant.paths import COMMAND_PATH, command_path
+from leglab.machine.parameters import plugin_tables
 
 _FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -22,13 +23,30 @@ _SERVO_BAND = "servo_dead_band"
 _SERVO_SHARE = 0.2
 
 
-def write_command_path(spec: mujoco.MjSpec, actuator: str, values: Mapping[str, float]) -> None:
-    """Sets parameters of an actuator's `leglab.command_path`; inserts one if there is none."""
-    for plugin in spec.plugins:
-        if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator:
-            plugin.config = {**plugin.config, **{k: repr(float(v)) for k, v in values.items()}}
-            return
-    joints.insert(spec, COMMAND_PATH, f"{actuator}_path", {"actuator": actuator, **values})
+def write_command_path(
+    spec: mujoco.MjSpec, machine: Machine, actuator: str, values: Values
+) -> None:
+    """Adds to parameters of an actuator's `leglab.command_path`; inserts one if there is none.
+
+    Two delays, offsets, dead bands or plays in a row are one of their sum; two lags nearly.
+    """
+    path = next(
+        (
+            plugin
+            for plugin in spec.plugins
+            if plugin.plugin_name == COMMAND_PATH and plugin.config.get("actuator") == actuator
+        ),
+        None,
+    )
+    old = {"actuator": actuator} if path is None else dict(path.config)
+    new = {name: float(old.get(name, 0.0)) + value for name, value in values.items()}
+    if "delay" in new:
+        longest = float(old.get("max_delay", _SHORTEST_HISTORY))
+        new["max_delay"] = max(longest, new["delay"])
+    if path is None:
+        joints.insert(spec, COMMAND_PATH, machine.free_name(f"{actuator}_path"), {**old, **new})
+    else:
+        path.config = {**old, **{name: repr(value) for name, value in new.items()}}
 
 
 def natives(machine: Machine, wanted: Callable[[Any], bool]) -> tuple[str, ...]:
@@ -77,13 +95,15 @@ class CommandEffect(TableEffect):
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Passes the measured command through the path."""
-        for function in command_path(values):
+        rows = plugin_tables()[COMMAND_PATH].parameters
+        inside = {k: change.within(rows[k], v, rows[k].nominal) for k, v in values.items()}
+        for function in command_path(inside):
             change.command(element, function)
 
     def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
         if any(values.values()):
-            write_command_path(spec, element, values)
+            write_command_path(spec, machine, element, values)
 
 
 @register_effect
@@ -106,8 +126,7 @@ class CommandDelay(CommandEffect):
         if delay == 0.0:
             return
         if element in machine.native_actuators():
-            longest = max(delay, _SHORTEST_HISTORY)
-            write_command_path(spec, element, {"delay": delay, "max_delay": longest})
+            write_command_path(spec, machine, element, {"delay": delay})
             return
         actuator = spec.actuator(element)
         delay += float(actuator.delay)  # of the model as it was
@@ -155,12 +174,15 @@ class ServoDeadband(TableEffect):
         band = values["dead_band"]
         if band == 0.0:
             return
-        if name := change.machine.instance_on(COMMAND_PATH, "actuator", element):
+        machine = change.machine
+        if name := machine.instance_on(COMMAND_PATH, "actuator", element):
             change.add_parameter(name, _SERVO_BAND, band)
         else:
+            name = machine.free_name(f"{element}_path")
             key = ("insert", COMMAND_PATH, element)
-            change.edit(key, lambda spec: write_command_path(spec, element, {}))
-            change.set_parameter(f"{element}_path", _SERVO_BAND, band)
+            change.edit(key, lambda spec: write_command_path(spec, machine, element, {}))
+            change.inserted[name] = COMMAND_PATH
+            change.set_parameter(name, _SERVO_BAND, band)
 
 
 @register_effect

@@ -328,8 +328,7 @@ class ValveBandwidth(CylinderEffect):
         """Sets the natural frequency, and the damping."""
         damping = change.machine.parameter(element, "damping_ratio")
         share = values["damping_ratio"] / damping if damping > 0.0 else 1.0
-        row = change.machine.base.elements[element][1].parameters["bandwidth_hz"]
-        natural = min(share * values["bandwidth_hz"], row.maximum)
+        natural = share * values["bandwidth_hz"]
         super().apply(change, element, {**values, "bandwidth_hz": natural})
 
 
@@ -360,18 +359,20 @@ class SupplyDroop(TableEffect):
             return
         cylinders = change.machine.cylinders
         pressure = change.parameter(cylinders[0], "supply_pressure")
+        name = change.machine.free_name(element)
 
         def insert(spec: mujoco.MjSpec) -> None:
-            joints.insert(spec, SUPPLY, element, {"accumulator_volume": 4e-5})
+            joints.insert(spec, SUPPLY, name, {"accumulator_volume": 4e-5})
             for cylinder in cylinders:
                 plugin = spec.actuator(cylinder).plugin
-                plugin.config = {**plugin.config, "supply": element}
+                plugin.config = {**plugin.config, "supply": name}
 
-        change.edit(("supply", element), insert)
-        change.set_parameter(element, "supply_pressure", pressure)
-        change.set_parameter(element, "accumulator_volume", values["accumulator_volume"])
-        change.set_parameter(element, "compensator_gain", 1.0 / values["droop"])
-        change.set_parameter(element, "pump_flow", 0.1)  # the compensator limits, not the pump
+        change.edit(("supply", name), insert)
+        change.inserted[name] = SUPPLY
+        change.set_parameter(name, "supply_pressure", pressure)
+        change.set_parameter(name, "accumulator_volume", values["accumulator_volume"])
+        change.set_parameter(name, "compensator_gain", 1.0 / values["droop"])
+        change.set_parameter(name, "pump_flow", 0.1)  # the compensator limits, not the pump
 
 
 # Shapes of laws in which good machines differ, by a trial: calibrated, never named.

@@ -2,12 +2,15 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
 from leglab.diagnosis.plant.model import Change, Machine
+
+# Of the search for a bound: to the last bit of a double.
+_HALVINGS = 60
 
 # Effect and element.
 Key = tuple[str, str]
@@ -104,6 +107,39 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return self.only(set(self._values) - set(keys))
 
 
+def _taken(
+    effect: Effect, machine: Machine, element: str, parameters: tuple[EffectParameter, ...]
+) -> tuple[EffectParameter, ...]:
+    """Returns parameters with bounds and trials that the plugins take.
+
+    Those of a large machine follow from its forces, and may go beyond.
+    """
+    usual = {p.name: p.trials[0] if p.trials else p.nominal for p in parameters}
+
+    def takes(name: str, value: float) -> bool:
+        change = Change(machine)
+        effect.apply(change, element, {**usual, name: value})
+        return not change.beyond
+
+    def reached(p: EffectParameter, end: float) -> float:
+        if end == p.nominal or takes(p.name, end) or not takes(p.name, p.nominal):
+            return end
+        inside, outside = p.nominal, end
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if takes(p.name, middle) else (inside, middle)
+        return inside
+
+    def bounded(p: EffectParameter) -> EffectParameter:
+        lower, upper = reached(p, p.lower), reached(p, p.upper)
+        if (lower, upper) == (p.lower, p.upper):
+            return p
+        trials = tuple(t for t in p.trials if lower <= t <= upper)
+        return replace(p, lower=lower, upper=upper, trials=trials)
+
+    return tuple(bounded(p) for p in parameters)
+
+
 class Library:
     """The effects that can sit on a machine.
 
@@ -141,7 +177,9 @@ class Library:
                     searched.add(key)
                 if used or key in self.specimen or not effect.nameable:
                     given = effect.parameters(machine, element)
-                    parameters = tuple(p.stretched(shortest) for p in given)
+                    parameters = _taken(
+                        effect, machine, element, tuple(p.stretched(shortest) for p in given)
+                    )
                     self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
         #: Those that would be used, were they not over within a shorter time.
         self.too_fast = frozenset(k for k in searched if self.sites[k].slowest < shortest)

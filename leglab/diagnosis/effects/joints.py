@@ -11,6 +11,7 @@ import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, Values
 from leglab.diagnosis.plant.model import Change, Machine
+from leglab.machine.parameters import plugin_tables
 
 # Standard deviation of a native field between good machines, a share of its value.
 _TOLERANCE = 0.1
@@ -97,9 +98,16 @@ def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, flo
 def insert_on_joint(
     change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float], values: Values
 ) -> None:
-    """Lets a change insert a plugin instance with `config` on a joint, then set `values`."""
-    full: dict[str, float | str] = {"joint": joint, **config}
+    """Lets a change insert a plugin instance with `config` on a joint, then set `values`.
+
+    It has the given name, or one like it that is free.
+    """
+    name = change.machine.free_name(name)
+    rows = plugin_tables()[plugin].parameters
+    kept = {k: change.within(rows[k], v, rows[k].nominal) for k, v in config.items()}
+    full: dict[str, float | str] = {"joint": joint, **kept}
     key = ("insert", plugin, name, *sorted(full.items(), key=str))
+    change.inserted[name] = plugin
     change.edit(key, lambda spec: insert(spec, plugin, name, full))
     for parameter, value in values.items():
         change.set_parameter(name, parameter, value)

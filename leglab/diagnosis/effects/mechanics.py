@@ -87,6 +87,8 @@ class Payload(Effect):
         reach = float((centre @ centre) ** 0.5)
         position = centre * (distance / reach) if reach > 0.0 else centre
 
+        name = change.machine.free_name(f"{element}_payload")
+
         def add(spec: mujoco.MjSpec) -> None:
             if mass < 0.0:
                 body, share = spec.body(element), 1.0 + mass / own.mass[0]
@@ -94,7 +96,7 @@ class Payload(Effect):
                 body.ipos, body.iquat, body.explicitinertial = own.ipos, own.iquat, True
                 body.fullinertia = np.full(6, np.nan)
                 return
-            load = spec.body(element).add_body(name=f"{element}_payload", pos=position)
+            load = spec.body(element).add_body(name=name, pos=position)
             load.mass = mass
             load.ipos = [0.0, 0.0, 0.0]  # left alone, MuJoCo puts the body's position here again
             load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo wants a positive one; a point has none

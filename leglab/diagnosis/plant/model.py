@@ -1,8 +1,10 @@
 """The machine under diagnosis: its model, compiled variants, and where parameters live."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 from threading import Lock
 
@@ -18,7 +20,7 @@ from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
 from leglab.machine.library import model_path
-from leglab.machine.parameters import PluginTable
+from leglab.machine.parameters import Parameter, PluginTable, plugin_tables
 from leglab.machine.sensors import CHAMBERS as CHAMBERS
 from leglab.machine.simulation import actuator_moments
 
@@ -210,6 +212,13 @@ class Machine:
         of_it = (one for one in self._spec.plugins if one.plugin_name == plugin)
         return next((str(one.name) for one in of_it if one.config.get(attribute) == target), None)
 
+    def free_name(self, name: str) -> str:
+        """Returns a name, with a number where a part of the model has it: of what is inserted."""
+        spec = self._spec
+        taken = {part.name for part in (*spec.plugins, *spec.actuators, *spec.bodies)}
+        numbered = (f"{name}_{number}" for number in count(2))
+        return next(one for one in chain([name], numbered) if one not in taken)
+
     def spring_of(self, joint: str) -> str | None:
         """Name of the spring-damper instance that acts on a joint."""
         return self.instance_on(SPRING, "joint", joint)
@@ -327,6 +336,9 @@ class Change:
         self.machine = machine
         self.edits: list[Edit] = []
         self.parameters: dict[tuple[str, str], float] = {}
+        #: Plugins of instances that edits insert, by instance.
+        self.inserted: dict[str, str] = {}
+        self.beyond = False  #: Whether a value was beyond what its plugin takes
         # What the model file says of these paths comes first.
         commands, corrections = machine.carried
         self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
@@ -347,24 +359,34 @@ class Change:
     def set_parameter(self, element: str, name: str, value: float) -> None:
         """Sets a plugin parameter through `plugin_state`: the fast path, nothing is compiled.
 
-        The element may be one that an `edit` inserts.
+        The element may be one that an `edit` inserts. A value beyond what the plugin takes is the
+        nearest that it takes; where the least is excluded, a share beyond it of what the model has.
         """
-        self.parameters[element, name] = float(value)
+        elements, own = self.machine.base.elements, math.nan
+        if element in elements:
+            table, own = elements[element][1], self.machine.parameter(element, name)
+        elif element in self.inserted:
+            table = plugin_tables()[self.inserted[element]]
+            own = table.parameters[name].nominal
+        else:  # an instance of another library, or a coefficient of a learned part
+            self.parameters[element, name] = float(value)
+            return
+        self.parameters[element, name] = self.within(table.parameters[name], value, own)
+
+    def within(self, row: Parameter, value: float, own: float) -> float:
+        """Returns the nearest value that a plugin's parameter takes; `own` is the model's."""
+        low = row.minimum
+        if not row.minimum_allowed:
+            low += DEFAULT.negligible * (own - low)
+        self.beyond |= not low <= value <= row.maximum
+        return float(min(max(value, low), row.maximum))
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
         """Adds to a plugin parameter, so that effects on the same one compose.
 
-        Two effects that lower the same one together end at the least that the plugin takes; where
-        the least is excluded, at a share beyond it of what the model has.
+        Two effects that lower the same one together end at the least that the plugin takes.
         """
-        value = self.parameter(element, name) + difference
-        if element in self.machine.base.elements:  # else it was inserted by the effect itself
-            row = self.machine.base.elements[element][1].parameters[name]
-            low = row.minimum
-            if not row.minimum_allowed:
-                low += DEFAULT.negligible * (self.machine.parameter(element, name) - low)
-            value = min(max(value, low), row.maximum)
-        self.set_parameter(element, name, value)
+        self.set_parameter(element, name, self.parameter(element, name) + difference)
 
     def edit(self, key: Hashable, function: Callable[[mujoco.MjSpec], None]) -> None:
         """Edits the specification: inserts an element, or changes a native attribute.

@@ -40,7 +40,7 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Of the plugin instance."""
+        """Of the plugin instance, on a machine where it is free."""
         return f"{self.element}_remainder"
 
     def at(self, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -65,14 +65,15 @@ class Part:
     def apply(self, change: Change) -> None:
         """Adds it to a change; another one with the same knots needs no other model."""
         config = self.config(neutral=True)
-        key = ("insert", RESIDUAL, self.name, *sorted(config.items()))
-        change.edit(key, lambda spec: insert(spec, RESIDUAL, self.name, config))
-        change.set_parameter(self.name, "bound", self.bound)
+        name = change.machine.free_name(self.name)
+        key = ("insert", RESIDUAL, name, *sorted(config.items()))
+        change.edit(key, lambda spec: insert(spec, RESIDUAL, name, config))
+        change.set_parameter(name, "bound", self.bound)
         for variable, spline in self.terms.items():
             for number, value in enumerate(spline.coefficients.tolist()):
-                change.set_parameter(self.name, f"{variable}_{number}", value)
+                change.set_parameter(name, f"{variable}_{number}", value)
         if "load" in self.terms and not self.oil:
-            change.start(self.name, "load", partial(self._load, change.machine))
+            change.start(name, "load", partial(self._load, change.machine))
 
     def _load(
         self, machine: Machine, measured: Measured, variant: Variant, plugin: np.ndarray
@@ -83,9 +84,9 @@ class Part:
         found = forces_at(model, states, commands_at(machine, measured, k))
         return found.load[:, int(model.joint(self.joint).dofadr[0])]
 
-    def write(self, spec: mujoco.MjSpec) -> None:
-        """Adds its plugin instance to a specification."""
-        insert(spec, RESIDUAL, self.name, self.config())
+    def write(self, spec: mujoco.MjSpec, machine: Machine) -> None:
+        """Adds its plugin instance to a specification of a machine."""
+        insert(spec, RESIDUAL, machine.free_name(self.name), self.config())
 
 
 def _numbers(values: np.ndarray) -> str:

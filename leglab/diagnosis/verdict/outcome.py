@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import EVERY
@@ -60,7 +60,7 @@ class Outcome:
                 self.final = self.written
         else:
             lean, spread = _lean(self.about, fitter, row, self.named)
-            self.written = lean.columns.base
+            self.written = _named_alone(problem.library, lean.columns.base, self.named)
             if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
                 self.final, self.spread = self.written, spread
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
@@ -91,6 +91,20 @@ class Outcome:
             return np.ones(problem.replay.windows)
         nearest = np.array(self.specimen.nearest(problem))
         return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2
+
+
+def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
+    """Returns a fit without what is neither named nor has a tolerance.
+
+    A fit leaves a thousandth of a trial of whatever it has looked at.
+    """
+    values = {}
+    for key, value in fitted.items():
+        site = library.sites[key]
+        tolerant = [p.tolerance > 0.0 or key in named for p in site.parameters]
+        if any(tolerant):
+            values[key] = np.where(tolerant, value, site.nominal)
+    return Hypothesis(values, fitted.onsets)
 
 
 def _lean(

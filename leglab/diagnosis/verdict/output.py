@@ -1,7 +1,6 @@
 """Output of a diagnosis: diagnosis.json, improved.xml, and tables for the terminal."""
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,12 +35,7 @@ def write_model(
     """
     machine = problem.machine
     spec = machine.spec(whole=True)
-    # The patched model lies elsewhere than meshes and textures.
-    for attribute in ("meshdir", "texturedir") if spec.meshes or spec.textures else ():
-        place = str(getattr(spec.compiler, attribute))
-        if not os.path.isabs(place):
-            place = str((machine.path.parent / place).resolve())
-            setattr(spec.compiler, attribute, place)
+    _place_assets(spec, machine.path.parent)
     change = Library.change(problem.library, hypothesis, machine)
     for _, edit in change.edits:
         edit(spec)
@@ -53,7 +47,7 @@ def write_model(
         site = problem.library.sites[key]
         site.effect.write(spec, machine, site.element, site.named(values))
     for part in parts:
-        part.write(spec)
+        part.write(spec, machine)
     path = folder / "improved.xml"
     try:
         spec.compile()
@@ -63,6 +57,22 @@ def write_model(
         raise leglab.machine.plugin.load_error(error, path.name, spec) from error
     write_atomically(path, lambda stream: stream.write(text.encode()))
     return path
+
+
+def _place_assets(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Makes the files of all assets absolute: the specification is saved in another folder."""
+
+    def placed(directory: str, file: str) -> str:
+        name = Path(file).name if spec.strippath else file
+        return str((folder / directory / name).resolve()) if file else ""
+
+    for asset in (*spec.meshes, *spec.hfields, *spec.skins):
+        asset.file = placed(spec.compiler.meshdir, asset.file)
+    for texture in spec.textures:
+        directory = spec.compiler.texturedir
+        texture.file = placed(directory, texture.file)
+        texture.cubefiles = [placed(directory, file) for file in texture.cubefiles]
+    spec.strippath = False
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
