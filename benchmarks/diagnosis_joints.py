@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import mujoco
@@ -18,12 +19,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks import results
+from benchmarks.self_test.command import diagnosed
 from leglab import RunSettings, run_scenario
 from leglab.base.recording import Recording
 from leglab.base.scenario import Options, ParameterChange, register_scenario
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.diagnosis.verdict.verdict import diagnose
 from rigs.rough import RIGS, RoughRig, faults_of, hide, machine, record_rough
 
 HEAD = ("machine", "hidden", "verdict", "named, confidence", "explained", "noise levels", "s")
@@ -93,24 +93,25 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
             {"name": n, "joint": rig.joints[j], "elements": _elements(rig, j), "size": size}
             for (n, j), size in zip(faults, sizes, strict=True)
         ]
-    result, _ = diagnose(model, recordings, settings=DiagnosisSettings(threads=1))
+    began = perf_counter()
+    content = diagnosed(model, recordings)
     return {
         "machine": name,
         "hidden": hidden,
-        "verdict": result.verdict,
+        "verdict": content["verdict"],
         "named": [
             {
-                "name": e.name,
-                "element": e.element,
-                "confidence": e.confidence,
-                "tied": e.indistinguishable_from,
+                "name": e["name"],
+                "element": e["element"],
+                "confidence": e["confidence"],
+                "tied": e["indistinguishable_from"],
             }
-            for e in result.effects
+            for e in content["effects"]
         ],
-        "explained": result.gap.explained,
-        "before": result.gap.before,
-        "after": result.gap.after,
-        "wall_s": result.seconds,
+        "explained": content["explained"],
+        "before": content["gap"]["before"],
+        "after": content["gap"]["after"],
+        "wall_s": perf_counter() - began,
     }
 
 

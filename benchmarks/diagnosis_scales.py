@@ -20,17 +20,17 @@ import sys
 import textwrap
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import mujoco
 from matplotlib.figure import Figure
 
 from benchmarks import results
+from benchmarks.self_test.command import diagnosed
 from benchmarks.self_test.outcomes import TIMEOUT, lines
 from leglab.base.errors import SimulationError
 from leglab.base.output import write_atomically
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.jobs.engine import executor, make_missing
 from leglab.report.style import DARK_GREY, LIGHT_GREY, SERIES, VERMILION, style
 from rigs import PENDULUM
@@ -103,15 +103,16 @@ def run(given: dict[str, Any]) -> dict[str, Any]:
     write_atomically(path, lambda file: file.write(model(scale).encode()))
     hidden = {EFFECTS[effect][0]: size(effect, scale)}
     logs = {k: record_hinge(k, hidden, scale=scale, seed=i) for i, k in enumerate(KINDS)}
-    result, outcome = diagnose(path, logs, settings=DiagnosisSettings(threads=1))
-    sure = [e.confidence for (name, _), e in outcome.judged.effects.items() if name == effect]
-    told = [[e.name, e.confidence, list(e.indistinguishable_from)] for e in result.effects]
-    values = [[e.name, p.name, p.value] for e in result.effects for p in e.parameters]
-    gap = result.gap
+    began = perf_counter()
+    content = diagnosed(path, logs)
+    named, gap = content["effects"], content["gap"]
+    sure = [e["confidence"] for e in named if e["name"] == effect]
+    told = [[e["name"], e["confidence"], e["indistinguishable_from"]] for e in named]
+    values = [[e["name"], p, v["value"]] for e in named for p, v in e["parameters"].items()]
     row = {"effect": effect, "scale": scale, "size": size(effect, scale), "named": told}
-    row |= {"verdict": result.verdict, "confidence": max(sure, default=0.0), "values": values}
-    row |= {"explained": gap.explained, "before": gap.before, "after": gap.after}
-    return results.rounded(row | {"seconds": result.seconds})
+    row |= {"verdict": content["verdict"], "confidence": max(sure, default=0.0), "values": values}
+    row |= {"explained": content["explained"], "before": gap["before"], "after": gap["after"]}
+    return results.rounded(row | {"seconds": perf_counter() - began})
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from benchmarks.self_test.command import diagnosed
 from benchmarks.self_test.outcomes import numbers, run_missing
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.diagnosis.verdict.verdict import diagnose
 from rigs.bench import (
     FAULTS,
     SUDDEN,
@@ -160,34 +158,34 @@ def outcome_of(given: dict[str, Any]) -> dict[str, Any]:
 def run_case(case: Case, seed: int) -> Outcome:
     """Makes a case and diagnoses it on one thread."""
     recordings, severities = make(case, seed)
-    excluded = case.effects if case.kind == "removed" else ()
-    settings = DiagnosisSettings(excluded=excluded, threads=1)
+    left = set(Library(Machine(MODEL)).names) - set(case.effects)
     began = perf_counter()
-    result, _ = diagnose(
-        MODEL, recordings, held_out=held_out_choice(recordings, Machine(MODEL)), settings=settings
-    )
-    told = [effect for effect, _ in result.all_effects]
+    content = diagnosed(MODEL, recordings, effects=sorted(left) if case.kind == "removed" else ())
+    told = [*content["effects"], *content["smaller"]]
     covered = [
-        p.interval[0] <= hidden.value <= p.interval[1]
+        low is not None and high is not None and low <= hidden.value <= high
         for name, hidden in zip(case.effects, severities, strict=True)
         for e in told
-        for p in e.parameters
-        if (e.name, p.name) == (name, hidden.parameter)
+        for parameter, estimate in e["parameters"].items()
+        if (e["name"], parameter) == (name, hidden.parameter)
+        for low, high in [estimate["interval"]]
     ]
     return Outcome(
         kind=case.kind,
         number=case.number,
         hidden=case.effects,
         severities=tuple(f"{s.parameter}={s.value:.4g}" for s in severities),
-        verdict=result.verdict,
-        named=tuple(e.name for e in told),
-        alternatives=tuple(e.indistinguishable_from for e in told),
-        confidence=tuple(e.confidence for e in told),
+        verdict=content["verdict"],
+        named=tuple(e["name"] for e in told),
+        alternatives=tuple(tuple(e["indistinguishable_from"]) for e in told),
+        confidence=tuple(e["confidence"] for e in told),
         covered=tuple(covered),
-        onsets=tuple(t for e in told for _, t in e.onset),
-        onset_intervals=tuple((low, high) for e in told for _, low, high in e.onset_interval),
-        before=result.gap.before,
-        after=result.gap.after,
+        onsets=tuple(t for e in told for t in (e["onset"] or {}).values()),
+        onset_intervals=tuple(
+            (low, high) for e in told for low, high in (e["onset_interval"] or {}).values()
+        ),
+        before=content["gap"]["before"],
+        after=content["gap"]["after"],
         seconds=perf_counter() - began,
     )
 

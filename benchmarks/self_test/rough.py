@@ -16,13 +16,11 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
+from benchmarks.self_test.command import diagnosed
 from benchmarks.self_test.outcomes import numbers, run_missing
 from leglab.base.errors import SettingsError
 from leglab.diagnosis.effects.hypothesis import Library
-from leglab.diagnosis.intake.recordings import held_out_choice
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
-from leglab.diagnosis.verdict.verdict import diagnose
 from rigs.rough_bench import FAULTS, SIZES, effect_of, rough_case, specimen
 
 MODEL = "knee_bench"
@@ -242,18 +240,11 @@ def run_case(case: RoughTestCase, settings: RoughTestSettings) -> RoughOutcome:
     content: dict[str, Any] = {}
     ranking: list[tuple[str, str, float]] = []
     error = ""
-    extra: dict[str, Any] = {"healthy": made.healthy} if settings.healthy else {}
     began = perf_counter()
     try:
-        result, _ = diagnose(
-            MODEL,
-            made.recordings,
-            held_out=held_out_choice(made.recordings, Machine(MODEL)),
-            settings=DiagnosisSettings(threads=1),
-            **extra,
-        )
-        content = result.to_json()
-        ranking = [(r.name, r.element, float(r.gain)) for r in result.ranking[:_RANKED]]
+        content = diagnosed(MODEL, made.recordings, healthy=made.healthy)
+        ranked = content.pop("ranking")[:_RANKED]
+        ranking = [(r["name"], r["element"], r["gain"]) for r in ranked]
     except Exception as failure:  # hours of other cases must not be lost
         error = f"{type(failure).__name__}: {failure}"
     return RoughOutcome(

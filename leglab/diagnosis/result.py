@@ -395,6 +395,7 @@ class Diagnosis:
                     for effect, element, estimate in self.calibration.estimates
                 ],
             },
+            "ranking": [asdict(one) for one in self.ranking],
             "rivals": [{"names": one.names, "cost": one.cost} for one in self.rivals],
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,

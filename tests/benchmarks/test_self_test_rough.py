@@ -28,7 +28,6 @@ from benchmarks.self_test.rough import (
     told_period,
 )
 from leglab.base.errors import LeglabError
-from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from rigs.rough_bench import FAULTS, RoughCase, effect_of, specimen
 
 KNOWN = ("internal_leakage", "payload", "stiction", "asymmetric_friction")
@@ -344,19 +343,12 @@ def test_outcomes_of_other_faults_are_not_taken_for_those_of_a_case(tmp_path, mo
     assert sorted(ran) == [0, 1, 1, 2]
 
 
-class _Result:
-    ranking = ()
-
-    def to_json(self):
-        return {"verdict": "named", "effects": [], "smaller": ["command_delay"]}
-
-
 def test_a_case_is_diagnosed_with_its_healthy_recordings_when_asked(monkeypatch):
     asked = []
 
-    def diagnose(model, recordings, *, held_out, settings, healthy=None):
+    def diagnosed(model, recordings, *, healthy):
         asked.append((sorted(recordings), healthy))
-        return _Result(), None
+        return {"verdict": "named", "effects": [], "smaller": ["command_delay"], "ranking": []}
 
     made = []
 
@@ -365,22 +357,21 @@ def test_a_case_is_diagnosed_with_its_healthy_recordings_when_asked(monkeypatch)
         healthy = {"b": 2} if options["healthy"] else {}
         return RoughCase(recordings={"a": 1}, healthy=healthy, severities=())
 
-    monkeypatch.setattr(rough_selftest, "diagnose", diagnose)
+    monkeypatch.setattr(rough_selftest, "diagnosed", diagnosed)
     monkeypatch.setattr(rough_selftest, "rough_case", rough_case)
-    monkeypatch.setattr(rough_selftest, "held_out_choice", lambda recordings, machine: ("a",))
     case = RoughTestCase(kind="null", number=0, specimen=77, faults=())
     found = run_case(case, RoughTestSettings())
     assert asked[-1] == (["a"], {"b": 2})
     assert found.diagnosis["smaller"] == ["command_delay"]
     assert not found.error
     run_case(case, RoughTestSettings(healthy=False, rough=False, sizes="visible"))
-    assert asked[-1] == (["a"], None)
+    assert asked[-1] == (["a"], {})
     assert made[-1] == (77, (), {"sizes": "visible", "healthy": False, "exact": True})
 
     def broken(*_, **__):
         raise LeglabError("no window is left")
 
-    monkeypatch.setattr(rough_selftest, "diagnose", broken)
+    monkeypatch.setattr(rough_selftest, "diagnosed", broken)
     assert run_case(case, RoughTestSettings()).error == "LeglabError: no window is left"
 
 
@@ -401,7 +392,7 @@ def test_a_case_goes_through_the_diagnosis(monkeypatch):
     )
     five = ("internal_leakage", "valve_bias", "payload", "coulomb_friction", "command_delay")
     monkeypatch.setattr(
-        rough_selftest, "DiagnosisSettings", partial(DiagnosisSettings, effects=five)
+        rough_selftest, "diagnosed", partial(rough_selftest.diagnosed, effects=five)
     )
     case = RoughTestCase(kind="single", number=0, specimen=5, faults=("internal_leakage",))
     found = run_case(case, RoughTestSettings(healthy=False))
