@@ -216,7 +216,7 @@ def inspect(
 
         save_signals(table, metadata, plot, title=file.name)
     if as_json:
-        found = {"file": str(file), "recordings": list(tables), **summary.to_json()}
+        found = {"file": str(file), "recordings": [n for n in tables if n], **summary.to_json()}
         found["unreadable"] = unreadable
         print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
     else:
