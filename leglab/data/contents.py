@@ -67,7 +67,7 @@ def form_at(path: Path) -> str:
     form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
     if form == "zip":
         form = _zip_form(path)
-    if form == "gzip" and suffixes[0] in SUFFIXES and SUFFIXES[suffixes[0]] == "csv":
+    if form == "gzip" and any(SUFFIXES.get(suffix) == "csv" for suffix in suffixes):
         form = "csv"
     if form == "zstd" and suffixes == [".mcap", ".zstd"]:
         form = "mcap"

@@ -374,6 +374,7 @@ def test_files_of_real_writers_need_no_option(tmp_path, name):
         ("a.h5", b"\x89HDF\r\n\x1a\n", "python -c .*h5py.File.*numpy.savez"),
         ("a.xlsx", None, "python -c .*read_excel.*to_csv"),
         ("a.parquet.gz", b"\x1f\x8b\x08", "gunzip -k .*a.parquet.gz"),
+        ("log", b"\x1f\x8b\x08", "gunzip -k .*log"),
         ("a.csv", b"\x28\xb5\x2f\xfd", "unzstd"),
         ("a.npy", b"\x93NUMPY", "numpy.savez"),
         ("a.bag", b"#ROSBAG V2.0\n", "rosbags-convert --src .* --dst"),
