@@ -133,7 +133,7 @@ def test_a_damping_ratio_does_not_follow_the_inertia(tmp_path):
         ('<pid name="drive" joint="knee" kp="60"/>', "takes 2 controls (pos, vel); allowed: one"),
         (
             '<dcmotor name="drive" joint="knee" motorconst="0.05" resistance="1" input="none"/>',
-            "takes 0 controls; allowed: one",
+            "takes 0 controls; allowed: one, or its damping and friction at the joint",
         ),
         (
             '<dcmotor name="drive" joint="knee" motorconst="0.05" resistance="1" inductance="1"/>',

@@ -21,7 +21,8 @@ def unusable(model: mujoco.MjModel, actuator: int) -> str:
     if (count := int(model.actuator_ctrlnum[actuator])) != 1:
         names = [mujoco.mj_actuatorInputName(model, actuator, i) for i in range(count)]
         listed = f" ({', '.join(n for n in names if n)})" if any(names) else ""
-        return f"takes {count} controls{listed}; allowed: one"
+        other = "" if count else ", or its damping and friction at the joint"
+        return f"takes {count} controls{listed}; allowed: one{other}"
     if (outputs := int(model.actuator_outnum[actuator])) != 1:
         return f"has {outputs} force outputs; allowed: one"
     if mujoco.mjtGain(model.actuator_gaintype[actuator]) == mujoco.mjtGain.mjGAIN_USER:
