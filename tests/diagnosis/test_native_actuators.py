@@ -11,8 +11,9 @@ from leglab.base.errors import ModelError
 from leglab.base.recording import Recording
 from leglab.base.scale import rms
 from leglab.cli.app import app
+from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Hypothesis
-from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.replay.starts import measure
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 
@@ -114,6 +115,28 @@ def test_a_payload_behind_a_filter_is_named(tmp_path):
     assert [effect["name"] for effect in found["effects"]] == ["payload"]
 
 
+@pytest.mark.parametrize(
+    ("head", "joint"),
+    [("", ""), ('<compiler settotalmass="3"/>', ""), ("", ' springdamper="0.2 1"')],
+)
+def test_what_the_compiler_works_out_from_inertia_stays_as_it_was(head, joint, tmp_path):
+    xml = model_of('<position name="knee" joint="knee" kp="60" dampratio="0.7"/>')
+    xml = xml.replace("<worldbody>", f"{head}<worldbody>").replace(' axis="', f'{joint} axis="')
+    (tmp_path / "model.xml").write_text(xml)
+    machine = Machine(tmp_path / "model.xml")
+    given = mujoco.MjModel.from_xml_string(xml)
+    heavier = Change(machine)
+    load = {"mass": 1.0, "distance": 0.2}
+    next(e for e in all_effects() if e.name == "payload").apply(heavier, "shank", load)
+    for model in (machine.base.model, heavier.variant.model):
+        np.testing.assert_array_equal(model.actuator_biasprm, given.actuator_biasprm)
+        np.testing.assert_allclose(model.body_mass[1], given.body_mass[1], rtol=1e-12)
+        np.testing.assert_array_equal(model.jnt_stiffness, given.jnt_stiffness)
+        np.testing.assert_array_equal(model.dof_damping, given.dof_damping)
+    assert heavier.variant.model.body_mass.sum() == pytest.approx(given.body_mass.sum() + 1.0)
+
+
+@pytest.mark.slow("a whole diagnosis of what compiled models show at once")
 def test_a_damping_ratio_does_not_follow_the_inertia(tmp_path):
     servo = '<position name="knee" joint="knee" kp="60" {}/>'
     (tmp_path / "model.xml").write_text(model_of(servo.format('dampratio="0.7"')))
