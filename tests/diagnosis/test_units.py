@@ -11,6 +11,7 @@ from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.diagnosis.balance.units import doubts
 from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.plant.model import Machine
 from tests.cli.test_cli import leglab
 from tests.helpers.unpleasant import of_bench
@@ -159,7 +160,8 @@ def test_samples_that_no_motion_supports_are_left_out_and_counted_in_a_line():
     admitted = admit(bench, {"walk": spoilt})
     left_out = np.isnan(admitted.recordings["walk"]["knee_position"])
     assert set(np.flatnonzero(left_out)) == set(places)
-    (line,) = (note for note in admitted.notes if "jump away" in note)
+    (line,) = admitted.notes
+    assert "jump away" in line
     assert "'knee_position' 23, worst " in line
     assert not any("jump" in note for note in admit(bench, {"walk": walk}).notes)
 
@@ -170,3 +172,18 @@ def test_two_publishers_in_one_column_are_named():
     angle[::2] += 0.1
     with pytest.raises(LeglabError, match=r"every other row of column 'knee_position'"):
         admit(Machine("knee_bench"), {"walk": walk.with_columns({"knee_position": angle})})
+
+
+def test_windows_across_changes_of_a_state_are_left_out():
+    bench = Machine("knee_bench")
+    walk = of_bench("nominal")["walk"]
+    rows = np.arange(len(walk))
+    mode = np.where(rows < len(walk) // 2, 1.0, 2.0)
+    extra = {"mode": mode, "counter": rows * 1.0, "tick": rows % 2.0, "spare": 0.0 * rows}
+    admitted = admit(bench, {"walk": walk.with_columns(extra)})
+    (line,) = admitted.notes
+    assert line == "walk: windows across changes of a state are left out: 'mode' 1 times"
+    needed = (*bench.columns, "knee_pressure_a")
+    series = UniformSeries.from_recording(admitted.recordings["walk"], "walk", needed)
+    assert not series.valid[len(walk) // 2]
+    assert series.valid.mean() > 0.98

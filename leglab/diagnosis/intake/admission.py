@@ -11,6 +11,7 @@ from leglab.diagnosis.intake.outliers import alternates, unsupported
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, common_period
+from leglab.diagnosis.intake.states import beside, state_changes
 from leglab.diagnosis.intake.units import in_map, position_units, pressure_unit, within
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
@@ -144,6 +145,7 @@ class _Entry:
         said = recording.metadata.get("time")
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
+        self.gone: dict[str, int] = {}  # samples that were left out, by column
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         mixed = self._leave_out()
         for column, cylinder in known.items():
@@ -155,6 +157,8 @@ class _Entry:
         self.fault = self._missing(recording, reasons) or mixed or self._unwrap()
         for joint in machine.joints:
             self.fault = self.fault or self._position_fault(joint)
+        if not self.fault:
+            self._pause(state_changes(recording, (*machine.columns, *known)))
 
     def _missing(self, recording: Recording, reasons: Mapping[str, str]) -> str | None:
         """Why positions and commands are not there, None if all are."""
@@ -188,7 +192,7 @@ class _Entry:
                 why = f"every other row of column {column!r} is another signal's; two publishers?"
                 return f"{why} allowed: one source a column"
             if (gone := unsupported(samples)).any():
-                kept = np.where(gone, np.nan, samples)
+                kept, self.gone[column] = np.where(gone, np.nan, samples), int(gone.sum())
                 self.recording = self.recording.with_columns({column: kept})
                 rows = np.arange(samples.size)
                 known = np.isfinite(kept)
@@ -200,6 +204,20 @@ class _Entry:
                 text = "samples that jump away from the motion are left out"
                 self.remarks.append(Remark(text, self.name, f"{column!r} {gone.sum()}, worst {at}"))
         return None
+
+    def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
+        """Leaves out the windows across changes of states: another machine goes on after them."""
+        column = self.machine.columns[0]
+        for state, rows in changes.items():
+            samples = np.where(beside(self.recording, rows), np.nan, self.recording[column])
+            if np.isfinite(samples).sum() < 2:
+                continue
+            before = int(np.isfinite(self.recording[column]).sum())
+            gone = before - int(np.isfinite(samples).sum())
+            self.gone[column] = self.gone.get(column, 0) + gone
+            self.recording = self.recording.with_columns({column: samples})
+            text = "windows across changes of a state are left out"
+            self.remarks.append(Remark(text, self.name, f"{state!r} {rows.size} times"))
 
     def _unwrap(self) -> str | None:
         """Takes the jumps of encoders out of positions; says why it cannot."""
@@ -270,9 +288,9 @@ class _Entry:
         measured = {c: v for c, v in recording.columns.items() if not c.endswith("_command")}
         for column, values in recording.columns.items():
             known = values[np.isfinite(values)]
-            if known.size < values.size:
+            if missing := values.size - known.size - self.gone.get(column, 0):
                 text = "samples without a number"
-                yield Remark(text, self.name, f"{column!r} {values.size - known.size}")
+                yield Remark(text, self.name, f"{column!r} {missing}")
             if column in measured and known.size > 1 and np.ptp(known) == 0.0:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield Remark(text, self.name, f"{column!r} {known[0]:.6g}")

@@ -1,0 +1,44 @@
+"""States that a log has beside its signals: enabled, mode, contact, and when they change."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from leglab.base.recording import Recording
+from leglab.base.units import unit_of
+from leglab.diagnosis.thresholds import DEFAULT
+
+# A signal in counts has more values than this.
+_VALUES = 8
+
+
+def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, np.ndarray]:
+    """Rows at which the states of a recording change, by column.
+
+    Neither `signals` nor what has a unit is one. A state has few whole values and rests: what changes so often that half of the windows would
+    see it is a counter or a clock.
+    """
+    found = {}
+    most = 0.5 * recording.duration / DEFAULT.window
+    for column in recording.columns:
+        if column in signals or unit_of(column, recording.metadata):
+            continue
+        samples = recording[column]
+        rows = np.flatnonzero(np.isfinite(samples))
+        values = samples[rows]
+        changed = rows[1:][np.diff(values) != 0.0]
+        few = 0 < changed.size <= most and np.unique(values).size <= _VALUES
+        if few and np.all(values == np.rint(values)):
+            found[column] = changed
+    return found
+
+
+def beside(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Mask of the rows, (n,), so near to some of them that no window bridges what is between."""
+    usual = float(np.median(np.diff(recording.time)))
+    reach = max(DEFAULT.neighbours * usual, DEFAULT.bin)
+    mask = np.zeros(len(recording), dtype=bool)
+    for time in recording.time[rows].tolist():
+        first, last = np.searchsorted(recording.time, (time - reach, time + reach))
+        mask[first:last] = True
+    return mask
