@@ -15,8 +15,8 @@ _VALUES = 8
 def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, np.ndarray]:
     """Rows at which the states of a recording change, by column.
 
-    Neither `signals` nor what has a unit is one. A state has few whole values and rests: what changes so often that half of the windows would
-    see it is a counter or a clock.
+    Neither `signals` nor what has a unit is one. A state has few whole values and rests: what
+    changes so often that half of the windows would see it is a counter or a clock.
     """
     found = {}
     most = 0.5 * recording.duration / DEFAULT.window
