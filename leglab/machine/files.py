@@ -142,6 +142,12 @@ def since(source: Path, digest: str) -> str:
     return "" if same else "has changed"
 
 
+def changed_meanwhile(model: str | Path) -> ModelError:
+    """Returns the error of a model whose files changed while a command worked with them."""
+    told = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
+    return ModelError(told, given=model)
+
+
 # Models with the state of their files, by their MJCF file.
 _remembered: dict[Path, tuple[tuple[tuple[int, ...], ...] | None, ModelFiles]] = {}
 

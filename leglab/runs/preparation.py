@@ -14,7 +14,7 @@ import numpy as np
 
 import leglab.controllers
 import leglab.scenarios  # noqa: F401  registers the scenarios
-from leglab.base.errors import ModelError, SettingsError
+from leglab.base.errors import SettingsError
 from leglab.base.scenario import Scenario, get_scenario
 from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
@@ -28,7 +28,7 @@ from leglab.machine.changes import (
     vary_bodies,
     vary_parameters,
 )
-from leglab.machine.files import model_digest, model_files
+from leglab.machine.files import changed_meanwhile, model_digest, model_files
 from leglab.machine.parameters import placed_parameters
 from leglab.machine.sensors import SensorConfiguration, in_whole_steps, loop_timing
 from leglab.machine.simulation import Simulation, load_model
@@ -153,7 +153,7 @@ class Preparation:
         asked = validate_configuration(SensorConfiguration, settings.sensors, "sensors")
         self.nominal = Simulation(self._load(visual=False))
         if self.files and model_digest(settings.model) != self.files.digest:
-            raise _changed(settings.model)
+            raise changed_meanwhile(settings.model)
         timestep = self.nominal.model.opt.timestep
         self.sensors = in_whole_steps(asked, timestep)
         # Before anything is sized by the period.
@@ -242,7 +242,7 @@ def prepared(settings: RunSettings, digest: str | None = None) -> Preparation:
     """
     now = model_digest(settings.model)
     if digest not in (None, now):
-        raise _changed(settings.model)
+        raise changed_meanwhile(settings.model)
     # A path is that of another file where the process works in another folder.
     file = os.path.abspath(settings.model) if Path(settings.model).is_file() else ""
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
@@ -264,12 +264,6 @@ def basis_of(settings: RunSettings) -> dict[str, str]:
         LeglabError: There is no such model, or MuJoCo refuses it.
     """
     return {"code": fingerprint(), "model_digest": model_digest(settings.model)}
-
-
-def _changed(model: str) -> ModelError:
-    """Returns the error of a model whose files changed while a command worked with them."""
-    told = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
-    return ModelError(told, given=model)
 
 
 def forget_preparations() -> None:

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from leglab.base.errors import LeglabError
+from leglab.diagnosis.plant.model import Machine
 from leglab.machine.files import model_digest, model_files
 from leglab.machine.plugin import without_warnings
 from leglab.machine.simulation import load_model
@@ -177,7 +178,7 @@ EDITS = {
 @pytest.mark.parametrize("edit", EDITS)
 def test_every_file_of_a_model_counts_within_one_process_too(arm, edit):
     settings = RunSettings(scenario="nominal", model="robot/arm.xml")
-    before, digest = prepared(settings), model_digest(arm)
+    before, digest, machine = prepared(settings), model_digest(arm), Machine(arm)
     assert model_digest(arm) == digest == before.files.digest
     name, change = EDITS[edit]
     file = arm.parent / name
@@ -190,6 +191,9 @@ def test_every_file_of_a_model_counts_within_one_process_too(arm, edit):
     assert prepared(settings) is not before
     with pytest.raises(LeglabError, match=r"arm.xml: the model's files were changed meanwhile"):
         prepared(settings, digest)
+    for again in (machine.spec, lambda: machine.at_timestep(5e-4)):
+        with pytest.raises(LeglabError, match=r"arm.xml: the model's files were changed meanwhile"):
+            again()
 
 
 @pytest.mark.parametrize("named", ["as written", "folder from the root", "file from the root"])

@@ -19,6 +19,7 @@ from leglab.diagnosis.plant.followers import Followers, determined
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
 from leglab.diagnosis.thresholds import DEFAULT
+from leglab.machine.files import changed_meanwhile, model_digest
 from leglab.machine.library import model_path
 from leglab.machine.parameters import Parameter, PluginTable, plugin_tables
 from leglab.machine.sensors import CHAMBERS as CHAMBERS
@@ -96,6 +97,7 @@ class Machine:
                 take_free_joints_out(self._spec)
         except (ValueError, mujoco.FatalError) as error:
             raise leglab.machine.plugin.load_error(error, self.path.name) from error
+        self._digest = model_digest(self.path)
         self.file_timestep = float(self._spec.option.timestep)
         self.timestep = timestep or self.file_timestep
         #: Command paths and sensor corrections in the file; variants are free of them.
@@ -156,7 +158,10 @@ class Machine:
         return self._with(timestep, self.follower_names)
 
     def _with(self, timestep: float, followers: Collection[str]) -> "Machine":
-        return Machine(self.path, timestep=timestep, followers=followers, fix_base=self.fix_base)
+        found = Machine(self.path, timestep=timestep, followers=followers, fix_base=self.fix_base)
+        if found._digest != self._digest:
+            raise changed_meanwhile(self.path)
+        return found
 
     @property
     def follower_names(self) -> tuple[str, ...]:
@@ -181,7 +186,12 @@ class Machine:
 
         What the compiler works out from inertia is written out, as `AsCompiled` has it. Free joints
         that are taken out are there if it is to be `whole`.
+
+        Raises:
+            LeglabError: The model's files have changed since they were read.
         """
+        if model_digest(self.path) != self._digest:
+            raise changed_meanwhile(self.path)
         # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
         spec = mujoco.MjSpec.from_file(str(self.path))
         self._as_compiled.keep(spec)
