@@ -13,7 +13,7 @@ from rich.table import Table
 
 from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.output import new_file
-from leglab.cli.options import Columns, From, Json, Salvage, To, Which
+from leglab.cli.options import Columns, FixBase, From, Json, Salvage, To, Which
 from leglab.cli.terminal import (
     BAD_INPUT,
     errors,
@@ -174,6 +174,7 @@ def inspect(
         Path | None,
         typer.Option(metavar="[FILE.png]", help="Draws the columns; default: named as the file."),
     ] = None,
+    fix_base: FixBase = False,
     since: From = None,
     until: To = None,
     recording: Which = None,
@@ -207,7 +208,7 @@ def inspect(
     summary = data.summarise(table, metadata)
     proposal = None
     if model is not None or not any(name.endswith("_position") for name in table):
-        proposal = _proposal(table, metadata, model, known)
+        proposal = _proposal(table, metadata, model, known, fix_base=fix_base)
     if out is not None:
         text = f"{proposal}\n".encode()
         data.write_atomically(out, lambda stream: stream.write(text))
@@ -272,6 +273,8 @@ def _proposal(
     metadata: "Mapping[str, Any]",
     model: str | None,
     known: "ColumnMap | None",
+    *,
+    fix_base: bool,
 ) -> "Proposal":
     """The column map that a model's names make likely; what the user's has stays."""
     from leglab.base.units import own_units
@@ -282,9 +285,13 @@ def _proposal(
     from leglab.diagnosis.plant.columns import usable_columns
     from leglab.diagnosis.plant.model import Machine
 
-    machine = Machine(model)
+    machine = Machine(model, fix_base=fix_base)
     units, usable = own_units(metadata), usable_columns(machine)
     proposal = propose(table, units, usable, machine.columns, known)
+    # What an equality gives needs no column.
+    machine = machine.measured_by({line.ours for line in proposal.lines if line.sure})
+    needed = {"time", *machine.columns}
+    proposal = replace(proposal, missing=tuple(n for n in proposal.missing if n in needed))
     return proposal if proposal.missing else _tried(proposal, machine, table)
 
 

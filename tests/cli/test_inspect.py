@@ -124,6 +124,23 @@ def test_units_by_name_and_by_the_range_of_the_joint(capsys):
     assert '# "knee" = "knee_position"  # ? likeness 50%' in Path("map.toml").read_text()
 
 
+def test_what_an_equality_gives_needs_no_column_and_a_base_is_held(capsys):
+    model(("elbow", "finger"))
+    text = Path("model.xml").read_text()
+    joint = '<equality><joint joint1="finger" joint2="elbow"/></equality></mujoco>'
+    text = text.replace("</mujoco>", joint).replace("<worldbody>", '<worldbody><body name="base">')
+    base = '<freejoint name="root"/><geom size="0.1"/>'
+    text = text.replace('<body name="base">', f'<body name="base">{base}')
+    Path("model.xml").write_text(text.replace("</worldbody>", "</body></worldbody>"))
+    log(["elbow_pos", "elbow_cmd", "finger_cmd"])
+    command = ("inspect", "log.csv", "--model", "model.xml")
+    assert leglab(*command, capsys=capsys)[0] == 2
+    status, printed, _ = leglab(*command, "--fix-base", capsys=capsys)
+    assert status == 0
+    assert '"elbow_pos" = "elbow_position"' in printed
+    assert "no column" not in printed
+
+
 def test_a_map_is_tried_on_the_model(capsys):
     model(("elbow",), limits='damping="0.5" armature="0.05"')
     machine = mujoco.MjModel.from_xml_path("model.xml")
