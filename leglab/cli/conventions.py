@@ -64,7 +64,6 @@ EXAMPLES = {
     "convert": (
         "leglab convert run.parquet run.mat",
         "leglab convert log.mcap run.parquet --columns map.toml",
-        "leglab convert run.parquet plot.csv --to plotjuggler",
     ),
     "inspect": (
         "leglab inspect log.mcap --plot log.png",

@@ -1,7 +1,6 @@
 """`leglab convert` and `leglab inspect`: recordings of one format in another, and at a glance."""
 
 import json
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base.errors import FileError, RecordingError, SettingsError
-from leglab.base.output import new_file
 from leglab.cli.options import Columns, FixBase, From, Json, Salvage, To, Which
 from leglab.cli.terminal import (
     BAD_INPUT,
@@ -34,10 +32,6 @@ if TYPE_CHECKING:
     from leglab.diagnosis.plant.model import Machine
 
 
-# Formats that show a machine.
-_SHOWING = ("mcap", "rerun")
-
-
 def convert(
     source: Annotated[
         Path,
@@ -48,7 +42,7 @@ def convert(
         ),
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat, .npz or .rrd.")
+        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat or .npz.")
     ],
     to: Annotated[
         str | None,
@@ -67,12 +61,8 @@ def convert(
         str | None,
         typer.Option(
             metavar="MODEL",
-            help="Machine that OUT shows, .mcap or .rrd; of a run's folder it is known.",
+            help="Machine that OUT shows, an .mcap; of a run's folder it is known.",
         ),
-    ] = None,
-    layout: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Layout for PlotJuggler, XML: a tab a joint."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
     as_json: Json = False,
@@ -80,10 +70,10 @@ def convert(
     """Converts a recording to another format and says what is lost.
 
     Samples keep every bit; docs/reference/data_formats.md says what else survives in which format.
-    A run's folder as .mcap or .rrd shows the machine too: links, poses, meshes.
+    A run's folder as .mcap shows the machine too, in Foxglove, PlotJuggler and rerun: links, poses,
+    meshes.
     """
     from leglab import data
-    from leglab.data import plotjuggler
     from leglab.machine.scene import scene_of
     from leglab.machine.simulation import load_model
     from leglab.runs.folder import RECORDING, model_of, read_run
@@ -93,23 +83,19 @@ def convert(
     if to is not None and to not in data.FORMATS:
         raise FileError.unknown("format", to, data.FORMATS)
     form = to or data.format_of(target)
-    for file in filter(None, (target, layout)):
-        if file.exists() and not overwrite:
-            raise FileError(f"{file} exists; --overwrite replaces it", given=file)
-    if layout is not None and form not in ("csv", "plotjuggler"):
-        told = f"--layout goes with csv and plotjuggler, not with {form}"
-        raise SettingsError(told, given=form, allowed=("csv", "plotjuggler"))
+    if target.exists() and not overwrite:
+        raise FileError(f"{target} exists; --overwrite replaces it", given=target)
     timestep = None
     if (source / RECORDING).is_file():
         run = read_run(source)
-        if form in _SHOWING and model is None:
+        if form == "mcap" and model is None:
             model = model_of(source, run.configuration)
             tell_of_models([source])
             timestep = run.configuration.settings.get("timestep")
         source = source / RECORDING
-    if model is not None and form not in _SHOWING:
-        told = f"{form} cannot show a machine; --model goes with {' or '.join(_SHOWING)}"
-        raise SettingsError(told, given=form, allowed=_SHOWING)
+    if model is not None and form != "mcap":
+        told = f"{form} cannot show a machine; --model goes with mcap"
+        raise SettingsError(told, given=form, allowed="mcap")
     measured = data.read(source, columns=columns, recording=recording, salvage=salvage)
     try:
         measured = measured.between(since, until)
@@ -119,10 +105,7 @@ def convert(
     scene = None
     if model is not None:
         scene = scene_of(load_model(model, timestep=timestep), measured)
-    with new_file(layout) if layout is not None else nullcontext() as place:
-        if place is not None:
-            plotjuggler.write_layout(measured, place)
-        data.write(measured, target, form, scene=scene)
+    data.write(measured, target, form, scene=scene)
     repairs = list(measured.metadata.get("repairs", ()))
     salvaged = list(measured.metadata.get("salvaged", ()))
     if as_json:

@@ -135,7 +135,7 @@ _EFFECTS = (
 _LISTED = {
     "effects": _EFFECTS,
     "references": ("multisine", "random_stride", "sine_sweep", "squat", "step", "walking_stride"),
-    "formats": ("parquet", "csv", "mcap", "matlab", "sysid", "plotjuggler", "rerun"),
+    "formats": ("parquet", "csv", "mcap", "matlab", "sysid"),
 }
 
 

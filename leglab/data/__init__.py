@@ -10,7 +10,7 @@ from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
-from leglab.data import contents, csv, lerobot, matlab, mcap, parquet, plotjuggler, rerun, sysid
+from leglab.data import contents, csv, lerobot, matlab, mcap, parquet, sysid
 from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
 from leglab.data.clock import Timed, time_axis
 from leglab.data.column_map import ColumnMap, read_column_map
@@ -54,12 +54,10 @@ _MODULES = {
     "mcap": mcap,
     "matlab": matlab,
     "sysid": sysid,
-    "plotjuggler": plotjuggler,
-    "rerun": rerun,
 }
 # Others are read alone; `read_tables` returns several tables by the name of the recording.
 _READERS = {**_MODULES, "lerobot": lerobot}
-SUFFIXES = tuple(suffix for suffix, form in contents.SUFFIXES.items() if form != "rerun")
+SUFFIXES = tuple(contents.SUFFIXES)
 """Suffixes of files that `read` knows."""
 
 FORMATS = tuple(_MODULES)
@@ -256,7 +254,7 @@ def write(
         recording: To write. `losses` says what the format cannot hold.
         path: The file.
         form: One of `FORMATS`; None: what the suffix says.
-        scene: The machine that moves, from `leglab.machine.scene.scene_of`; MCAP and rerun show it.
+        scene: The machine that moves, from `leglab.machine.scene.scene_of`; MCAP shows it.
 
     Returns:
         The path.
@@ -269,12 +267,12 @@ def write(
     module = _module(path, form)
     if scene is None:
         module.write(recording, path)
-    elif module in (mcap, rerun):
-        module.write(recording, path, scene)
+    elif module is mcap:
+        mcap.write(recording, path, scene)
     else:
         form = form or format_of(path)
         told = f"{path}: {form} cannot show a machine; allowed: "
-        raise FileError(told, given=form, allowed=("mcap", "rerun"))
+        raise FileError(told, given=form, allowed="mcap")
     return path
 
 
@@ -293,7 +291,7 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
     if hasattr(module, "losses"):
         return module.losses(recording)
     # Of the others these hold nothing but numbers.
-    return ("metadata",) if recording.metadata and module in (csv, sysid, rerun) else ()
+    return ("metadata",) if recording.metadata and module in (csv, sysid) else ()
 
 
 def _module(path: Path, form: str | None) -> ModuleType:

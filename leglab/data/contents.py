@@ -13,7 +13,6 @@ SUFFIXES = {
     ".mcap": "mcap",
     ".mat": "matlab",
     ".npz": "sysid",
-    ".rrd": "rerun",
 }
 """Formats by suffix, in small letters."""
 

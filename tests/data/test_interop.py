@@ -1,7 +1,6 @@
 """Recordings to and from the formats of other tools."""
 
 import builtins
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
-from leglab.data import plotjuggler
 
 # Not all of Unicode: its tables take Hypothesis seconds on a busy machine.
 CHARACTERS = st.sampled_from("aZ9_ .,;:'\"\\/[]{}%\t\n\x01äΩ膝\u2028😀")
@@ -92,57 +90,6 @@ ONE_LINE = st.text(st.sampled_from("abXY12"), min_size=1, max_size=4)
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    recording=recordings(
-        names=st.one_of(ONE_LINE, st.sampled_from(["a b c", "a,b", "a;b", "ü\t☂", 'say "x"'])),
-        metadata=st.just({}),
-    )
-)
-def test_plotjuggler_csv(recording, tmp_path_factory):
-    path = tmp_path_factory.getbasetemp() / "any.csv"
-    data.write(recording, path, "plotjuggler")
-    header, *rows = path.read_text().splitlines()
-    # The rules of PlotJuggler's loader, see leglab/data/plotjuggler.py.
-    assert header.startswith('"time"')
-    assert header.count('"') == 2 * (len(recording.columns) + 1)
-    assert len(rows) == len(recording)
-    cells = [row.split(",") for row in rows]
-    for i, samples in enumerate(recording.columns.values(), start=1):
-        column = [row[i] for row in cells]
-        finite = np.where(np.isfinite(samples), samples, np.nan)
-        found = np.array([float(cell or "nan") for cell in column])
-        assert found.tobytes() == finite.tobytes() or np.array_equal(found, finite, equal_nan=True)
-        first = next((cell for cell in column if cell), "0.0").lstrip("-")
-        assert set(first) <= set("0123456789.")
-        assert "." in first
-    assert [float(row[0]) for row in cells] == recording.time.tolist()
-    read = data.read(path, repair=False)
-    assert len(read.columns) == len(recording.columns)
-    names = [" ".join(name.replace('"', "'").split()) for name in recording.columns]
-    assert list(read.columns) == names
-
-
-def test_plotjuggler_says_what_it_changes(tmp_path):
-    recording = Recording(
-        time=[0.0, 1.0],
-        columns={'a "b"': [np.inf, 1e-300], "p": [1.5e9, 2.0]},
-        metadata={"seed": 1},
-    )
-    lost = data.losses(recording, tmp_path / "x.csv", "plotjuggler")
-    assert lost[0] == "metadata"
-    assert "a 'b'" in lost[1]
-    assert "1 infinite" in lost[2]
-    data.write(recording, tmp_path / "x.csv", "plotjuggler")
-    lines = (tmp_path / "x.csv").read_text().splitlines()
-    assert lines[0] == '"time","a \'b\'","p"'
-    # A whole number of ten digits would be taken for a date.
-    assert lines[1] == "0.0,,1500000000.0"
-    clash = Recording(time=[0.0], columns={"a  b": [1.0], "a b": [1.0]})
-    with pytest.raises(LeglabError, match="'a b' in PlotJuggler"):
-        data.write(clash, tmp_path / "y.csv", "plotjuggler")
-    assert not (tmp_path / "y.csv").exists()
-
-
 def test_time_series_has_signals_of_mujoco():
     recording = example()
     series = data.to_time_series(recording)
@@ -297,24 +244,3 @@ def test_units_by_name_and_by_metadata():
 def test_unknown_format(tmp_path):
     with pytest.raises(LeglabError, match="unknown format 'matlb'.*did you mean 'matlab'"):
         data.write(example(), tmp_path / "x.mat", "matlb")
-
-
-def test_the_layout_shows_what_is_in_the_file(tmp_path):
-    recording = example().with_columns({"knee_reference": example()["knee_position"]})
-    data.write(recording, tmp_path / "plot.csv", "plotjuggler")
-    plotjuggler.write_layout(recording, tmp_path / "plot.xml")
-    root = ElementTree.parse(tmp_path / "plot.xml").getroot()
-    assert [tab.get("tab_name") for tab in root.iter("Tab")] == ["knee"]
-    plots = [[curve.get("name") for curve in plot] for plot in root.iter("plot")]
-    assert plots == [
-        ["knee_reference", "knee_position"],
-        ["knee_valve_command"],
-        ["knee_pressure_a", "knee_pressure_b"][: len(plots[2])],
-    ]
-    header = (tmp_path / "plot.csv").read_text().splitlines()[0]
-    assert all(f'"{name}"' in header for names in plots for name in names)
-    split = root.find(".//DockSplitter")
-    assert int(split.get("count")) == len(split.get("sizes").split(";")) == 3
-    with pytest.raises(LeglabError, match="the recording has none"):
-        plotjuggler.write_layout(recording.select(["supply_pressure"]), tmp_path / "x.xml")
-    assert not (tmp_path / "x.xml").exists()

@@ -1,8 +1,6 @@
 """Machines in logs: the URDF moves as the model does, and what readers decode is what moved."""
 
 import base64
-import subprocess
-import sys
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -180,26 +178,9 @@ def test_a_format_without_a_machine_says_so(folder, tmp_path, capsys):
     run = str(folder)
     status, _, told = leglab("convert", run, f"{tmp_path}/x.csv", "--model", "leg", capsys=capsys)
     assert status == 2
-    assert "csv cannot show a machine; --model goes with mcap or rerun" in told
+    assert "csv cannot show a machine; --model goes with mcap" in told
     assert leglab("convert", run, f"{tmp_path}/run.mcap", capsys=capsys)[0] == 0
     assert (tmp_path / "run.mcap").read_bytes() == (folder / "run.mcap").read_bytes()
     other = Recording(time=[0.0, 1.0], columns={"elbow_position": [0.0, 1.0]})
     with pytest.raises(LeglabError, match="no position of a joint of the model: hip_yaw"):
         scene_of(load_model("leg"), other)
-
-
-def test_rerun_shows_machine_and_plots(folder, tmp_path, capsys):
-    rerun = pytest.importorskip("rerun", reason="pip install rerun-sdk")
-    path = tmp_path / "run.rrd"
-    assert leglab("convert", str(folder), str(path), capsys=capsys)[0] == 0
-    done = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", "print", str(path)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert rerun is not None
-    for entity in ("/machine/world/pelvis/hip_yaw_link", "/plots/knee/pressure_a"):
-        assert entity in done.stdout
-    with pytest.raises(LeglabError, match="cannot be read back"):
-        data.read(path)
