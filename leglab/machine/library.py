@@ -46,6 +46,13 @@ def model_summary(name: str) -> str:
     return MODELS.get(name).summary
 
 
+# Files of models that no specification can be read from, and the way out.
+_NO_TEXT = {
+    ".mjb": "a compiled model cannot be edited; allowed: the .xml that it was compiled from",
+    ".xacro": "write the URDF that it stands for: xacro MODEL.xacro > MODEL.urdf",
+}
+
+
 def model_path(model: str | Path) -> Path:
     """The file of a model.
 
@@ -59,6 +66,8 @@ def model_path(model: str | Path) -> Path:
     if name in MODELS.names():
         return MODELS.get(name).path
     if path.is_file():
+        if way_out := _NO_TEXT.get(path.suffix.lower()):
+            raise FileError(f"model {name!r} is no MJCF or URDF; {way_out}", given=path)
         return path
     if path.suffix == ".xml":
         raise FileError(f"model file {name!r}: {no_file(path)}", given=path)

@@ -123,3 +123,27 @@ def test_a_free_base_is_refused_with_the_way_out(tmp_path, capsys):
         run("diagnose", tmp_path / "model.xml", tmp_path / "a.csv", "--out", tmp_path / "out") == 2
     )
     assert "--fix-base" in capsys.readouterr().err
+
+
+ODD = """<mujoco><worldbody><body name="thigh"><joint {joint} axis="0 1 0"/>
+<geom size=".05" pos="0 0 -.2" mass="1"/></body></worldbody>
+<actuator>{drive}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("file", "joint", "drive", "named"),
+    [
+        ("m.xml", "", "", "joint 0 (without a name, of body 'thigh') is measured by no column"),
+        ("m.xml", 'type="ball"', "", "joint 0 (without a name, of body 'thigh') is a ball joint"),
+        ("m.xml", 'name="hip"', '<motor joint="hip"/>', "no column 'hip_command'"),
+        ("m.xml", 'name="hip"', 2 * '<motor joint="hip"/>', "actuator 1 has no name, and"),
+        ("m.mjb", "", "", "allowed: the .xml that it was compiled from"),
+        ("m.urdf.xacro", "", "", "xacro MODEL.xacro > MODEL.urdf"),
+    ],
+)
+def test_odd_models_are_named_with_the_way_out(tmp_path, capsys, file, joint, drive, named):
+    """An actuator without a name is called after its joint."""
+    (tmp_path / file).write_text(ODD.format(joint=joint, drive=drive))
+    (tmp_path / "a.csv").write_text("time,hip_position\n0,0\n1,0\n2,0\n")
+    assert run("diagnose", tmp_path / file, tmp_path / "a.csv", "--out", tmp_path / "out") == 2
+    assert named in " ".join(capsys.readouterr().err.split())

@@ -107,14 +107,19 @@ class Machine:
         model = self.base.model
         #: Names of all joints, by number.
         self.all_joints = tuple(model.joint(i).name for i in range(model.njnt))
-        for joint, kind in zip(self.all_joints, model.jnt_type, strict=True):
+        for number, kind in enumerate(model.jnt_type):
+            joint, body = self.all_joints[number], model.body(model.jnt_bodyid[number]).name
+            called = repr(joint) if joint else f"{number} (without a name, of body {body!r})"
             if kind not in (_HINGE, _SLIDE):
                 raise ModelError(
-                    f"{self.path.name}: joint {joint!r} is a {_KINDS[kind]} joint, whose pose no "
+                    f"{self.path.name}: joint {called} is a {_KINDS[kind]} joint, whose pose no "
                     f"column measures; allowed: {_WAY_OUT[kind]}",
                     given=joint,
                     allowed=("hinge", "slide"),
                 )
+            if not joint:
+                told = f"{self.path.name}: joint {called} is measured by no column: they go by "
+                raise ModelError(f"{told}name; allowed: ", given=number, allowed='name="..."')
         #: Joints that equality constraints determine; None where all are measured.
         self.followers = Followers(model, self.all_joints, followers) if followers else None
         led = self.followers.leading if self.followers else {}
@@ -124,7 +129,7 @@ class Machine:
         for number, actuator in enumerate(self.actuators):
             if not actuator:
                 told = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
-                raise ModelError(told, given=number, allowed='an attribute name="..."')
+                raise ModelError(f"{told}allowed: ", given=number, allowed='name="..."')
             if why := unusable(model, number):
                 told = f"{self.path.name}: actuator {actuator!r} {why}"
                 raise ModelError(told, given=actuator)
@@ -185,7 +190,8 @@ class Machine:
         """A fresh copy of the model's specification, as in the file.
 
         What the compiler works out from inertia is written out, as `AsCompiled` has it. Free joints
-        that are taken out are there if it is to be `whole`.
+        that are taken out are there if it is to be `whole`. An actuator without a name has that of
+        its joint.
 
         Raises:
             LeglabError: The model's files have changed since they were read.
@@ -195,6 +201,12 @@ class Machine:
         # MjSpec.copy() of MuJoCo 3.17.0 loses passive plugin instances.
         spec = mujoco.MjSpec.from_file(str(self.path))
         self._as_compiled.keep(spec)
+        names = {actuator.name for actuator in spec.actuators}
+        for actuator in spec.actuators:
+            on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+            if not actuator.name and on_joint and actuator.target not in names:
+                actuator.name = actuator.target
+                names.add(actuator.target)
         if self.fix_base and not whole:
             take_free_joints_out(spec)
         return spec
