@@ -86,10 +86,6 @@ def test_every_bit_survives(suffix, drawn, tmp_path_factory):
         assert dict(read.metadata) == dict(recording.metadata)
 
 
-ONE_LINE = st.text(st.sampled_from("abXY12"), min_size=1, max_size=4)
-
-
-@settings(max_examples=60, deadline=None)
 def test_time_series_has_signals_of_mujoco():
     recording = example()
     series = data.to_time_series(recording)
