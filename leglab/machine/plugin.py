@@ -157,7 +157,7 @@ def to_xml(spec: mujoco.MjSpec) -> str:
 
     `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`, and
     copying or attaching a specification those that no element refers to. So each of these gets a
-    massless body that refers to it, on the body of its joint.
+    massless body that refers to it, on or beside the body of its joint.
     """
     root = ElementTree.fromstring(spec.to_xml())
     extension = root.find("extension")
@@ -185,6 +185,7 @@ def _refer_to_instances(root: ElementTree.Element) -> None:
     if not bodies:
         return
     names = {body.get("name") for body in bodies}
+    above = {body: parent for parent in bodies for body in parent.findall("body")}
     body_of = {
         joint.get("name"): body for body in reversed(bodies) for joint in body.findall("joint")
     }
@@ -199,6 +200,8 @@ def _refer_to_instances(root: ElementTree.Element) -> None:
             text = {one.get("key"): one.get("value") for one in instance.findall("config")}
             joint = text.get("joint") or joint_of.get(text.get("actuator"))
             parent = body_of.get(joint, bodies[0])
+            if parent.find("body") is None:  # MuJoCo softens constraints of what has no child
+                parent = above.get(parent, world)
             place = ElementTree.SubElement(parent, "body", name=name + "_plugin" * (name in names))
             ElementTree.SubElement(
                 place, "plugin", {"plugin": plugin.get("plugin", ""), "instance": name}

@@ -58,22 +58,6 @@ std::string text_attribute(const mjModel* m, int instance, const char* key) {
 
 namespace {
 
-// Joint of the body that refers to an instance, or of the nearest one above it that has joints, whose
-// name contains a text; -1 for none, -2 where no body refers to the instance.
-int joint_of_body(const mjModel* m, int instance, const std::string& text) {
-  int body = m->nbody - 1;
-  while (body >= 0 && m->body_plugin[body] != instance) --body;
-  if (body < 0) return -2;
-  while (body > 0 && m->body_jntnum[body] == 0) body = m->body_parentid[body];
-  int found = -1;
-  for (int i = m->body_jntadr[body]; i >= 0 && i < m->body_jntadr[body] + m->body_jntnum[body]; ++i) {
-    const std::string name = mj_id2name(m, mjOBJ_JOINT, i) ? mj_id2name(m, mjOBJ_JOINT, i) : "";
-    if (name == text) return i;
-    if (found < 0 && name.find(text) != std::string::npos) found = i;
-  }
-  return found;
-}
-
 // Name of an instance; of one without a name that of its actuator or sensor.
 std::string owner_name(const mjModel* m, int instance) {
   const auto text = [](const char* name) { return std::string(name ? name : ""); };
@@ -92,10 +76,6 @@ std::string owner_name(const mjModel* m, int instance) {
 
 int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text) {
   if (text.empty()) return -1;
-  if (kind == mjOBJ_JOINT) {
-    const int joint = joint_of_body(m, instance, text);
-    if (joint != -2) return joint;
-  }
   const int exact = mj_name2id(m, kind, text.c_str());
   if (exact >= 0) return exact;
   const std::string owner = owner_name(m, instance);

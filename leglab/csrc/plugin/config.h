@@ -31,10 +31,9 @@ std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Element of a kind, one of the first `count`, that an instance means by a name; -1 for none. Attaching a
-// model to another one (mjs_attach) changes the names of elements, and not those in attributes of plugins.
-// So a joint is one of the body that refers to the instance, if one does. Any other name stands for the
-// element called so, else for the one whose name has the prefix and suffix that the instance's own has.
+// Element of a kind, one of the first `count`, that an instance means by a name; -1 for none. That is the
+// element called so, else the one whose name has the prefix and suffix that the instance's own has:
+// attaching a model to another one (mjs_attach) changes names of elements, not those in attributes.
 int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text);
 
 // Element of a kind that an attribute called like the kind names; refuses what names none of the
