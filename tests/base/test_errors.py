@@ -64,7 +64,7 @@ def mapped(folder):
         (scenario("seal_wear", severity=0.5), leglab.SettingsError, 0.5, "[1, 1000]"),
         (mapped, leglab.SettingsError, "clok", MAP_SETTINGS),
         (diverged, leglab.SimulationError, -2e3, "below 1000"),
-        (suffix, leglab.FileError, ".docx", (".parquet", *TEXT, ".mcap", ".mat", ".npz", ".rrd")),
+        (suffix, leglab.FileError, ".docx", (".parquet", *TEXT, ".mcap", ".mat", ".npz")),
         (lambda folder: leglab.read(folder / "a.csv"), leglab.FileError, "a.csv", None),
     ],
 )

@@ -379,7 +379,6 @@ def test_files_of_real_writers_need_no_option(tmp_path, name):
         ("a.npy", b"\x93NUMPY", "numpy.savez"),
         ("a.bag", b"#ROSBAG V2.0\n", "rosbags-convert --src .* --dst"),
         ("a.xls", b"text", "not a complete .xls file"),
-        ("a.rrd", b"RRF2", "cannot be read back"),
         ("a.docx", b"text", "'.docx' is not a known format, allowed: .parquet"),
     ],
 )

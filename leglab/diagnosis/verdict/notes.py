@@ -3,14 +3,22 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import mannwhitneyu
 
+from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Key, Library
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries
+from leglab.diagnosis.intake.states import state_changes
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import DEFAULT
+
+# Windows with a state, and without it, below which their errors are not compared.
+_FEWEST = 5
+# Of states that do not matter, one in a thousand gets a line.
+_CHANCE = 1e-3
 
 
 def notes(problem: Problem) -> tuple[str, ...]:
@@ -31,6 +39,48 @@ def notes(problem: Problem) -> tuple[str, ...]:
     text = "windows over gaps are skipped"
     gaps = [Remark(text, name, f"{count} samples") for name, count in lost.items() if count]
     return (*found, *merged(gaps, lost))
+
+
+def by_states(
+    problem: Problem, recordings: Mapping[str, Recording], squares: np.ndarray
+) -> tuple[str, ...]:
+    """A line for each value of a state (mode, contact) with which the error changes.
+
+    Args:
+        problem: Whose windows are compared.
+        recordings: As logged, by name, with their states.
+        squares: Mean squares of the errors of all windows, (windows,).
+
+    Returns:
+        Where the RMS error is more than twice that of the other windows, by medians, and the ranks
+        differ by more than chance (Mann and Whitney 1947).
+    """
+    replay = problem.replay
+    values: dict[str, np.ndarray] = {}
+    for number, series in enumerate(problem.series):
+        recording = recordings[series.name]
+        own = np.flatnonzero(replay.recording == number)
+        for column in state_changes(recording, problem.machine.columns):
+            row = np.searchsorted(recording.time, replay.start[own], side="right") - 1
+            whole = values.setdefault(column, np.full(replay.windows, np.nan))
+            whole[own] = recording[column][np.maximum(row, 0)]
+    lines = []
+    for column, state in values.items():
+        for value in np.unique(state[np.isfinite(state)]).tolist():
+            there, elsewhere = (
+                squares[state == value],
+                squares[np.isfinite(state) & (state != value)],
+            )
+            if min(there.size, elsewhere.size) < _FEWEST:
+                continue
+            ratio = float(np.sqrt(np.median(there) / np.median(elsewhere)))
+            sure = mannwhitneyu(there, elsewhere).pvalue < _CHANCE
+            if sure and ratio > 2.0:
+                lines.append(
+                    f"the error is {ratio:.2g} times that of the other windows while {column} = "
+                    f"{value:g}: does the machine change with it?"
+                )
+    return tuple(lines)
 
 
 def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:

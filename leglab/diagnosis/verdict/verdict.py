@@ -25,7 +25,7 @@ from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BEST_SETS, DAY_FACTOR, DEFAULT, LAW, NAMED, VISIBLE
 from leglab.diagnosis.verdict.confidence import Judgement, as_noise
 from leglab.diagnosis.verdict.experiment import propose
-from leglab.diagnosis.verdict.notes import at_limits, notes
+from leglab.diagnosis.verdict.notes import at_limits, by_states, notes
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.whole import whole_recording
@@ -75,7 +75,7 @@ def diagnose(
     elif _lacks_nothing(outcome):
         judgement.verdict, judgement.named, judgement.confusion = "nothing_missing", (), ()
         outcome = Outcome(judgement, specimen)
-    outcome.result = _told(outcome, remarks, began)
+    outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
 
 
@@ -101,7 +101,9 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
     return as_noise(squares[problem.held], problem.replay.recording[problem.held])
 
 
-def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> result.Diagnosis:
+def _told(
+    outcome: Outcome, logged: Mapping[str, Recording], remarks: Sequence[str], began: float
+) -> result.Diagnosis:
     """The verdict of a judged search; `remarks` are those on the recordings."""
     final, problem, floors = outcome.final, outcome.about, outcome.floors()
     models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
@@ -115,7 +117,7 @@ def _told(outcome: Outcome, remarks: Sequence[str], began: float) -> result.Diag
         result.RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
         for series, own in zip(problem.series, owners, strict=True)
     )
-    remarks = [*remarks, *notes(problem)]
+    remarks = [*remarks, *notes(problem), *by_states(problem, logged, squares["after"])]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
     held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
