@@ -43,3 +43,18 @@ def test_a_result_that_the_command_does_not_give_is_lost():
     nothing = Recording(time=time, columns={"knee_position": 0.0 * time})
     with pytest.raises(SimulationError, match="ends with status 2: error: .*knee_valve_command"):
         diagnosed("knee_bench", {"one": nothing})
+
+
+@pytest.mark.slow("a whole diagnosis by the command")
+def test_a_state_with_which_the_error_grows_is_named():
+    def joined(good, bad):
+        shift = good.time[-1] + 0.5
+        columns = {name: np.append(good[name], bad[name]) for name in good.columns}
+        columns["mode"] = np.repeat([1.0, 2.0], [len(good), len(bad)])
+        return Recording(time=np.append(good.time, bad.time + shift), columns=columns)
+
+    kinds = ("multisine", "fast")
+    good, bad = (of_kinds(PENDULUM, Truth(offset=x), kinds, seconds=6.0) for x in (0.0, 0.5))
+    logs = {name: joined(good[name], bad[name]) for name in good}
+    content = diagnosed(PENDULUM.model, logs, effects=("armature",))
+    assert any("times that of the other windows while mode = 2" in n for n in content["notes"])
