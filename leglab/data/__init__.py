@@ -37,7 +37,6 @@ __all__ = [
     "read",
     "read_all",
     "read_column_map",
-    "read_table",
     "read_tables",
     "summarise",
     "to_input_output",
@@ -46,17 +45,10 @@ __all__ = [
     "write_atomically",
 ]
 
-# A format has `read_table(path, left_out)`, which returns arrays of shape (n,) by column name and
-# the metadata, and `write(recording, path)`; `losses(recording)` where more than metadata is lost.
-_MODULES = {
-    "parquet": parquet,
-    "csv": csv,
-    "mcap": mcap,
-    "matlab": matlab,
-    "sysid": sysid,
-}
-# Others are read alone; `read_tables` returns several tables by the name of the recording.
-_READERS = {**_MODULES, "lerobot": lerobot}
+# A format has `read_table(path, left_out, columns)`, which returns arrays of shape (n,) by column
+# name and the metadata, and of the map uses what cannot be known from the file;
+# `write(recording, path)`; `losses(recording)` where more than metadata is lost.
+_MODULES = {"parquet": parquet, "csv": csv, "mcap": mcap, "matlab": matlab, "sysid": sysid}
 SUFFIXES = tuple(contents.SUFFIXES)
 """Suffixes of files that `read` knows."""
 
@@ -93,9 +85,13 @@ def read(
             is chosen, a column is not numeric, time stamps are missing, repeated or reversed, or
             the map does not fit; names the file, the row and the column.
     """
-    table, metadata = read_table(
-        path, columns=columns, partial=partial, salvage=salvage, recording=recording
-    )
+    tables = read_tables(path, columns=columns, partial=partial, salvage=salvage)
+    if recording is None and len(tables) > 1:
+        told = f"{path}: {len(tables)} recordings, one at a time: choose by --recording "
+        raise RecordingError(told, given=path, allowed=tables)
+    if recording is not None and recording not in tables:
+        raise RecordingError.unknown(f"recording of {path}", recording, tables)
+    table, metadata = tables[recording or next(iter(tables))]
     return to_recording(table, metadata, source=str(path), repair=repair)
 
 
@@ -106,60 +102,16 @@ def read_all(
     partial: bool = False,
     salvage: bool = False,
 ) -> dict[str, Recording]:
-    """Reads all recordings of a file or folder.
-
-    Args:
-        path: See `read`.
-        columns: See `read`.
-        partial: See `read`.
-        salvage: See `read`.
+    """Reads all recordings of a file or folder, as `read` reads one.
 
     Returns:
         Recordings by name; "" is the name of one that is alone in its file.
-
-    Raises:
-        LeglabError: As of `read`.
     """
     tables = read_tables(path, columns=columns, partial=partial, salvage=salvage)
     return {
         name: to_recording(table, metadata, source=_place(path, name), repair=True)
         for name, (table, metadata) in tables.items()
     }
-
-
-def read_table(
-    path: str | Path,
-    *,
-    columns: ColumnMap | str | Path | None = None,
-    partial: bool = False,
-    timed: bool = True,
-    salvage: bool = False,
-    recording: str | None = None,
-) -> tuple[dict, dict]:
-    """Reads the columns of one recording without checking the values.
-
-    Args:
-        path: The file.
-        columns: See `read`.
-        partial: See `read`.
-        timed: Whether a file without a column `time` is refused.
-        salvage: See `read`.
-        recording: See `read`.
-
-    Returns:
-        Arrays of shape (n,) by column name, for `inspect`, and the metadata.
-
-    Raises:
-        LeglabError: There is no such file, it cannot be read, it holds several recordings and none
-            is chosen, a column is not numeric, there is no `time`, or the map does not fit.
-    """
-    tables = read_tables(path, columns=columns, partial=partial, timed=timed, salvage=salvage)
-    if recording is None and len(tables) > 1:
-        told = f"{path}: {len(tables)} recordings, one at a time: choose by --recording "
-        raise RecordingError(told, given=path, allowed=tables)
-    if recording is not None and recording not in tables:
-        raise RecordingError.unknown(f"recording of {path}", recording, tables)
-    return tables[recording] if recording is not None else next(iter(tables.values()))
 
 
 def read_tables(
@@ -170,36 +122,25 @@ def read_tables(
     timed: bool = True,
     salvage: bool = False,
 ) -> dict[str, tuple[dict, dict]]:
-    """Reads the columns of all recordings of a file or folder without checking the values.
+    """Reads the columns of all recordings, as `read` does, without checking their values.
 
-    Args:
-        path: See `read`.
-        columns: See `read`.
-        partial: See `read`.
-        timed: See `read_table`.
-        salvage: See `read`.
+    Where `timed`, a file without a column `time` is refused.
 
     Returns:
-        Columns and metadata, as of `read_table`, by the recording's name, as of `read_all`.
-
-    Raises:
-        LeglabError: As of `read_table`.
+        Arrays of shape (n,) by column name, for `inspect`, and the metadata, by the recording's
+        name as of `read_all`.
     """
     path = Path(path)
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_column_map(columns)
     if not path.is_dir() and not path.is_file():
         raise FileError(f"{path}: {no_file(path)}", given=path)
-    form = _READERS[form_at(path)]
+    form = form_at(path)
     left_out = LeftOut(partial, salvage=salvage)
-    # Only topics have clocks of their own, and how they are brought onto one depends on the names;
-    # of text the map says what cannot be known.
-    if form in (mcap, csv, matlab, sysid):
-        found = {"": form.read_table(path, left_out, columns)}
-    elif hasattr(form, "read_tables"):
-        found = form.read_tables(path, left_out)
+    if form == "lerobot":
+        found = lerobot.read_tables(path, left_out)
     else:
-        found = {"": form.read_table(path, left_out)}
+        found = {"": _MODULES[form].read_table(path, left_out, columns)}
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {
@@ -242,11 +183,7 @@ def _usable(
 
 
 def write(
-    recording: Recording,
-    path: str | Path,
-    form: str | None = None,
-    *,
-    scene: Scene | None = None,
+    recording: Recording, path: str | Path, form: str | None = None, *, scene: Scene | None = None
 ) -> Path:
     """Writes a recording; an existing file is replaced as a whole or left as it was.
 

@@ -38,9 +38,7 @@ class Bag:
     #: Raw messages of supported types, in file order.
     messages: list[Message] = field(default_factory=list)
     metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
-
     lost: list[str] = field(default_factory=list)  #: What is not whole, a line each
-    missing: int = 0  #: Messages of broken chunks
 
     def take(self, record: object) -> None:
         """Keeps a record that says or holds something."""
@@ -66,9 +64,8 @@ class Bag:
             self.channels[channel.id + offset] = replace(channel, schema_id=schema_id)
         for message in part.messages:
             message.channel_id += offset
-            owner = self.channels.get(message.channel_id)
-            if owner is not None and supported(self.kind(owner)):
-                self.messages.append(message)
+            if message.channel_id in self.channels:
+                self.take(message)
         self.metadata |= part.metadata
         self.lost += [f"{path.name}: {line}" for line in part.lost]
 
@@ -85,11 +82,11 @@ class Bag:
 
 
 def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
-    """Reads whole files, the parts of one recording.
+    """Reads whole files, the parts of one recording, of which `lost` counts what is not whole.
 
     Args:
         paths: MCAP or sqlite3 files, packed by zstd where they end on `.zstd`.
-        salvage: Whether what is whole of broken files is read; `lost` counts the rest.
+        salvage: Whether what is whole of broken files is read.
 
     Raises:
         LeglabError: A file is truncated, a checksum is wrong, or it is no bag.
@@ -109,69 +106,58 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
                     _scan(cast(BinaryIO, stream), part, salvage)
         # Whatever the decompressors and parsers trip over, the cause is the file.
         except Exception as error:
-            at = f"after {len(part.messages)} readable messages"
-            ends = isinstance(error, EndOfFile | struct.error)
-            if salvage and (part.messages or part.channels):
-                part.lost.append(
-                    f"it ends or is broken {at} ({first_line(error)}), the rest is lost"
-                )
-            else:
-                reason = f"{at}: {first_line(error)}"
-                reason = f"it ends {at}; is the file truncated?" if ends else reason
+            at, why = f"after {len(part.messages)} readable messages", first_line(error)
+            if not (salvage and (part.messages or part.channels)):
+                ends = isinstance(error, EndOfFile | struct.error)
+                reason = f"it ends {at}; is the file truncated?" if ends else f"{at}: {why}"
                 way = "" if salvage else "; --salvage reads what is whole"
                 what = "bag of sqlite3" if ".db3" in path.name else "MCAP file"
                 told = f"{path}: not a complete {what}: {reason}{way}"
                 raise FileError(told, given=path) from error
+            part.lost.append(f"it ends or is broken {at} ({why}), the rest is lost")
         bag.add(part, _IDS * index, path)
     return bag
 
 
 def _scan(stream: BinaryIO, bag: Bag, salvage: bool) -> None:
     if stream.read(len(_SQLITE)) == _SQLITE:
-        scan_sqlite(_SQLITE + stream.read(), bag)
+        _scan_sqlite(_SQLITE + stream.read(), bag)
         return
     stream.seek(0)
-    broken = chunks = 0
-    whole = True
+    chunks, broken, missing, whole = 0, 0, 0, True
     # Of a broken file the checksum of all is wrong; those of its chunks are checked one by one.
     reader = StreamReader(stream, validate_crcs=not salvage, emit_chunks=True)
     for record in reader.records:
         if isinstance(record, Chunk):
             chunks += 1
             try:
-                records, whole = breakup_chunk(record, validate_crc=True), True
+                for one in breakup_chunk(record, validate_crc=True):
+                    bag.take(one)
+                whole = True
             except Exception:
                 if not salvage:
                     raise
-                records, whole = [], False
-                broken += 1
+                broken, whole = broken + 1, False
         elif isinstance(record, MessageIndex) and not whole:
-            bag.missing += len(record.records)
-            continue
+            missing += len(record.records)
         else:
-            records = [record]
-        for one in records:
-            bag.take(one)
+            bag.take(record)
     if broken:
-        told = f"{broken} of {chunks} chunks are broken, with them {bag.missing} messages lost"
-        bag.lost.append(told)
+        bag.lost.append(
+            f"{broken} of {chunks} chunks are broken, with them {missing} messages lost"
+        )
 
 
-def scan_sqlite(content: bytes, bag: Bag) -> None:
-    """Reads a bag of sqlite3; definitions of messages are there from ROS 2 Iron on.
-
-    Args:
-        content: The file.
-        bag: Gets what is in it.
-    """
+def _scan_sqlite(content: bytes, bag: Bag) -> None:
+    """Reads a bag of sqlite3; definitions of messages are there from ROS 2 Iron on."""
     database = sqlite3.connect(":memory:")
     # Versions 2 of the format mean a log beside the file, which a bag that was closed has not.
     database.deserialize(content[:18] + b"\1\1" + content[20:])
-    named = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    named = database.execute("SELECT name FROM sqlite_master").fetchall()
     definitions = {kind: ("ros2msg", text) for kind, text in DEFINITIONS.items()}
     if ("message_definitions",) in named:
         rows = "topic_type, encoding, encoded_message_definition FROM message_definitions"
-        found = database.execute(f"SELECT {rows}").fetchall()
+        found = database.execute(f"SELECT {rows}")
         definitions |= {kind: (form, text) for kind, form, text in found if text}
     rows = "id, name, type, serialization_format FROM topics"
     for row in database.execute(f"SELECT {rows}"):
@@ -192,13 +178,6 @@ def _typed(row: tuple, types: tuple[type, ...]) -> tuple:
     return row
 
 
-def _unpacked(data: bytes) -> bytes:
-    """A message, which a bag may hold packed; none that is not begins like that."""
-    if not data.startswith(_ZSTD):
-        return data
-    return ZstdDecompressor().decompressobj().decompress(data)
-
-
 def decode(
     bag: Bag, clock_topic: str, wanted_stamps: str, path: Path, left_out: LeftOut
 ) -> dict[str, TopicSeries]:
@@ -210,9 +189,6 @@ def decode(
         wanted_stamps: "header", where there are any, or "log".
         path: Of the file, for messages.
         left_out: Gets topics other than the clock's that cannot be decoded.
-
-    Returns:
-        Numbers by topic.
 
     Raises:
         LeglabError: A message cannot be decoded; names topic and message.
@@ -235,22 +211,22 @@ def decode(
                     f"encoded as {channel.message_encoding!r} with a definition in "
                     f"{schema.encoding!r}; allowed: 'cdr' with 'ros2msg'"
                 )
-            content = decoder(_unpacked(message.data))
-            stamp = header_stamp(content)
-            is_clock = channel.topic == clock_topic
-            found = numbers(schema.name, content, channel.topic, is_clock=is_clock)
+            data = message.data
+            if data.startswith(_ZSTD):  # No message that is not packed does.
+                data = ZstdDecompressor().decompressobj().decompress(data)
+            content = decoder(data)
+            found = numbers(schema.name, content, channel.topic, channel.topic == clock_topic)
+            of_topic.append((message.log_time, header_stamp(content), found))
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
             if left_out.salvage:
                 undecoded.setdefault(channel.topic, []).append(first_line(error))
                 continue
             told = RecordingError(f"{where}: {first_line(error)}", given=channel.topic)
-            if channel.topic == clock_topic or not left_out.partial:
+            if channel.topic == clock_topic:
                 raise told from error
             left_out.add(owner, told)
             del rows[channel.topic]
-            continue
-        of_topic.append((message.log_time, stamp, found))
     for topic, reasons in undecoded.items():
         why = f"{len(reasons)} messages cannot be decoded, the first: {reasons[0]}"
         bag.lost.append(f"topic {topic!r}: {why}")
@@ -258,8 +234,7 @@ def decode(
 
 
 def _series(topic: str, rows: list, wanted_stamps: str, path: Path) -> TopicSeries:
-    log = [row[0] for row in rows]
-    header = [row[1] for row in rows]
+    log, header = [row[0] for row in rows], [row[1] for row in rows]
     # A header that nobody filled in has zeros.
     by_header = wanted_stamps == "header" and None not in header and (any(header) or header == log)
     try:

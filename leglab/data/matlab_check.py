@@ -8,7 +8,7 @@ uncompressed. Layout: MathWorks, "MAT-File Format" (R2024b), chapter 1, "Level 5
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 
 _HEADER = 128  # bytes
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
@@ -56,7 +56,8 @@ def checked(content: bytes) -> bytes:
         raise ValueError("the first 128 bytes are not those of version 5")
     # Bytes 116 to 124 point to a workspace of objects, which is not read.
     variables = [content[:116] + bytes(8) + content[124:_HEADER]]
-    left = memory = most = max(_LARGEST_TOTAL, _LARGEST_RATIO * len(content))
+    left = most = max(_LARGEST_TOTAL, _LARGEST_RATIO * len(content))
+    arrays = _Arrays(order, most)
     for kind, data in _elements(content[_HEADER:], order, padded=False):
         if kind == _COMPRESSED:
             inflate = zlib.decompressobj()
@@ -75,7 +76,7 @@ def checked(content: bytes) -> bytes:
             kind, data = inner[0]
         if kind != _MATRIX:
             raise ValueError(f"a variable of element type {kind}")
-        memory -= _check_matrix(data, order, 0, memory)
+        arrays.check(data)
         variables.append(struct.pack(f"{order}II", _MATRIX, len(data)) + data)
     return b"".join(variables)
 
@@ -87,107 +88,90 @@ def _elements(content: bytes, order: str, *, padded: bool = True) -> Iterator[tu
         if at + 8 > len(content):
             raise ValueError("the file ends within an element")
         kind, size = struct.unpack_from(f"{order}II", content, at)
+        start = at + 8
+        end = start + size + (-size % 8 if padded and kind != _COMPRESSED else 0)
         if kind >> 16:  # Up to four bytes are stored within the tag.
-            kind, size = kind & 0xFFFF, kind >> 16
+            kind, size, start, end = kind & 0xFFFF, kind >> 16, at + 4, at + 8
             if size > 4:
                 raise ValueError(f"a small element of {size} bytes")
-            yield kind, content[at + 4 : at + 4 + size]
-            at += 8
-            continue
-        if at + 8 + size > len(content):
+        if start + size > len(content):
             raise ValueError("the file ends within an element")
-        yield kind, content[at + 8 : at + 8 + size]
-        at += 8 + size
-        if padded and kind != _COMPRESSED:
-            at += -size % 8
+        yield kind, content[start : start + size]
+        at = end
 
 
-def _check_matrix(content: bytes, order: str, depth: int, most: int) -> int:
-    """Returns the memory that an array takes [bytes]; more than `most` is refused."""
-    if not content:
-        return _within(most, _ARRAY)  # An empty array as a part of another one.
-    if depth > _DEEPEST:
-        raise ValueError(f"arrays within arrays, more than {_DEEPEST} deep")
-    parts = _elements(content, order)
-    flags = _part(parts, {_UINT32}, "array flags")
-    if len(flags) != 8:
-        raise ValueError(f"array flags of {len(flags)} bytes")
-    word = struct.unpack_from(f"{order}I", flags)[0]
-    kind = word & 0xFF
-    if kind == _OPAQUE:
-        raise ValueError(_way_out(parts))
-    if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):
-        what = {_OBJECT: "an object", _SPARSE: "a sparse matrix"}.get(kind, f"of class {kind}")
-        raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
-    dimensions = _integers(_part(parts, {_INT32}, "dimensions"), order)
-    if not 2 <= len(dimensions) <= _MOST_DIMENSIONS or min(dimensions) < 0:
-        raise ValueError(f"an array of dimensions {dimensions}")
-    count = math.prod(dimensions)
-    _part(parts, {_INT8}, "name")
-    size = _ARRAY
-    if kind in _NUMERIC:
-        size += _numbers(parts, "numbers")
-        if word & _COMPLEX:
-            size += _numbers(parts, "imaginary numbers")
-    elif kind == _CHAR:
-        size += _LETTER * len(_part(parts, _CHARACTERS, "text"))
-    elif kind == _CELL:
-        size += _check_nested(parts, count, order, depth, most)
-    else:
-        length = _integers(_part(parts, {_INT32}, "length of field names"), order)
-        names = _part(parts, {_INT8}, "field names")
-        if len(length) != 1 or length[0] < 1 or len(names) % length[0]:
-            raise ValueError("field names do not fit their length")
-        fields = count * (len(names) // length[0])
-        size += _check_nested(parts, fields, order, depth, most)
-    if next(parts, None) is not None:
-        raise ValueError("an array has more parts than it should")
-    return _within(most, size)
+class _Arrays:
+    """Walks arrays, whose memory [bytes] is taken from what is left."""
+
+    def __init__(self, order: str, left: int) -> None:
+        self._order, self._left = order, left
+
+    def check(self, content: bytes, depth: int = 0) -> None:
+        self._take(_ARRAY)
+        if not content:
+            return  # An empty array as a part of another one.
+        if depth > _DEEPEST:
+            raise ValueError(f"arrays within arrays, more than {_DEEPEST} deep")
+        parts = _elements(content, self._order)
+        _, flags = _part(parts, {_UINT32}, "array flags")
+        if len(flags) != 8:
+            raise ValueError(f"array flags of {len(flags)} bytes")
+        word = struct.unpack_from(f"{self._order}I", flags)[0]
+        kind = word & 0xFF
+        if kind == _OPAQUE:
+            raise ValueError(_way_out(parts))
+        if kind not in (_CELL, _STRUCT, _CHAR, *_NUMERIC):
+            what = {_OBJECT: "an object", _SPARSE: "a sparse matrix"}.get(kind, f"of class {kind}")
+            raise ValueError(f"a variable is {what}; allowed: numbers, text, cells and structs")
+        dimensions = self._integers(parts, "dimensions")
+        if not 2 <= len(dimensions) <= _MOST_DIMENSIONS or min(dimensions) < 0:
+            raise ValueError(f"an array of dimensions {dimensions}")
+        count = math.prod(dimensions)
+        _part(parts, {_INT8}, "name")
+        if kind in _NUMERIC:
+            for what in ("numbers", "imaginary numbers")[: 2 if word & _COMPLEX else 1]:
+                stored, numbers = _part(parts, _NUMBERS, what)
+                self._take(8 * (len(numbers) // _NUMBERS[stored]))
+        elif kind == _CHAR:
+            self._take(_LETTER * len(_part(parts, _CHARACTERS, "text")[1]))
+        else:
+            if kind == _STRUCT:
+                length = self._integers(parts, "length of field names")
+                _, names = _part(parts, {_INT8}, "field names")
+                if len(length) != 1 or length[0] < 1 or len(names) % length[0]:
+                    raise ValueError("field names do not fit their length")
+                count *= len(names) // length[0]
+            for _ in range(count):
+                self.check(_part(parts, {_MATRIX}, "array")[1], depth + 1)
+        if next(parts, None) is not None:
+            raise ValueError("an array has more parts than it should")
+
+    def _take(self, size: int) -> None:
+        self._left -= size
+        if self._left < 0:
+            raise ValueError("its variables take more memory than a file of this size may")
+
+    def _integers(self, parts: Iterator[tuple[int, bytes]], what: str) -> tuple[int, ...]:
+        _, content = _part(parts, {_INT32}, what)
+        if len(content) % 4:
+            raise ValueError(f"32-bit integers in {len(content)} bytes")
+        return struct.unpack(f"{self._order}{len(content) // 4}i", content)
+
+
+def _part(
+    parts: Iterator[tuple[int, bytes]], allowed: Container[int], what: str
+) -> tuple[int, bytes]:
+    """Type and data of the next part."""
+    kind, content = next(parts, (0, b""))
+    if kind not in allowed:
+        raise ValueError(f"element type {kind} where {what} should be")
+    return kind, content
 
 
 def _way_out(parts: Iterator[tuple[int, bytes]]) -> str:
     """Names an object, which has its name, its system and its class as texts, and what to do."""
     texts = [part.rstrip(b"\0").decode(errors="replace") for kind, part in parts if kind == _INT8]
-    name, kind = ([*texts, "", "", ""][0] or "x"), [*texts, "", "", ""][2]
-    way = _WAYS_OUT.get(kind, _WAYS_OUT["timeseries"]).format(name)
-    what = kind or "an object"
-    return f"variable {name!r} is a {what}, which MATLAB alone reads; in MATLAB: {way}{_SAVE}"
-
-
-def _within(most: int, size: int) -> int:
-    if size > most:
-        raise ValueError("its variables take more memory than a file of this size may")
-    return size
-
-
-def _numbers(parts: Iterator[tuple[int, bytes]], what: str) -> int:
-    """Bytes of the next part's numbers as 64-bit ones, which columns of recordings are."""
-    kind, content = next(parts, (0, b""))
-    if kind not in _NUMBERS:
-        raise ValueError(f"element type {kind} where {what} should be")
-    return 8 * (len(content) // _NUMBERS[kind])
-
-
-def _check_nested(
-    parts: Iterator[tuple[int, bytes]], count: int, order: str, depth: int, most: int
-) -> int:
-    size = 0
-    for _ in range(count):
-        content = _part(parts, {_MATRIX}, "array")
-        size += _check_matrix(content, order, depth + 1, most - size)
-    return size
-
-
-def _part(
-    parts: Iterator[tuple[int, bytes]], allowed: frozenset[int] | set[int], what: str
-) -> bytes:
-    kind, content = next(parts, (0, b""))
-    if kind not in allowed:
-        raise ValueError(f"element type {kind} where {what} should be")
-    return content
-
-
-def _integers(content: bytes, order: str) -> tuple[int, ...]:
-    if len(content) % 4:
-        raise ValueError(f"32-bit integers in {len(content)} bytes")
-    return struct.unpack(f"{order}{len(content) // 4}i", content)
+    name, _, kind, *_ = [*texts, "", "", ""]
+    way = _WAYS_OUT.get(kind, _WAYS_OUT["timeseries"]).format(name or "x")
+    what = f"variable {name or 'x'!r} is a {kind or 'an object'}"
+    return f"{what}, which MATLAB alone reads; in MATLAB: {way}{_SAVE}"

@@ -29,8 +29,7 @@ from leglab.data.ros_messages import (
     TRANSFORMS,
     header,
     own_definition,
-    scalar_kind,
-    scalar_message,
+    scalar,
     transforms_message,
 )
 from leglab.data.scene import Scene
@@ -67,14 +66,6 @@ def read_table(
     all others are drawn linearly between their neighbours. What was done stands in the metadata
     under "alignment", and `start_ns` where the time axis was moved to 0.
 
-    Args:
-        path: The file, or the folder of a ROS 2 bag, whose parts follow one another.
-        left_out: Gets columns and topics that cannot be read.
-        columns: Names; the clock, and which stamps count. Values are not converted here.
-
-    Returns:
-        Arrays of shape (n,) by column name, and the metadata.
-
     Raises:
         LeglabError: The file is truncated or broken, has no joint states, or a topic that the map
             names shares no time with them.
@@ -105,11 +96,9 @@ def read_table(
         told = f"{path}: a topic is called 'time', which is the time axis"
         raise RecordingError(told, given="time")
     metadata = dict(bag.metadata)
-    start = int(clock.stamps.min()) if clock.stamps.size else 0
-    if clock.stamps.size and clock.stamps.max() <= _LAST_EXACT:
-        start = 0
-    if start:
-        metadata["start_ns"] = start
+    start = 0
+    if clock.stamps.max(initial=0) > _LAST_EXACT:
+        metadata["start_ns"] = start = int(clock.stamps.min())
     if lost := [*lacking, *bag.lost]:
         metadata["salvaged"] = lost
     if notes:
@@ -121,13 +110,7 @@ def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
     """Writes a recording: joints as JointState, their other columns as one or two messages.
 
     Columns of no joint are one topic each. Samples and metadata keep every bit, times are rounded
-    to 1 ns.
-
-    Args:
-        recording: To write.
-        path: The file.
-        scene: The machine, written as `/robot_description` and `/tf`; its efforts go to the
-            JointState.
+    to 1 ns. A scene is written as `/robot_description` and `/tf`; its efforts go to the JointState.
 
     Raises:
         LeglabError: The folder cannot be written to, times do not fit into ROS stamps, or a column
@@ -157,54 +140,54 @@ def losses(recording: Recording) -> tuple[str, ...]:
 
 def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Scene | None) -> None:
     joints = list(recording.joints)
-    metadata, units = recording.metadata, _units(recording)
+    units = {name: unit_of(name, recording.metadata) for name in recording.columns}
     known = {**recording.columns}
     if scene:
         known |= {f"{joint}_effort": samples for joint, samples in scene.efforts.items()}
     # A JointState has a velocity for every joint or for none, and an effort likewise.
     fields = ["position"]
     fields += [f for f in ("velocity", "effort") if all(f"{j}_{f}" in known for j in joints)]
-    columns = {f: [known.pop(f"{joint}_{f}") for joint in joints] for f in fields}
-    arrays = {f: np.stack(each, axis=1).tolist() if joints else None for f, each in columns.items()}
-    groups = _groups([name for name in known if name in recording], recording)
-    grouped = {column for names in groups.values() for column in names.values()}
-    rest = {n: s.tolist() for n, s in known.items() if n not in grouped and n in recording}
+    states = {f: _rows([known.pop(f"{joint}_{f}") for joint in joints]) for f in fields if joints}
     with Writer(stream) as writer:
-        writer.add_metadata(METADATA_NAME, {"metadata": to_json(metadata)})
-        writer.add_metadata("units", units)
+        writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
+        writer.add_metadata("units", {name: unit for name, unit in units.items() if unit})
         joint_state = writer.register_msgdef(JOINT_STATE, DEFINITIONS[JOINT_STATE])
-        kinds = {name: scalar_kind(name) for name in rest}
-        used = dict.fromkeys(kinds.values())
-        schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in used}
-        own = _own_schemas(groups, units, writer)
-        samples_of = {
-            topic: np.stack([recording[column] for column in names.values()], axis=1).tolist()
-            for topic, names in groups.items()
-        }
+        topics = []
+        schemas: dict[str, Any] = {}
+        for topic, names in _topics([n for n in known if n in recording], recording).items():
+            kind, text = _type_of(topic, names, units)
+            if text not in schemas:
+                count = sum(schema.name.startswith(kind) for schema in schemas.values())
+                kind += str(count + 1) if count else ""
+                schemas[text] = writer.register_msgdef(kind, text)
+            rows = _rows([known[name] for name in names.values()])
+            topics.append((topic, schemas[text], tuple(names), rows))
         poses = _write_description(scene, stamps[0], writer) if scene else None
         for row, stamp in enumerate(stamps):
-            message = {"header": header(stamp), "name": joints, "velocity": [], "effort": []}
-            message |= {f: rows[row] if rows else [] for f, rows in arrays.items()}
+            state = {field: values[row] for field, values in states.items()}
+            message: dict[str, Any] = {"header": header(stamp), "name": joints, **state}
             writer.write_message(_CLOCK_TOPIC, joint_state, message, stamp, stamp, row)
-            for topic, names in groups.items():
-                numbers = dict(zip(names, samples_of[topic][row], strict=True))
-                message = {"header": header(stamp), **numbers}
-                writer.write_message(topic, own[topic], message, stamp, stamp, row)
-            for name, samples in rest.items():
-                kind = kinds[name]
-                number = scalar_message(kind, samples[row], stamp)
-                writer.write_message(f"/{name}", schemas[kind], number, stamp, stamp, row)
+            for topic, schema, own, rows in topics:
+                message = {"header": header(stamp), **dict(zip(own, rows[row], strict=True))}
+                writer.write_message(topic, schema, message, stamp, stamp, row)
             if poses:
                 poses(row, stamp)
 
 
-def _units(recording: Recording) -> dict[str, str]:
-    """Returns the units that are known, by column."""
-    units = {name: unit_of(name, recording.metadata) for name in recording.columns}
-    return {name: unit for name, unit in units.items() if unit}
+def _type_of(topic: str, columns: dict[str, str], units: dict[str, str]) -> tuple[str, str]:
+    """The type of a topic's messages, whose columns are given by field, and its definition."""
+    if len(columns) == 1:
+        kind, _ = scalar(topic)
+        return kind, DEFINITIONS[kind]
+    text = own_definition({field: units[column] for field, column in columns.items()})
+    return OWN_PACKAGE + topic.rpartition("/")[2].capitalize(), text
 
 
-def _groups(names: list[str], recording: Recording) -> dict[str, dict[str, str]]:
+def _rows(columns: list[np.ndarray]) -> list[list[float]]:
+    return np.stack(columns, axis=1).tolist()
+
+
+def _topics(names: list[str], recording: Recording) -> dict[str, dict[str, str]]:
     """Returns which columns go into one message: by topic, columns by field.
 
     What belongs to the hydraulics or the drive of a joint goes to `/<joint>/hydraulics`, all else
@@ -213,34 +196,18 @@ def _groups(names: list[str], recording: Recording) -> dict[str, dict[str, str]]
     found: dict[str, dict[str, str]] = {}
     for name in names:
         owners = [joint for joint in recording.joints if name.startswith(f"{joint}_")]
-        if not owners:
-            continue
-        joint = max(owners, key=len)
+        joint = max(owners, key=len, default="")
         field = name.removeprefix(f"{joint}_")
-        if not _FIELD.fullmatch(field) or field in ("header", "position", "velocity"):
+        if not owners or not _FIELD.fullmatch(field) or field in ("header", "position", "velocity"):
             continue
         actuator = recording.actuator_of(joint)
         of_drive = actuator is not None and name.startswith(f"{actuator}_")
         part = "hydraulics" if of_drive or field in _HYDRAULIC else "control"
         found.setdefault(f"/{joint}/{part}", {})[field] = name
-    return {topic: fields for topic, fields in found.items() if len(fields) > 1}
-
-
-def _own_schemas(
-    groups: dict[str, dict[str, str]], units: dict[str, str], writer: Writer
-) -> dict[str, Any]:
-    """Registers a type for each set of fields; returns schemas by topic."""
-    schemas: dict[str, Any] = {}
-    known: dict[str, tuple[str, Any]] = {}
-    for topic, names in groups.items():
-        text = own_definition({field: units.get(column, "") for field, column in names.items()})
-        if text not in known:
-            part = topic.rpartition("/")[2].capitalize()
-            count = sum(1 for name, _ in known.values() if name.startswith(part))
-            name = part + (str(count + 1) if count else "")
-            known[text] = name, writer.register_msgdef(OWN_PACKAGE + name, text)
-        schemas[topic] = known[text][1]
-    return schemas
+    found = {t: f for t, f in found.items() if len(f) > 1 and t.removeprefix("/") not in names}
+    grouped = {name for fields in found.values() for name in fields.values()}
+    alone = {f"/{name}": {scalar(name)[1]: name} for name in names if name not in grouped}
+    return found | alone
 
 
 def _write_description(scene: Scene, stamp: int, writer: Writer) -> Callable[[int, int], None]:
@@ -248,15 +215,12 @@ def _write_description(scene: Scene, stamp: int, writer: Writer) -> Callable[[in
     text = writer.register_msgdef(STRING, DEFINITIONS[STRING])
     placed = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
     writer.write_message(_DESCRIPTION, text, {"data": scene.urdf}, stamp, stamp, 0)
-    frames = [
-        (scene.links[parent], link)
-        for link, parent in zip(scene.links[1:], scene.parents[1:], strict=True)
-    ]
+    parents = [scene.links[parent] for parent in scene.parents[1:]]
+    frames = list(zip(parents, scene.links[1:], strict=True))
     at = {int(row): k for k, row in enumerate(scene.rows)}
 
     def write_poses(row: int, stamp: int) -> None:
-        k = at.get(row)
-        if k is not None:
+        if (k := at.get(row)) is not None:
             each = scene.positions[k, 1:].tolist(), scene.quaternions[k, 1:].tolist()
             message = transforms_message(stamp, frames, *each)
             writer.write_message("/tf", placed, message, stamp, stamp, k)
@@ -296,14 +260,13 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
             told += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
             told += "export them as CSV (PlotJuggler, Foxglove)"
         raise RecordingError(told, allowed=(JOINT_STATE,))
-    if columns.clock is not None:
-        if columns.clock not in candidates:
-            raise RecordingError.unknown(f"clock of {columns.source}", columns.clock, candidates)
-        return columns.clock
+    if columns.clock not in (None, *candidates):
+        raise RecordingError.unknown(f"clock of {columns.source}", columns.clock, candidates)
+    for topic in (columns.clock, _CLOCK_TOPIC):
+        if topic in candidates:
+            return topic
     if len(candidates) == 1:
         return candidates.pop()
-    if _CLOCK_TOPIC in candidates:
-        return _CLOCK_TOPIC
     raise RecordingError(
         f"{path}: several topics of type {JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
         f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}",

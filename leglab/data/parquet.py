@@ -34,7 +34,7 @@ _GROUP = 65536
 
 
 def read_table(
-    path: Path, left_out: LeftOut, *, without: Set[str] = frozenset()
+    path: Path, left_out: LeftOut, _: object = None, *, without: Set[str] = frozenset()
 ) -> tuple[dict[str, np.ndarray], dict]:
     """Reads the columns of a Parquet file but those `without` use.
 

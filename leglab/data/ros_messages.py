@@ -76,11 +76,7 @@ def supported(kind: str) -> bool:
 
 
 def own_definition(fields: Mapping[str, str]) -> str:
-    """Returns the definition of a message of ours.
-
-    Args:
-        fields: Units by field, "" where none is known.
-    """
+    """Returns the definition of a message of ours; its fields have units, "" for unknown ones."""
     lines = (f"float64 {name}" + f"  # {unit}" * bool(unit) for name, unit in fields.items())
     return "\n".join(("std_msgs/Header header", *lines, _HEADER))
 
@@ -88,13 +84,9 @@ def own_definition(fields: Mapping[str, str]) -> str:
 def transforms_message(
     stamp: int, frames: list[tuple[str, str]], positions: list, quaternions: list
 ) -> dict[str, Any]:
-    """Returns a message that places frames in others.
+    """Returns a message that places frames, parent and child of each, at a time [ns].
 
-    Args:
-        stamp: The time [ns].
-        frames: Parent and child of each.
-        positions: x, y, z of each [m].
-        quaternions: w, x, y, z of each.
+    Positions are x, y, z [m], quaternions w, x, y, z.
     """
     placed = zip(frames, positions, quaternions, strict=True)
     return {
@@ -112,15 +104,11 @@ def transforms_message(
     }
 
 
-def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str, float]:
-    """Returns the numbers of one decoded message by column name.
+def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, float]:
+    """Returns the numbers of one decoded message, of a type that is `supported`, by column name.
 
-    Args:
-        kind: A type that is `supported`.
-        message: The message.
-        topic: Its topic.
-        is_clock: Whether this is the JointState topic that gives the time axis. Its columns are
-            `<joint>_position` and so on; those of others begin with the topic.
+    Columns of the JointState topic that gives the time axis are `<joint>_position` and so on; those
+    of other ones begin with the topic.
 
     Raises:
         ValueError: The fields do not fit together.
@@ -137,35 +125,18 @@ def numbers(kind: str, message: Any, topic: str, *, is_clock: bool) -> dict[str,
     return {owner: float(getattr(message, _SCALARS[kind]))}
 
 
-def scalar_kind(column: str) -> str:
-    """Returns the type of message that says most about a column of one number."""
+def scalar(column: str) -> tuple[str, str]:
+    """Returns the type of message that says most about a column of one number, and its field."""
+    kind = TEMPERATURE if column.endswith("_temperature") else FLOAT64
     if column.endswith(("_pressure", "_pressure_a", "_pressure_b")):
-        return FLUID_PRESSURE
-    return TEMPERATURE if column.endswith("_temperature") else FLOAT64
+        kind = FLUID_PRESSURE
+    return kind, _SCALARS[kind]
 
 
 def header(stamp: int) -> dict[str, Any]:
-    """Returns a header.
-
-    Args:
-        stamp: The time [ns].
-    """
+    """Returns a header of a time [ns]."""
     second, nanosecond = divmod(stamp, 10**9)
     return {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""}
-
-
-def scalar_message(kind: str, value: float, stamp: int) -> dict[str, Any]:
-    """Returns a message with one number.
-
-    Args:
-        kind: From `scalar_kind`.
-        value: The number.
-        stamp: The time [ns], for messages with a header.
-    """
-    if kind == FLOAT64:
-        return {"data": value}
-    # Zero is "unknown" in both definitions.
-    return {"header": header(stamp), _SCALARS[kind]: value, "variance": 0.0}
 
 
 def header_stamp(message: Any) -> int | None:

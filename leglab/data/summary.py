@@ -60,7 +60,7 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     """Summarises a table.
 
     Args:
-        table: Arrays of shape (n,) by column name; see `leglab.data.read_table`.
+        table: Arrays of shape (n,) by column name; see `leglab.data.read_tables`.
         metadata: Of the file.
     """
     time = table.get("time", np.empty(0))

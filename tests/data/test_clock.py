@@ -101,7 +101,7 @@ def test_what_leaves_a_question_is_one(tmp_path, columns, told):
     with pytest.raises(LeglabError, match=told) as caught:
         data.read(write(tmp_path / "a.parquet", **columns))
     assert "\n" not in str(caught.value)
-    table, _ = data.read_table(tmp_path / "a.parquet", partial=True, timed=False)
+    table, _ = data.read_tables(tmp_path / "a.parquet", partial=True, timed=False)[""]
     assert list(table) == [*columns, "a_position"]
     assert "a_position" in table
 

@@ -143,7 +143,7 @@ def test_bad_csv(tmp_path, text, message):
 def test_empty_cells_are_missing_samples(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,a,b\n0,1,\n1,,\n2,NaN,\n3,4,\n")
-    columns, _ = data.read_table(path)
+    columns, _ = data.read_tables(path)[""]
     np.testing.assert_array_equal(columns["a"], [1, np.nan, np.nan, 4])
     assert kinds(data.inspect(columns)) == [("nan_run", "a", 1, 2), ("nan_run", "b", 0, 4)]
 

@@ -55,7 +55,8 @@ def _model(path: Path) -> None:
 def _either(path: Path) -> None:
     for partial in (False, True):
         try:
-            data.summarise(*data.read_table(path, partial=partial))
+            for table in data.read_tables(path, partial=partial).values():
+                data.summarise(*table)
         except LeglabError:
             if partial:
                 raise
