@@ -4,7 +4,6 @@ Layout: huggingface.co/docs/lerobot/lerobot-dataset-v3. An episode is a recordin
 is the time, and an element of a list is called `<feature>/<name>`.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +17,13 @@ from leglab.data import parquet
 from leglab.data.files import LeftOut
 
 # Columns that count; all but the time of an episode say where its rows lie in the dataset.
-COUNTERS = frozenset(("index", "frame_index", "episode_index", "task_index"))
+_COUNTERS = frozenset(("index", "frame_index", "episode_index", "task_index"))
 # Features that are no numbers.
 _PICTURES = ("image", "video", "string", "language")
 
 
 def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
-    """Reads the episodes of a dataset, or of one of its files.
-
-    Args:
-        path: The folder, or a file of its folder `data`.
-        left_out: Gets columns that cannot be read.
+    """Reads the episodes of a dataset (its folder), or of one file of its folder `data`.
 
     Returns:
         Columns and metadata of each episode, by `episode_<number>`.
@@ -42,30 +37,19 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
         told = f"{path}: a dataset of LeRobot without data; allowed: "
         raise FileError(told, given=path, allowed="files data/chunk-*/*.parquet")
     features = info.get("features", {})
-    found: dict[str, tuple[dict, dict]] = {}
+    pictures = frozenset(name for name, f in features.items() if f.get("dtype") in _PICTURES)
+    found: dict[int, dict[str, np.ndarray]] = {}
     for file in files:
-        table, _ = parquet.read_table(file, left_out, without=_pictures(features))
+        table, _ = parquet.read_table(file, left_out, without=pictures)
         for name, given in features.items():
             _rename(table, name, _names(given.get("names")))
-        for name, part in episodes(table).items():
-            if name in found:  # It goes on in another file.
-                part = {n: np.concatenate([found[name][0][n], x]) for n, x in part.items()}
-            found[name] = part, {}
-    return dict(sorted(found.items(), key=lambda item: int(item[0].rpartition("_")[2])))
-
-
-def episodes(table: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """Cuts a table at its `episode_index`.
-
-    Args:
-        table: Arrays of shape (n,) by column name.
-    """
-    owner = table["episode_index"]
-    columns = {n: samples for n, samples in table.items() if n not in COUNTERS}
-    return {
-        f"episode_{int(k)}": {n: x[owner == k] for n, x in columns.items()}
-        for k in np.unique(owner[np.isfinite(owner)])
-    }
+        owner = table["episode_index"]
+        for number in np.unique(owner[np.isfinite(owner)]).astype(int).tolist():
+            part = {n: x[owner == number] for n, x in table.items() if n not in _COUNTERS}
+            if number in found:  # It goes on in another file.
+                part = {n: np.concatenate([found[number][n], x]) for n, x in part.items()}
+            found[number] = part
+    return {f"episode_{number}": (found[number], {}) for number in sorted(found)}
 
 
 def is_dataset(path: Path) -> bool:
@@ -97,10 +81,6 @@ def _info(path: Path) -> dict[str, Any]:
         told = f"{place}: no description of a dataset of LeRobot; allowed: "
         raise FileError(told, given=place, allowed="an object with 'features'")
     return info
-
-
-def _pictures(features: Mapping[str, Mapping]) -> frozenset[str]:
-    return frozenset(name for name, given in features.items() if given.get("dtype") in _PICTURES)
 
 
 def _names(given: Any) -> list[str]:

@@ -91,12 +91,9 @@ def field_names(names: Iterable[str]) -> dict[str, str]:
     fields: dict[str, str] = {}
     # Names that are allowed as they are come first, so that no other one takes them.
     for name in sorted(names, key=lambda name: _allowed(name) != name):
-        field, count = _allowed(name), 1
-        while field in fields.values():
-            count += 1
-            end = f"_{count}"
-            field = _allowed(name)[: _NAME_LENGTH - len(end)] + end
-        fields[name] = field
+        ends = ("", *(f"_{count}" for count in range(2, len(names) + 1)))
+        free = (_allowed(name)[: _NAME_LENGTH - len(end)] + end for end in ends)
+        fields[name] = next(field for field in free if field not in fields.values())
     return {name: fields[name] for name in names}
 
 
@@ -133,25 +130,27 @@ def _load(path: Path) -> dict[str, Any]:
 def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
+    check_notes(metadata)
     if not all(isinstance(name, str) for name in names.values()):
         raise FileError("field 'name_map' of 'recording' gives a name that is no text")
     signals = content["signals"] if names else {}
     units: Any = content.get("units") if names else {}
     if not isinstance(signals, dict):
         raise FileError("field 'signals' of 'recording' is not a struct")
+    if missing := names.keys() - signals.keys():
+        field = min(missing)
+        raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
     table = {"time": _vector(content["time"], "time")}
-    for field, name in names.items():
-        if field not in signals:
-            raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
+    # Columns that somebody added in MATLAB have no other name.
+    for field in dict.fromkeys((*names, *signals)):
+        name = names.get(field, field)
         if name in table:
-            raise FileError(f"field 'name_map' of 'recording' gives {name!r} twice", given=name)
-        _add(table, name, signals[field], left_out)
-    # Columns that somebody added in MATLAB.
-    for field in [field for field in signals if field not in names]:
-        if field in table:
-            told = f"'signals' holds {field!r} twice, by its field and by 'name_map'"
-            raise FileError(told, given=field)
-        _add(table, field, signals[field], left_out)
+            told = f"'signals' and 'name_map' of 'recording' give {name!r} twice"
+            raise FileError(told, given=name)
+        try:
+            table[name] = _vector(signals[field], name)
+        except LeglabError as error:
+            left_out.add(name, error)
     check_lengths(table, left_out)
     if isinstance(units, dict):
         known = own_units(metadata)
@@ -161,13 +160,6 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         if changed:
             metadata["units"] = {**known, **changed}
     return Timed(table), metadata
-
-
-def _add(table: dict[str, np.ndarray], name: str, value: Any, left_out: LeftOut) -> None:
-    try:
-        table[name] = _vector(value, name)
-    except LeglabError as error:
-        left_out.add(name, error)
 
 
 def _vector(value: Any, name: str) -> np.ndarray:
@@ -189,6 +181,4 @@ def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
         raise FileError(told, given=field) from error
     if not isinstance(found, dict):
         raise FileError(f"field {field!r} of 'recording' is not a JSON object", given=field)
-    if field == "metadata":
-        check_notes(found)
     return found

@@ -28,12 +28,9 @@ _ENDINGS = (
 
 
 def to_time_series(recording: Recording) -> "TimeSeries":
-    """Returns the recording as a time series; its metadata is lost.
+    """Returns the recording as a time series; its metadata is lost, NaN stays NaN.
 
     `mujoco.sysid.ModelSequences` takes controls and measurements apart: select the columns first.
-
-    Args:
-        recording: The recording; NaN stays NaN.
 
     Raises:
         LeglabError: Two columns get one signal name.
@@ -43,14 +40,11 @@ def to_time_series(recording: Recording) -> "TimeSeries":
     for index, column in enumerate(recording.columns):
         signal, kind = _signal_of(column)
         if signal in mapping:
-            told = (
-                f"column {column!r} and another one both become signal {signal!r} of mujoco.sysid"
-            )
-            raise RecordingError(told, given=column)
+            told = f"column {column!r} and another one both become signal {signal!r} of "
+            raise RecordingError(f"{told}mujoco.sysid", given=column)
         mapping[signal] = (types[kind], np.array([index]))
-    data = np.empty((len(recording), len(recording.columns)))
-    for index, samples in enumerate(recording.columns.values()):
-        data[:, index] = samples
+    empty = np.empty((len(recording), 0))
+    data = np.column_stack([empty, *recording.columns.values()])
     return series(times=np.array(recording.time), data=data, signal_mapping=mapping)
 
 
@@ -79,23 +73,17 @@ def read_table(
     Raises:
         LeglabError: The file is truncated, an array holds Python objects, or lengths differ.
     """
-    arrays = _arrays(path, left_out)
-    if not {"times", "data"} <= arrays.keys():
-        try:
+    try:
+        arrays = _arrays(path, left_out)
+        if not {"times", "data"} <= arrays.keys():
             return table_of(arrays, left_out, columns)
-        except LeglabError as error:
-            raise error.at(path) from error
-    series, _ = _classes()
-    try:
-        found = series.load_from_disk(path)
-    # A foreign archive can fail anywhere in the loader; the cause is the file.
-    except Exception as error:
-        told = f"{path}: not a time series of mujoco.sysid: {first_line(error)}"
-        raise FileError(told, given=path) from error
-    try:
-        return Timed(_table_of(found)), {}
+        return Timed(_table_of(_classes()[0].load_from_disk(path))), {}
     except LeglabError as error:
         raise error.at(path) from error
+    # A foreign archive can fail anywhere in the loaders; the cause is the file.
+    except Exception as error:
+        told = f"{path}: not a complete .npz file: {first_line(error)}"
+        raise FileError(told, given=path) from error
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -110,26 +98,19 @@ def write(recording: Recording, path: Path) -> None:
 def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
     """Arrays of a file by name; the fields of a structured one have its name before them."""
     found: dict[str, Any] = {}
-    try:
-        with np.load(path) as file:
-            for name in file.files:
-                try:
-                    array = file[name]
-                except ValueError as error:
-                    if "allow_pickle" not in str(error):
-                        raise
-                    told = f"{path}: array {name!r} holds Python objects (pickled), which are not "
-                    told += f"read; save numbers: numpy.savez({path.name!r}, {name}=...)"
-                    left_out.add(name, RecordingError(told, given=name))
-                    continue
-                fields = array.dtype.names or ()
-                found |= {f"{name}/{field}": array[field] for field in fields} or {name: array}
-    except LeglabError:
-        raise
-    # Whatever the archive trips over, the cause is the file.
-    except Exception as error:
-        told = f"{path}: not a complete .npz file: {first_line(error)}"
-        raise FileError(told, given=path) from error
+    with np.load(path) as file:
+        for name in file.files:
+            try:
+                array = file[name]
+            except ValueError as error:
+                if "allow_pickle" not in str(error):
+                    raise
+                told = f"array {name!r} holds Python objects (pickled), which are not read; "
+                told += f"save numbers: numpy.savez({path.name!r}, {name}=...)"
+                left_out.add(name, RecordingError(told, given=name))
+                continue
+            fields = array.dtype.names or ()
+            found |= {f"{name}/{field}": array[field] for field in fields} or {name: array}
     return found
 
 
@@ -156,8 +137,7 @@ def _column_of(signal: str, kind: str) -> str:
 
 def _table_of(series: Any) -> dict[str, np.ndarray]:
     data = np.asarray(series.data)
-    if data.ndim == 1:
-        data = data[:, None]
+    data = data[:, None] if data.ndim == 1 else data
     if data.ndim != 2 or data.dtype.kind not in "fiub" or series.times.dtype.kind not in "fiub":
         told = f"a time series of shape {data.shape} and type {data.dtype}; allowed: "
         raise RecordingError(told, given=data.shape, allowed="real, (n, m)")

@@ -4,7 +4,7 @@ A series is a struct with `time` (or `Time`) beside its numbers: Simulink's "str
 (To Workspace, Scope), or a timeseries as a struct. Forms: docs/reference/data_formats.md.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,9 +31,6 @@ def table_of(
         variables: By name.
         left_out: Gets columns that are there twice, or of another length.
         columns: Says which series are commands; None: their names here do.
-
-    Returns:
-        Arrays of shape (n,) by column name, and what was left out and aligned.
 
     Raises:
         RecordingError: Lengths differ, or a series' time does not fit its values.
@@ -99,8 +96,7 @@ def _series(name: str, value: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, 
         values = next((signal[v] for v in _VALUES if v in signal), None)
         for key, column in _split(owner, np.asarray(values), time.size):
             if key in found:
-                told = f"two signals of {name!r} are called {key!r}"
-                raise RecordingError(told, given=key)
+                raise RecordingError(f"two signals of {name!r} are called {key!r}", given=key)
             found[key] = column
     return time, found
 
@@ -112,15 +108,17 @@ def _split(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.n
         raise RecordingError(told, given=name, allowed="numbers, one row a time")
     if values.shape[0] != rows or (values.ndim > 2 and values.shape[-1] == rows):
         values = np.moveaxis(values, -1, 0)  # Simulink puts time last where samples are matrices.
-    values = values.reshape(rows, -1)
-    for index, column in enumerate(values.T):
-        yield (name if values.shape[1] == 1 else f"{name}[{index}]"), column
+    yield from _elements(name, values)
+
+
+def _elements(name: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    flat = rows.reshape(len(rows), -1)
+    for index, column in enumerate(flat.T):
+        yield (name if flat.shape[1] == 1 else f"{name}[{index}]"), column
 
 
 def _on_one_clock(
-    series: Iterable[tuple[np.ndarray, dict[str, np.ndarray]]],
-    columns: ColumnMap,
-    left_out: LeftOut,
+    series: list[tuple[np.ndarray, dict[str, np.ndarray]]], columns: ColumnMap, left_out: LeftOut
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     time = max((own for own, _ in series), key=len)
     clock = np.rint(time * 1e9).astype(np.int64)
@@ -138,11 +136,10 @@ def _on_one_clock(
             topic = TopicSeries(name, stamps, {name: samples.astype(np.float64)}, "its own")
             try:
                 table[name] = aligned(topic, name, clock, hold=hold)
+                how = "last value held" if hold else "linear"
+                notes.append(f"{name}: {own.size} samples, {how} on a clock of {time.size}")
             except LeglabError as error:
                 left_out.add(name, error)
-                continue
-            how = "last value held" if hold else "linear"
-            notes.append(f"{name}: {own.size} samples, {how} on a clock of {time.size}")
     return table, notes
 
 
@@ -150,17 +147,10 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
     rows = max((len(array) for array in samples.values()), default=0)
     table: dict[str, np.ndarray] = {}
     for name, array in samples.items():
-        columns = {name: array}
-        if array.ndim == 2:
-            if len(array) != rows and array.shape[1] == rows:
-                array = array.T
-            columns = {f"{name}[{i}]": column for i, column in enumerate(array.T)}
-            if array.shape[1] == 1:
-                columns = {name: array[:, 0]}
-        for key, column in columns.items():
+        lies = len(array) != rows and array.shape[-1] == rows
+        for key, column in _elements(name, array.T if lies else array):
             if key in table:
-                told = f"two variables give column {key!r}"
-                left_out.add(key, RecordingError(told, given=key))
+                left_out.add(key, RecordingError(f"two variables give column {key!r}", given=key))
             table[key] = column
     for key in left_out:
         table.pop(key, None)
