@@ -88,15 +88,6 @@ def test_overwrite(capsys):
     assert leglab(*again, capsys=capsys)[0] == 0
 
 
-def test_what_cannot_be_written_replaces_no_layout(capsys, folder):
-    (folder / "layout.xml").write_text("earlier")
-    (folder / "x.csv").mkdir()
-    arguments = ("convert", "run.parquet", "x.csv", "--layout", "layout.xml", "--overwrite")
-    status, _, told = leglab(*arguments, capsys=capsys)
-    assert (status, told.count("\n")) == (2, 1)
-    assert (folder / "layout.xml").read_text() == "earlier"
-
-
 def test_inspect(capsys):
     status, printed, _ = leglab("inspect", "run.parquet", capsys=capsys)
     assert status == 0
