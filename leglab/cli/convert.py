@@ -336,7 +336,7 @@ def _axis(summary: "Summary") -> str:
         text += f", {summary.rate:.6g} Hz ({summary.period:.6g} s)"
     if summary.duration is None or any(finding.fatal for finding in summary.findings):
         return text
-    count = len(summary.gaps)
+    count = summary.gaps
     return f"{text}, {count or 'no'} gap{'s' * (count != 1)}"
 
 

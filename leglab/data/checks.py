@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
-# An interval this much longer than the usual one has lost at least one sample: between 1 (none
-# lost) and 2 (one lost), with room for jitter on both sides.
+# Times the usual interval: between 1 (no sample lost) and 2 (one lost), with room for jitter.
 _GAP = 1.5
 
 MAP_HINT = "--columns FILE says what the columns are called here (docs/guides/recordings.md)"
@@ -51,15 +51,10 @@ def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
         table = {"time": table.time, **table.columns}
     if not any(samples.size for samples in table.values()):
         return (_finding("empty", "time", 0, 0, "there is no sample"),)
-    if "time" in table:
-        findings = list(_inspect_time(table))
-    else:
-        told = f"no column 'time'; {MAP_HINT}"
-        findings = [Finding(kind="no_time", column="time", row=0, count=0, message=told)]
-    for name, samples in table.items():
-        if name != "time":
-            findings.extend(_inspect_column(name, samples))
-    return tuple(findings)
+    told = f"no column 'time'; {MAP_HINT}"
+    timeless = Finding(kind="no_time", column="time", row=0, count=0, message=told)
+    found = [_inspect_column(name, samples) for name, samples in table.items() if name != "time"]
+    return tuple(chain(_inspect_time(table) if "time" in table else (timeless,), *found))
 
 
 def drop_redundant_rows(
@@ -75,16 +70,14 @@ def drop_redundant_rows(
     Returns:
         The repaired table, and one line for each kind of repair that was made.
     """
-    stacked = np.column_stack(list(table.values()))
-    filled = np.flatnonzero(~np.isnan(stacked).all(axis=1))
-    length = int(filled[-1]) + 1 if filled.size else 0
-    keep = np.arange(len(stacked)) < length
+    filled = ~np.isnan(np.column_stack(list(table.values()))).all(axis=1)
+    keep = np.logical_or.accumulate(filled[::-1])[::-1]
     notes = []
-    if length < len(stacked):
-        notes.append(f"dropped {len(stacked) - length} empty rows at the end, from row {length}")
+    if not keep.all():
+        notes.append(f"dropped {(~keep).sum()} empty rows at the end, from row {keep.sum()}")
     repeated = _repeated_rows(table) & keep
     if repeated.any():
-        first = int(np.argmax(repeated))
+        first = repeated.argmax()
         notes.append(f"dropped {repeated.sum()} exact repetitions of a row, the first is {first}")
     keep &= ~repeated
     return {name: samples[keep] for name, samples in table.items()}, tuple(notes)
@@ -108,15 +101,16 @@ def to_recording(
         table, notes = drop_redundant_rows(table)
         if notes:
             metadata = {**metadata, "repairs": [*metadata.get("repairs", ()), *notes]}
-    fatal = [finding for finding in inspect(table) if finding.fatal]
-    if not repair and table["time"].size:
-        fatal.extend(f for f in _inspect_time(table) if f.kind == "repeated_row")
+    # Where repeated rows have been dropped, none is left.
+    fatal = [
+        finding for finding in inspect(table) if finding.fatal or finding.kind == "repeated_row"
+    ]
     if fatal:
         more = f" ({len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
         raise RecordingError(f"{source}: {fatal[0].message}{more}", given=fatal[0].column)
-    columns = {name: samples for name, samples in table.items() if name != "time"}
+    columns = dict(table)
     try:
-        return Recording(time=table["time"], columns=columns, metadata=metadata)
+        return Recording(time=columns.pop("time"), columns=columns, metadata=metadata)
     except LeglabError as error:
         raise error.at(source) from error
 
@@ -130,17 +124,17 @@ def _inspect_time(table: Mapping[str, np.ndarray]) -> Iterator[Finding]:
     forward = interval[interval > 0]
     usual = float(np.median(forward)) if forward.size else np.nan
     same = _repeated_rows(table)
-    for row in (np.flatnonzero(interval == 0) + 1).tolist():
-        again = f"{time[row]:.9g} s again, with other values than row {row - 1}"
-        kind = "repeated_row" if same[row] else "repeated_time"
-        message = f"repeats row {row - 1} exactly" if same[row] else again
+    for last in np.flatnonzero((interval <= 0) | (interval > _GAP * usual)).tolist():
+        row, step, stamp = last + 1, interval[last], f"{time[last + 1]:.9g} s"
+        if step > 0:
+            kind, message = "gap", f"{step:.6g} s after the row before, usual are {usual:.6g} s"
+        elif step < 0:
+            kind, message = "reversed_time", f"{stamp} comes after {time[last]:.9g} s"
+        elif same[row]:
+            kind, message = "repeated_row", f"repeats row {last} exactly"
+        else:
+            kind, message = "repeated_time", f"{stamp} again, with other values than row {last}"
         yield _finding(kind, "time", row, 1, message)
-    for row in (np.flatnonzero(interval < 0) + 1).tolist():
-        message = f"{time[row]:.9g} s comes after {time[row - 1]:.9g} s"
-        yield _finding("reversed_time", "time", row, 1, message)
-    for row in (np.flatnonzero(interval > _GAP * usual) + 1).tolist():
-        message = f"{interval[row - 1]:.6g} s after the row before, usual are {usual:.6g} s"
-        yield _finding("gap", "time", row, 1, message)
 
 
 def _inspect_column(name: str, samples: np.ndarray) -> Iterator[Finding]:
@@ -156,10 +150,10 @@ def _inspect_column(name: str, samples: np.ndarray) -> Iterator[Finding]:
 
 def _repeated_rows(table: Mapping[str, np.ndarray]) -> np.ndarray:
     """Returns which rows equal the row before in every column, NaN being equal to NaN."""
-    stacked = np.column_stack(list(table.values()))
-    same = np.zeros(len(stacked), dtype=bool)
-    one, two = stacked[:-1], stacked[1:]
-    same[1:] = ((one == two) | (np.isnan(one) & np.isnan(two))).all(axis=1)
+    same = np.arange(table["time"].size) > 0
+    for samples in table.values():
+        one, two = samples[:-1], samples[1:]
+        same[1:] &= (one == two) | (np.isnan(one) & np.isnan(two))
     # Without a time stamp nothing says that two rows are one sample.
     return same & ~np.isnan(table["time"])
 

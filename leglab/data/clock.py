@@ -11,8 +11,7 @@ from leglab.data.files import LeftOut
 from leglab.data.time_column import time_column
 from leglab.data.units_in_names import split
 
-_SECOND = {"s": Fraction(1), "ms": Fraction(1, 1000)}
-_SECOND |= {"us": _SECOND["ms"] / 1000, "ns": _SECOND["ms"] / 10**6}
+_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Rates of machines' logs [Hz], from 10 Hz to 20 kHz with room for drift: below, a joint moves on
 # unseen between two rows (25 Hz are slow already); above, no controller of a drive runs. Seconds in
 # whole numbers are never faster than 1 Hz, and nobody means anything else by fractions from there.
@@ -64,22 +63,20 @@ def time_axis(
     """
     table = {n: x.astype(np.int64) if x.dtype.kind in "iu" else x for n, x in table.items()}
     rest = {name: samples for name, samples in table.items() if name != "time"}
-    notes: dict[str, object] = {}
-    start = 0
+    start, said = 0, ""
+    parts: tuple[str, ...] = ("time",)
     try:
         name, raw = given[0] if given else "time", table.get("time")
         if raw is None or not (given or timed):
             name, raw, parts = time_column(table)
-        else:
-            parts = frozenset(("time",))
         if raw is not None:
             others = {n: samples for n, samples in table.items() if n not in parts}
             rule = given[1] if given else None
             time, start, said = _in_seconds(name, raw, rule, _moved(others), timed=timed)
             rest = {"time": time, **others}
-            notes = ({"start_ns": start} if start else {}) | ({"time": said} if said else {})
     except LeglabError as error:
         left_out.add("time", error.at(source))
+    notes = {key: note for key, note in (("start_ns", start), ("time", said)) if note}
     return {n: _floats(samples, start) for n, samples in rest.items()}, {**metadata, **notes}
 
 
@@ -91,20 +88,17 @@ def _in_seconds(
     if timed:
         time = raw.astype(np.float64)
         return (rule.factor * time + offset if rule else time), 0, ""
-    plain, missing, stored = False, np.zeros(raw.size, dtype=bool), raw.dtype.kind
+    missing, stored = ~np.isfinite(raw), raw.dtype.kind
     if stored in "Mm":
-        tick = np.ones((), raw.dtype.str.replace("M8", "m8")) // np.timedelta64(1, "ns")
-        factor = Fraction(int(tick), 10**9)
-        unit, missing = np.datetime_data(raw.dtype)[0], np.isnat(raw)
-        raw = raw.astype(np.int64)
+        unit, raw = np.datetime_data(raw.dtype)[0], raw.astype(np.int64)
+        seconds = float(np.ones((), f"m8[{unit}]") / np.timedelta64(1, "s"))
     elif rule and "factor" in rule.model_fields_set:
-        factor, unit = _exact(rule.factor), f"steps of {rule.factor:g} s"
+        unit, seconds = f"steps of {rule.factor:g} s", rule.factor
     else:
-        unit, factor = _unit(name, raw)
-        plain = name == "time" and unit == "s"
-    if raw.dtype.kind == "f":
-        missing = ~np.isfinite(raw)
-    known = raw[~missing]
+        unit, seconds = _unit(name, raw)
+    # As the decimal or the whole share that was meant: 1e-3 is one of 1000.
+    factor = Fraction(seconds).limit_denominator(10**12) or Fraction(seconds)
+    plain, known = stored not in "Mm" and name == "time" and unit == "s", raw[~missing]
     if not known.size:
         return np.full(raw.size, np.nan), 0, ""
     far = abs(float(known[np.argmax(np.abs(known.astype(np.float64)))])) * float(factor)
@@ -123,32 +117,29 @@ def _in_seconds(
     return time, start, "" if plain and not start and not rounding and plausible else said
 
 
-def _unit(name: str, raw: np.ndarray) -> tuple[str, Fraction]:
+def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
     """The unit that the name has, else the one that gives a plausible rate, and its seconds."""
     named = split(f"t {name}") if split(name).si != "s" else split(name)
     if named.si == "s":
-        return named.unit, _exact(named.factor)
+        return named.unit, named.factor
     known = raw[np.isfinite(raw)]
     step = usual_step(known - known[0]) if known.size else 0.0
     if not step:
-        return "s", _SECOND["s"]
-    rates = {unit: 1.0 / (step * float(seconds)) for unit, seconds in _SECOND.items()}
-    first = float(known[0])
-    early = [unit for unit, seconds in _SECOND.items() if first * float(seconds) <= _EPOCH[1]]
+        return "s", 1.0
+    rates = {unit: 1.0 / (step * seconds) for unit, seconds in _SECOND.items()}
+    starts = {unit: float(known[0]) * seconds for unit, seconds in _SECOND.items()}
+    early = [unit for unit, start in starts.items() if start <= _EPOCH[1]]
     fraction = "s" in early and bool((known != np.rint(known)).any())
-    if fraction and rates["s"] >= _LEAST_OF_FRACTIONS:
-        return "s", _SECOND["s"]
-    epoch = [
-        unit
-        for unit, rate in rates.items()
-        if _EPOCH[0] <= first * float(_SECOND[unit]) <= _EPOCH[1]
-        and (rate >= _LEAST_OF_EPOCH or raw.dtype == np.float32)
-    ]
-    if epoch and raw.dtype == np.float32:  # It hides the rate.
-        return epoch[0], _SECOND[epoch[0]]
+    epoch = [unit for unit in early if starts[unit] >= _EPOCH[0]]
+    if raw.dtype != np.float32:  # It hides the rate.
+        epoch = [unit for unit in epoch if rates[unit] >= _LEAST_OF_EPOCH]
     fits = [unit for unit in early if _LEAST <= rates[unit] <= _MOST]
     fits = [unit for unit in fits if unit in epoch] or list(dict.fromkeys(fits + epoch))
-    if not fits and name == "time" and "s" in early:
+    if fraction and rates["s"] >= _LEAST_OF_FRACTIONS:
+        fits = ["s"]
+    elif epoch and raw.dtype == np.float32:
+        fits = epoch[:1]
+    elif not fits and name == "time" and "s" in early:
         fits = ["s"]
     if len(fits) == 1:
         return fits[0], _SECOND[fits[0]]
@@ -213,11 +204,6 @@ def usual_step(time: np.ndarray) -> float:
         return 0.0
     median = np.sort(forward)[forward.size // 2]
     return float(forward[np.abs(forward - median) <= 0.5 * median].mean())
-
-
-def _exact(factor: float) -> Fraction:
-    """A factor as the decimal or the whole share that was meant: 1e-3 is one of 1000."""
-    return Fraction(factor).limit_denominator(10**12) or Fraction(factor)
 
 
 def _moved(table: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from leglab.base.errors import LeglabError, RecordingError, SettingsError
+from leglab.base.errors import RecordingError, SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import Configuration, validate_configuration
 from leglab.data.files import LeftOut
@@ -30,23 +29,21 @@ class ColumnRule(Configuration):
         return factor
 
 
-class TextSettings(Configuration):
-    """What cannot be known of a text, such as CSV; what is not given is found."""
+class MapSettings(Configuration):
+    """What cannot be known of a recording, text such as CSV or MCAP; what is not given is found."""
 
-    separator: str | None = Field(
-        default=None, min_length=1, max_length=1, description="Between cells."
-    )
-    decimal: Literal[".", ","] | None = Field(default=None, description="Decimal sign.")
-    encoding: str | None = Field(
-        default=None, description="As Python names it, for instance 'latin-1'."
-    )
-    skip: int = Field(default=0, ge=0, description="Lines before the head.")
-
-
-class _MapFile(TextSettings):
-    columns: dict[str, Any] = Field(default_factory=dict)
+    #: MCAP: the JointState topic of the time axis; None: the only one, or `/joint_states`.
     clock: str | None = None
+    #: MCAP: "header", where there are any, or "log" (time of reception) throughout.
     stamps: Literal["header", "log"] = "header"
+    separator: str | None = Field(default=None, min_length=1, max_length=1)  #: Text: between cells
+    decimal: Literal[".", ","] | None = None  #: Text: decimal sign
+    encoding: str | None = None  #: Text: as Python names it, for instance "latin-1"
+    skip: int = Field(default=0, ge=0)  #: Text: lines before the head
+
+
+class _MapFile(MapSettings):
+    columns: dict[str, Any] = Field(default_factory=dict, exclude=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,32 +53,16 @@ class ColumnMap:
     #: Name and conversion of columns by name in the recording; other columns stay.
     rules: Mapping[str, ColumnRule] = field(default_factory=dict)
     source: str = "column map"  #: Where the map came from, for messages
-    #: MCAP alone: the JointState topic whose stamps become the time axis. None: the only one, or
-    #: `/joint_states`.
-    clock: str | None = None
-    #: MCAP alone: "header", where there are any, or "log" (time of reception) throughout.
-    stamps: Literal["header", "log"] = "header"
-    #: Text alone: how it is written, where that cannot be known.
-    text: TextSettings = field(default_factory=TextSettings)
+    settings: MapSettings = field(default_factory=MapSettings)  #: How the recording is read
 
     def __post_init__(self) -> None:
         owners: dict[str, str] = {}
         for theirs, rule in self.rules.items():
-            if rule.name in owners:
-                raise SettingsError(
-                    f"{self.source}: {owners[rule.name]!r} and {theirs!r} both become "
-                    f"{rule.name!r}; allowed: one column for a name",
-                    given=rule.name,
+            if (other := owners.setdefault(rule.name, theirs)) != theirs:
+                told = (
+                    f"{self.source}: {other!r} and {theirs!r} both become {rule.name!r}; allowed: "
                 )
-            owners[rule.name] = theirs
-        object.__setattr__(self, "rules", MappingProxyType(dict(self.rules)))
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What stands beside the columns in a file, where it is not as it is by default."""
-        own = {"clock": self.clock} if self.clock is not None else {}
-        own |= {"stamps": self.stamps} if self.stamps != "header" else {}
-        return {**own, **self.text.model_dump(exclude_defaults=True)}
+                raise SettingsError(told, given=rule.name, allowed="one column for a name")
 
     def name_of(self, theirs: str) -> str:
         """Returns the name here of a column of the recording."""
@@ -90,7 +71,7 @@ class ColumnMap:
     @property
     def time(self) -> tuple[str, ColumnRule] | None:
         """Name in the recording and rule of what becomes the time."""
-        return next(((n, rule) for n, rule in self.rules.items() if rule.name == "time"), None)
+        return next((item for item in self.rules.items() if item[1].name == "time"), None)
 
     def apply(
         self, table: Mapping[str, np.ndarray], source: str, left_out: LeftOut
@@ -112,9 +93,14 @@ class ColumnMap:
         missing = [theirs for theirs in self.rules if theirs not in table]
         if left_out.partial:
             for theirs in missing:
-                reasons = [why for name, why in left_out.items() if _owns(name, theirs)]
+                # Of the column, or of the topic that it is a part of.
+                reasons = (
+                    why
+                    for name, why in left_out.items()
+                    if theirs == name or theirs.startswith((f"{name}[", f"{name}/"))
+                )
                 absent = f"no column {theirs!r}, which {self.source} names"
-                left_out[self.rules[theirs].name] = reasons[0] if reasons else absent
+                left_out[self.rules[theirs].name] = next(reasons, absent)
         elif missing:
             which = "none" if len(missing) == len(self.rules) else f"no {_list(missing)}"
             raise RecordingError(
@@ -127,11 +113,11 @@ class ColumnMap:
         for theirs, samples in table.items():
             name = self.name_of(theirs)
             if name in mapped:
-                why = (
+                told = (
                     f"{source}: after {self.source} two columns are called {name!r}, one of them "
-                    f"{theirs!r}; allowed: give the other one a rule with another name"
                 )
-                left_out.add(name, RecordingError(why, given=theirs))
+                way = f"{theirs!r}; allowed: give the other one a rule with another name"
+                left_out.add(name, RecordingError(told + way, given=theirs))
             rule = self.rules.get(theirs)
             # The time's factor counts where no digit is lost: in `time_axis`.
             if rule and name != "time" and (rule.factor, rule.offset) != (1.0, 0.0):
@@ -145,43 +131,32 @@ def read_column_map(path: str | Path) -> ColumnMap:
     """Reads a column map from a TOML file.
 
     The table `columns` holds `their_name = "our_name"` or
-    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it `clock`,
-    `stamps` and the settings of `TextSettings` may stand, see `ColumnMap`.
+    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it those of
+    `MapSettings` may stand.
 
     Raises:
         LeglabError: The file cannot be read, or an entry is not allowed; names file, key, value
             and what is allowed.
     """
+    content = read_bytes(path)
     try:
-        content = parse_toml(read_bytes(path))
+        settings = parse_toml(content)
     except ValueError as error:
-        if isinstance(error, LeglabError):
-            raise
         told = f"{path}: not a column map in TOML: {error}"
         raise SettingsError(told, given=path) from error
-    file = validate_configuration(_MapFile, content, str(path))
+    file = validate_configuration(_MapFile, settings, str(path))
     if not file.columns and not file.model_fields_set - {"columns"}:
         raise SettingsError(f"{path} needs the setting 'columns', with a column at least")
     rules = {}
     for theirs, rule in file.columns.items():
-        if isinstance(rule, str):
-            rule = {"name": rule}
-        if not isinstance(rule, dict):
-            raise SettingsError(
-                f"{path}: column {theirs!r} is {rule!r}; allowed: ",
-                given=rule,
-                allowed=f'{theirs} = "our_name" or '
-                f'{theirs} = {{name = "our_name", factor = ..., offset = ...}}',
-            )
+        if not isinstance(rule, (dict, str)):
+            told = f"{path}: column {theirs!r} is {rule!r}; allowed: "
+            ways = ('"our_name"', '{name = "our_name", factor = ..., offset = ...}')
+            allowed = " or ".join(f"{theirs} = {way}" for way in ways)
+            raise SettingsError(told, given=rule, allowed=allowed)
+        rule = {"name": rule} if isinstance(rule, str) else rule
         rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
-    text = TextSettings(**{name: getattr(file, name) for name in TextSettings.model_fields})
-    clock, stamps = file.clock, file.stamps
-    return ColumnMap(rules=rules, source=str(path), clock=clock, stamps=stamps, text=text)
-
-
-def _owns(name: str, column: str) -> bool:
-    """Whether a column is the named one or one of the named topic's."""
-    return column == name or column.startswith((f"{name}[", f"{name}/"))
+    return ColumnMap(rules=rules, source=str(path), settings=file)
 
 
 def _list(names: Mapping | list) -> str:

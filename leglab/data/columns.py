@@ -1,6 +1,7 @@
 """From Arrow tables to plain arrays, the same for every format."""
 
 import re
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import pyarrow.compute as pc
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.files import LeftOut
 from leglab.data.time_text import past_midnight, times_of
+
+_LIST = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 
 
 def to_arrays(
@@ -32,53 +35,43 @@ def to_arrays(
     """
     while any(pa.types.is_struct(field.type) for field in table.schema):
         table = table.flatten()
-    names = table.column_names
     found: dict[str, np.ndarray] = {}
-    for name in dict.fromkeys(names):
+    for name, count in Counter(table.column_names).items():
         try:
-            if names.count(name) > 1:
-                told = f"{path}: column {name!r} is there {names.count(name)} times"
+            if count > 1:
+                told = f"{path}: column {name!r} is there {count} times"
                 raise RecordingError(told, given=name)
             samples = _to_array(table.column(name), name, path, decimal)
-            if samples.ndim == 1:
-                found[name] = samples
-            else:
-                found |= {f"{name}[{i}]": part for i, part in enumerate(samples.T)}
         except LeglabError as error:
             left_out.add(name, error)
+            continue
+        lists = {f"{name}[{i}]": part for i, part in enumerate(samples.T)}
+        found |= {name: samples} if samples.ndim == 1 else lists
     return found
 
 
 def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> np.ndarray:
-    kind = column.type
-    if pa.types.is_dictionary(kind):
-        column = column.cast(kind.value_type)
-        kind = column.type
-    if pa.types.is_boolean(kind):
-        column = column.cast(pa.int8())
-        kind = column.type
-    if pa.types.is_null(kind):
-        return np.full(len(column), np.nan)
-    if pa.types.is_time(kind):  # A time of day as the time since the first day's midnight.
+    types, kind = pa.types, column.type
+    if types.is_dictionary(kind):
+        column, kind = column.cast(kind.value_type), kind.value_type
+    if types.is_time(kind):  # A time of day as the time since the first day's midnight.
         stamps = column.cast(pa.int64() if kind.bit_width == 64 else pa.int32())
-        column = stamps.cast(pa.int64()).cast(pa.duration(kind.unit))
-        return past_midnight(column.to_numpy())
-    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_date(kind):
+        return past_midnight(stamps.cast(pa.int64()).cast(pa.duration(kind.unit)).to_numpy())
+    if types.is_temporal(kind) or (types.is_primitive(kind) and not column.null_count):
         return column.to_numpy()
-    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and not column.null_count:
-        return column.to_numpy()
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+    if types.is_primitive(kind) or types.is_decimal(kind) or types.is_null(kind):
         return column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+    samples = None
     if kind in (pa.string(), pa.large_string(), pa.string_view()):
         column = column.cast(pa.string())
         with suppress(pa.ArrowInvalid):
             return column.cast(pa.float64()).to_numpy()
         samples = times_of(column)
         samples = _lists(column) if samples is None else samples
-        if samples is not None:
-            return samples
-    if _is_list(kind) and (elements := _elements(column)) is not None:
-        return elements
+    elif _is_list(kind):
+        samples = _elements(column)
+    if samples is not None:
+        return samples
     for row, value in enumerate(column.to_pylist()):
         if value is not None and not _is_number(value, decimal):
             told = f"{path}: column {name!r}, row {row}: {value!r} is not "
@@ -118,15 +111,9 @@ def _is_number(text: object, decimal: str) -> bool:
 def _lists(column: pa.ChunkedArray) -> np.ndarray | None:
     """Numbers of cells that hold lists of one length, (n, length); None where one does not."""
     try:
-        bare = pc.replace_substring_regex(column, r"^\s*[\[(](.*)[\])]\s*$", r",\1")
-        rows = [cell and _list(cell) for cell in bare.to_pylist()]
-        length = len(next(row for row in rows if row is not None))
-        return np.array([[np.nan] * length if row is None else row for row in rows])
-    except (ValueError, TypeError, StopIteration):
+        insides = [cell and _LIST.findall(cell)[0].strip(",; ") for cell in column.to_pylist()]
+        rows = [cell and [float(x) for x in re.split(r"[,;\s]+", cell)] for cell in insides]
+        length = len(next(filter(None, rows)))
+        return np.array([row or [np.nan] * length for row in rows])
+    except (ValueError, IndexError, StopIteration):
         return None
-
-
-def _list(cell: str) -> list[float]:
-    if not cell.startswith(","):
-        raise ValueError("no list")
-    return [float(number) for number in re.split(r"[,;\s]+", cell.strip(",; "))]

@@ -33,9 +33,11 @@ def read_table(
         LeglabError: A line has too few or too many cells (as the last one of a truncated file), or
             a cell is not a number; names the row.
     """
-    settings = (columns or ColumnMap()).text
+    settings = (columns or ColumnMap()).settings
     text = decoded(read_bytes(path), path, settings.encoding)
     found = dialect(text if "\n" in text else text.replace("\r", "\n"), settings, path)
+    if not found.body.strip():
+        return {name: np.empty(0) for name in found.names}, {}
     broken: list[pc.InvalidRow] = []
 
     def note(row: pc.InvalidRow) -> str:
@@ -43,8 +45,6 @@ def read_table(
         return "skip"
 
     try:
-        if not found.body.strip():
-            return {name: np.empty(0) for name in found.names}, {}
         table = pc.read_csv(
             pa.BufferReader(found.body.encode()),
             # One thread: only then are invalid rows numbered.
@@ -66,20 +66,15 @@ def read_table(
     metadata = {}
     if broken:
         row = broken[0]
-        told = (
-            f"row {row.number - 1} has {row.actual_columns} cells instead of "
-            f"{row.expected_columns} ({row.text!r})"
-        )
+        cells = f"{row.actual_columns} cells instead of {row.expected_columns}"
+        told = f"row {row.number - 1} has {cells} ({row.text!r})"
         if not left_out.salvage:
             way = "; is the file truncated? --salvage leaves such rows out"
             raise FileError(f"{path}: {told}{way}", given=path)
         metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {told}"]
     # Of a comma too many at the end of each line.
-    empty = [
-        name
-        for name, column in zip(table.column_names, table.columns, strict=True)
-        if name.startswith("Unnamed: ") and column.null_count == len(column)
-    ]
+    unnamed = [name for name in table.column_names if name.startswith("Unnamed: ")]
+    empty = [name for name in unnamed if table[name].null_count == len(table)]
     return to_arrays(table.drop_columns(empty), path, left_out, decimal=found.decimal), metadata
 
 
@@ -96,8 +91,6 @@ def write(recording: Recording, path: Path) -> None:
         told = f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold"
         raise RecordingError(told, given=broken[0])
     # "needed" quotes all names.
-    special = any(letter in name for name in table.column_names for letter in ',"')
-    options = pc.WriteOptions(
-        quoting_style="needed", quoting_header="needed" if special else "none"
-    )
+    header = "needed" if {",", '"'} & set("".join(table.column_names)) else "none"
+    options = pc.WriteOptions(quoting_style="needed", quoting_header=header)
     write_atomically(path, lambda stream: pc.write_csv(table, stream, options))

@@ -10,12 +10,14 @@ import gzip
 import re
 import zlib
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 from leglab.base.errors import FileError
-from leglab.data.column_map import TextSettings
+from leglab.data.column_map import MapSettings
 from leglab.data.time_text import TIME
 from leglab.data.units_in_names import split
 
@@ -52,19 +54,18 @@ def decoded(content: bytes, path: Path, encoding: str | None) -> str:
     try:
         if content.startswith(b"\x1f\x8b"):
             content = gzip.decompress(content)
-        if encoding is None:
-            wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-            encoding = "utf-16" if wide else "utf-8-sig"
-            try:
-                return content.decode(encoding)
-            except UnicodeDecodeError:
-                return content.decode("utf-16" if wide else "cp1252", "replace")
-        return content.decode(encoding)
+        if encoding:
+            return content.decode(encoding)
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return content.decode("utf-16", "replace")
+        with suppress(UnicodeDecodeError):
+            return content.decode("utf-8-sig")
+        return content.decode("cp1252", "replace")
     except (OSError, EOFError, zlib.error, LookupError, UnicodeDecodeError) as error:
         raise FileError(f"{path}: not a CSV file: {error}", given=path) from error
 
 
-def dialect(text: str, settings: TextSettings, path: Path) -> Dialect:
+def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
     """Finds how a text holds its table.
 
     Args:
@@ -76,21 +77,21 @@ def dialect(text: str, settings: TextSettings, path: Path) -> Dialect:
         FileError: Nothing is there, the names do not fit the rows, or commas may be decimal signs
             or group thousands.
     """
-    lines = [line.rstrip("\r") for line in text[:_HEAD].split("\n")]
-    if len(text) > _HEAD:
-        del lines[-1]  # Cut.
-    lines = lines[settings.skip :]
-    filled = [line for line in lines if line.strip() and not _is_comment(line)]
-    if not filled:
-        filled = [_COMMENT.sub("", line, count=1) for line in lines if line.strip()][-1:]
+    end = len(text) if len(text) <= _HEAD else max(text.rfind("\n", 0, _HEAD), 0)
+    lines = [line.rstrip("\r") for line in text[:end].split("\n")[settings.skip :]]
+    filled = [line for line in lines if line.strip()]
+    filled = [line for line in filled if not _is_comment(line)] or [
+        _COMMENT.sub("", line, count=1) for line in filled[-1:]
+    ]
     if not filled:
         raise FileError(f"{path}: not a CSV file: it is empty", given=path)
     rows = filled[-min(_ROWS, max(2, len(filled) // 2)) :]
-    separators = settings.separator or _SEPARATORS
-    decimals = settings.decimal or ".,"
-    fits = [(*_fit(rows, s, d), s, d) for d in decimals for s in separators]
-    _, width, separator, decimal = max(fits, key=lambda fit: fit[:2])
-    table = [_cells(line, separator) for line in rows]
+    fits = [
+        (*_fit(rows, separator, decimal), separator, decimal)
+        for decimal in settings.decimal or ".,"
+        for separator in settings.separator or _SEPARATORS
+    ]
+    _, width, table, separator, decimal = max(fits, key=lambda fit: fit[:2])
     if not settings.decimal:
         _check_thousands([cell for row in table for cell in row], path)
     head, first = _head(lines, separator, decimal, [row for row in table if len(row) == width])
@@ -122,8 +123,8 @@ def _head(
 ) -> tuple[list[_Line], int]:
     """Filled lines before the first row, comments among them, and that row's number."""
     width = len(rows[0])
-    shares = [sum(_is_sample(row[i], decimal) for row in rows) / len(rows) for i in range(width)]
-    solid = [i for i, share in enumerate(shares) if share >= 0.5]
+    samples = [[_is_sample(cell, decimal) for cell in column] for column in zip(*rows, strict=True)]
+    solid = [i for i, column in enumerate(samples) if 2 * sum(column) >= len(rows)]
     # The separator at the end of each row, or of the names alone, opens an empty cell.
     ends = not any(row[-1].strip() for row in rows)
     head: list[_Line] = []
@@ -134,10 +135,10 @@ def _head(
         if full and all(_is_sample(cells[i], decimal) for i in solid):
             return head, number
         if line.strip():
-            short = len(cells) == width - 1 and ends
-            long = len(cells) == width + 1 and cells[-1].strip().lower() in ("", "comment")
+            long = "".join(cells[-1:]).strip().lower() in ("", "comment")  # as LabVIEW has it
+            fits = len(cells) in (width, width - ends, width + long)
             numbers = any(_is_number(cell, decimal) for cell in cells)
-            head.append(_Line(number, cells, numbers, len(cells) == width or short or long))
+            head.append(_Line(number, cells, numbers, fits))
     return head, len(lines)
 
 
@@ -147,24 +148,20 @@ def _names(head: list[_Line], width: int) -> tuple[int | None, tuple[str, ...]]:
     named = [k for k in fits if not head[k].numbers] or fits[-1:]
     if not named:
         return None, tuple(f"column{i}" for i in range(width))
-    names, units = head[named[-1]].cells, [""] * width
+    names, units = head[named[-1]].cells, [""]
     if named[-1] - 1 in named and _are_units(names):
         names, units = head[named[-1] - 1].cells, names
     found = []
-    for i in range(width):
-        name = names[i].strip() if i < len(names) else ""
-        unit = units[i].strip().strip("[]()") if i < len(units) else ""
-        bare = unit in ("", "-") or bool(split(name).unit)
-        found.append((name or f"Unnamed: {i}") + ("" if bare else f" [{unit}]"))
+    for i, name, unit in islice(zip_longest(range(width), names, units, fillvalue=""), width):
+        unit = unit.strip().strip("[]()")
+        bare = unit in ("", "-") or split(name.strip()).unit
+        found.append((name.strip() or f"Unnamed: {i}") + ("" if bare else f" [{unit}]"))
     return named[-1], tuple(found)
 
 
 def _body(text: str, first: int, separator: str) -> str:
     """The text from a line on, without comments, its blanks as tabs where they separate."""
-    place = 0
-    for _ in range(first):
-        place = text.find("\n", place) + 1 or len(text)
-    body = text[place:]
+    body = "".join(text.split("\n", first)[first:])
     if re.search(r"^\s*[#%]", body, re.MULTILINE):
         body = "\n".join(line for line in body.splitlines() if not _is_comment(line))
     if separator == _BLANKS:
@@ -172,13 +169,13 @@ def _body(text: str, first: int, separator: str) -> str:
     return body
 
 
-def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int]:
-    """How well rows fall into samples, and the usual number of cells."""
+def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int, list[list[str]]]:
+    """How well rows fall into samples, the usual number of cells, and the cells."""
     table = [_cells(row, separator) for row in rows]
     width, count = Counter(map(len, table)).most_common(1)[0]
     cells = [cell for row in table if len(row) == width for cell in row]
     good = sum(_is_sample(cell, decimal) or cell.strip() in MISSING for cell in cells)
-    return round(good / max(len(cells), 1) * count / len(rows), 3), width
+    return round(good / max(len(cells), 1) * count / len(rows), 3), width, table
 
 
 def _check_thousands(cells: list[str], path: Path) -> None:
@@ -195,10 +192,9 @@ def _check_thousands(cells: list[str], path: Path) -> None:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == _BLANKS:
         return line.split()
-    try:
+    with suppress(csv.Error):
         return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:
-        return line.split(separator)
+    return line.split(separator)
 
 
 def _is_comment(line: str) -> bool:

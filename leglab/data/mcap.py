@@ -74,10 +74,10 @@ def read_table(
     files, lacking = _files_of(path, left_out)
     bag = scan(files, salvage=left_out.salvage)
     clock_topic = _clock_topic(bag, columns, path)
-    series = decode(bag, clock_topic, columns.stamps, path, left_out)
+    series = decode(bag, clock_topic, columns.settings.stamps, path, left_out)
     clock = series.pop(clock_topic)
     notes = []
-    if columns.stamps == "header" and clock.stamped_by == "log":
+    if columns.settings.stamps == "header" and clock.stamped_by == "log":
         notes.append(f"{clock_topic}: no header stamps, log time instead")
     table: dict[str, np.ndarray] = dict(clock.columns)
     for other in series.values():
@@ -260,9 +260,10 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
             told += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
             told += "export them as CSV (PlotJuggler, Foxglove)"
         raise RecordingError(told, allowed=(JOINT_STATE,))
-    if columns.clock not in (None, *candidates):
-        raise RecordingError.unknown(f"clock of {columns.source}", columns.clock, candidates)
-    for topic in (columns.clock, _CLOCK_TOPIC):
+    wanted = columns.settings.clock
+    if wanted not in (None, *candidates):
+        raise RecordingError.unknown(f"clock of {columns.source}", wanted, candidates)
+    for topic in (wanted, _CLOCK_TOPIC):
         if topic in candidates:
             return topic
     if len(candidates) == 1:

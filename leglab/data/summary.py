@@ -36,9 +36,9 @@ class Summary:
     metadata: Mapping[str, Any]  #: Of the file
 
     @property
-    def gaps(self) -> tuple[Finding, ...]:
-        """The findings where samples are missing from the time axis."""
-        return tuple(finding for finding in self.findings if finding.kind == "gap")
+    def gaps(self) -> int:
+        """How often samples are missing from the time axis."""
+        return sum(finding.kind == "gap" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the summary as JSON can hold it."""
@@ -49,7 +49,7 @@ class Summary:
             "duration_s": self.duration,
             "period_s": self.period,
             "rate_hz": self.rate,
-            "gaps": len(self.gaps),
+            "gaps": self.gaps,
             "columns": [dict(zip(keys, astuple(c), strict=True)) for c in self.columns],
             "findings": [{**asdict(f), "fatal": f.fatal} for f in self.findings],
             "metadata": dict(self.metadata),
@@ -67,13 +67,11 @@ def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> S
     time = time[np.isfinite(time)]
     period = usual_step(time) or None
     columns = []
-    for name, samples in table.items():
-        if name != "time":
-            finite = samples[np.isfinite(samples)]
-            least = float(finite.min()) if finite.size else None
-            most = float(finite.max()) if finite.size else None
-            missing = int(samples.size - finite.size)
-            columns.append(ColumnSummary(name, unit_of(name, metadata), least, most, missing))
+    for name in (name for name in table if name != "time"):
+        finite = table[name][np.isfinite(table[name])]
+        least, most = (float(finite.min()), float(finite.max())) if finite.size else (None, None)
+        missing = table[name].size - finite.size
+        columns.append(ColumnSummary(name, unit_of(name, metadata), least, most, missing))
     return Summary(
         samples=max((samples.size for samples in table.values()), default=0),
         start=float(time[0]) if time.size else None,

@@ -22,7 +22,7 @@ _ODD = 0.01
 
 def time_column(
     table: Mapping[str, np.ndarray],
-) -> tuple[str, np.ndarray | None, frozenset[str]]:
+) -> tuple[str, np.ndarray | None, tuple[str, ...]]:
     """Finds the time of a table.
 
     A column called `time` is it, if need be with a unit, else one whose name is like that or
@@ -45,14 +45,9 @@ def time_column(
     exact = [n for n in choices if n == "time"] or [n for n in choices if _plain(n) == "time"]
     found = exact if exact == ["time"] else [n for n in exact if _advances(choices[n][0])]
     found = found or [n for n in choices if _is_like(n) and _advances(choices[n][0])]
-    found = found or [
-        n
-        for n, (x, _) in choices.items()
-        if (x.dtype.kind in "Mm" or _index(n, x)) and _advances(x)
-    ]
+    found = found or [n for n, (x, _) in choices.items() if _is_typed(n, x) and _advances(x)]
     if len(found) > 1:
-        even = [name for name in found if _is_even(choices[name][0])]
-        found = even or found
+        found = [name for name in found if _is_even(choices[name][0])] or found
     if len(found) > 1:
         raise RecordingError(
             f"columns {' and '.join(map(repr, found))} can be the time; which one it is says a "
@@ -60,10 +55,7 @@ def time_column(
             given=found[0],
             allowed=found,
         )
-    if not found:
-        return "", None, frozenset()
-    samples, parts = choices[found[0]]
-    return found[0], samples, frozenset(parts)
+    return (found[0], *choices[found[0]]) if found else ("", None, ())
 
 
 def _plain(name: str) -> str:
@@ -71,25 +63,23 @@ def _plain(name: str) -> str:
 
 
 def _is_like(name: str) -> bool:
-    words = re.findall(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+", split(name).stem)
-    last = words[-1].lower() if words else ""
+    *_, last = ["", *re.findall(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+", split(name).stem)]
     # "t" alone, or with its unit: `hip_t` is rather a torque.
-    if _WORDS.fullmatch(_plain(name)) or split(f"t {name}").si == "s":
-        return True
-    return bool(_WORDS.fullmatch(last)) and last != "t"
+    words = (_plain(name), last.lower() if last.lower() != "t" else "")
+    return any(map(_WORDS.fullmatch, words)) or split(f"t {name}").si == "s"
 
 
-def _index(name: str, samples: np.ndarray) -> bool:
-    """Whether this is an index without a name, as pandas writes it, that does not count rows."""
+def _is_typed(name: str, samples: np.ndarray) -> bool:
+    """Whether this is a clock, or an index as pandas writes it that does not count rows."""
     nameless = name == "" or name.startswith(("__index_level_", "Unnamed: "))
-    return nameless and samples.dtype.kind == "f" and bool((samples != np.rint(samples)).any())
+    fraction = samples.dtype.kind == "f" and bool((samples != np.rint(samples)).any())
+    return samples.dtype.kind in "Mm" or (nameless and fraction)
 
 
 def _forward(samples: np.ndarray) -> np.ndarray:
-    known = samples[np.isfinite(samples)] if samples.dtype.kind in "f" else samples
-    if samples.dtype.kind in "Mm":
-        known = samples[~np.isnat(samples)].astype(np.int64)
-    return np.diff(known) if samples.dtype.kind != "b" else np.empty(0)
+    known = samples[np.isfinite(samples)]
+    known = known.astype(np.int64) if known.dtype.kind in "Mm" else known
+    return np.diff(known) if known.dtype.kind != "b" else np.empty(0)
 
 
 def _advances(samples: np.ndarray) -> bool:

@@ -163,7 +163,7 @@ def propose(
     return Proposal(
         lines=tuple(every),
         missing=tuple(name for name in needed if name not in sure),
-        settings=given.settings,
+        settings=given.settings.model_dump(exclude_defaults=True),
     )
 
 
