@@ -1,11 +1,13 @@
 """Series with clocks of their own, brought onto one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from leglab.base.errors import RecordingError
+from leglab.base.errors import LeglabError, RecordingError
+from leglab.data.column_map import ColumnMap
+from leglab.data.files import LeftOut
 
 # A pause this many times the usual interval is a gap that no value is drawn across: above the
 # jitter of a topic on a busy computer, where single messages come one or two periods late.
@@ -14,13 +16,13 @@ _GAP = 3.5
 
 @dataclass(frozen=True, eq=False)
 class TopicSeries:
-    """The numbers of one topic."""
+    """The numbers of one topic, or of one variable of a workspace."""
 
-    topic: str  #: The topic
+    topic: str  #: The topic, or the variable
     stamps: np.ndarray  #: Time of each message [ns]. Shape (m,), int64.
     #: Numbers by column name, NaN where a message has none. Each of shape (m,).
     columns: Mapping[str, np.ndarray]
-    stamped_by: str  #: "header" or "log"
+    stamped_by: str = "its own"  #: "header" or "log" for a topic
 
     @property
     def span(self) -> str:
@@ -31,14 +33,59 @@ class TopicSeries:
         return f"[{first:.3f}, {last:.3f}] s by {self.stamped_by} stamps"
 
 
-def overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
-    """Returns whether any row of the clock gets a value.
+def on_clock(
+    series: Iterable[TopicSeries], clock: TopicSeries, columns: ColumnMap, left_out: LeftOut
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Brings series onto the clock of one of them.
+
+    Columns that the map, or without a map the file, calls `..._command` hold their last value; all
+    others are drawn linearly.
 
     Args:
-        series: The series.
-        clock: Times of the rows [ns]. Shape (n,).
-        hold: See `aligned`.
+        series: The others.
+        clock: Its stamps are the rows.
+        columns: Says which series are commands, and which ones must be there.
+        left_out: Gets columns that are there twice, or have no value.
+
+    Returns:
+        Arrays of shape (n,) by column name, those of the clock first, and what was done, a line
+        each.
+
+    Raises:
+        RecordingError: Stamps go backwards, or a column of the map shares no time with the clock.
     """
+    table, notes = dict(clock.columns), []
+    for one in series:
+        for name in one.columns:
+            hold = columns.name_of(name).endswith("_command")
+            apart = f"{name!r} covers {one.span}, {clock.topic!r} covers {clock.span}"
+            try:
+                if not _overlaps(one, clock.stamps, hold=hold):
+                    notes.append(f"left out, no time in common: {apart}")
+                    if name in columns.rules:
+                        by_header = "header" in (one.stamped_by, clock.stamped_by)
+                        way = f'; try stamps = "log" in {columns.source}' if by_header else ""
+                        raise RecordingError(f"column {apart}{way}", given=name)
+                    continue
+                if name in table:
+                    both = f"{one.topic!r} and another one both give column {name!r}"
+                    raise RecordingError(both, given=name)
+                table[name] = aligned(one, name, clock.stamps, hold=hold)
+            except LeglabError as error:
+                left_out.add(name, error)
+                continue
+            if not np.array_equal(one.stamps, clock.stamps):
+                how = "last value held" if hold else "linear"
+                notes.append(
+                    f"{name}: {one.stamps.size} samples by {one.stamped_by} time, {how} on the "
+                    f"{clock.stamps.size} stamps of {clock.topic}; "
+                    f"{np.isnan(table[name]).sum()} rows without a value"
+                )
+    return {name: samples for name, samples in table.items() if name not in left_out}, notes
+
+
+def _overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
+    """Returns whether any row of the clock gets a value."""
     if not series.stamps.size or not clock.size:
         return False
     begins_in_time = bool(series.stamps.min() <= clock.max())

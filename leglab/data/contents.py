@@ -66,16 +66,16 @@ def form_at(path: Path) -> str:
     form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
     if form == "zip":
         form = _zip_form(path)
-    if form == "gzip" and any(SUFFIXES.get(suffix) == "csv" for suffix in suffixes):
+    elif form == "gzip" and any(SUFFIXES.get(suffix) == "csv" for suffix in suffixes):
         form = "csv"
-    if form == "zstd" and suffixes == [".mcap", ".zstd"]:
+    elif form == "zstd" and suffixes == [".mcap", ".zstd"]:
         form = "mcap"
+    elif form == "parquet" and is_dataset(path):
+        form = "lerobot"
     if form in _WAYS_OUT:
         raise FileError(f"{path}: {_WAYS_OUT[form].format(path, path.stem)}", given=path)
     if form is None and suffixes and suffixes[-1] in (".h5", ".hdf5", ".xlsx", ".xls"):
         raise FileError(f"{path}: not a complete {suffixes[-1]} file", given=path)
-    if form == "parquet" and is_dataset(path):
-        return "lerobot"
     return form or format_of(path)
 
 

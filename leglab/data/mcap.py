@@ -16,7 +16,7 @@ from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
-from leglab.data.alignment import TopicSeries, aligned, overlaps
+from leglab.data.alignment import on_clock
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
 from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
@@ -62,9 +62,8 @@ def read_table(
 ) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all topics of supported types, on the clock of the joint states.
 
-    Columns that the map, or without a map the file, calls `..._command` hold their last value;
-    all others are drawn linearly between their neighbours. What was done stands in the metadata
-    under "alignment", and `start_ns` where the time axis was moved to 0.
+    What was done stands in the metadata under "alignment", and `start_ns` where the time axis was
+    moved to 0.
 
     Raises:
         LeglabError: The file is truncated or broken, has no joint states, or a topic that the map
@@ -76,22 +75,12 @@ def read_table(
     clock_topic = _clock_topic(bag, columns, path)
     series = decode(bag, clock_topic, columns.settings.stamps, path, left_out)
     clock = series.pop(clock_topic)
-    notes = []
+    try:
+        table, notes = on_clock(series.values(), clock, columns, left_out)
+    except LeglabError as error:
+        raise error.at(path) from error
     if columns.settings.stamps == "header" and clock.stamped_by == "log":
-        notes.append(f"{clock_topic}: no header stamps, log time instead")
-    table: dict[str, np.ndarray] = dict(clock.columns)
-    for other in series.values():
-        try:
-            found = _aligned_columns(other, clock, columns, notes, left_out)
-        except LeglabError as error:
-            raise error.at(path) from error
-        for name, samples in found.items():
-            if name in table:
-                both = f"{path}: topic {other.topic!r} and another topic both give column {name!r}"
-                left_out.add(name, RecordingError(both, given=name))
-            table[name] = samples
-    for name in left_out:
-        table.pop(name, None)
+        notes.insert(0, f"{clock_topic}: no header stamps, log time instead")
     if "time" in table:
         told = f"{path}: a topic is called 'time', which is the time axis"
         raise RecordingError(told, given="time")
@@ -273,35 +262,3 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
         f"by clock = ... in a column map: {', '.join(map(repr, sorted(candidates)))}",
         allowed=sorted(candidates),
     )
-
-
-def _aligned_columns(
-    series: TopicSeries,
-    clock: TopicSeries,
-    columns: ColumnMap,
-    notes: list[str],
-    left_out: LeftOut,
-) -> dict[str, np.ndarray]:
-    found: dict[str, np.ndarray] = {}
-    for name in series.columns:
-        hold = columns.name_of(name).endswith("_command")
-        if not overlaps(series, clock.stamps, hold=hold):
-            apart = f"{name!r} covers {series.span}, {clock.topic!r} covers {clock.span}"
-            if name in columns.rules:
-                why = f'column {apart}; try stamps = "log" in {columns.source}'
-                left_out.add(name, RecordingError(why, given=name))
-            notes.append(f"left out, no time in common: {apart}")
-            continue
-        try:
-            found[name] = aligned(series, name, clock.stamps, hold=hold)
-        except LeglabError as error:
-            left_out.add(name, error)
-            continue
-        if not np.array_equal(series.stamps, clock.stamps):
-            missing = int(np.isnan(found[name]).sum())
-            notes.append(
-                f"{name}: {series.stamps.size} messages by {series.stamped_by} time, "
-                f"{'last value held' if hold else 'linear'} on the {clock.stamps.size} stamps of "
-                f"{clock.topic}; {missing} rows without a value"
-            )
-    return found

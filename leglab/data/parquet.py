@@ -76,17 +76,12 @@ def write(recording: Recording, path: Path) -> None:
 
 
 class Growing:
-    """A recording's file that rows are added to; see `growing`.
-
-    Attributes:
-        names: Columns so far, "time" the first.
-        rows: Number of rows so far.
-    """
+    """A recording's file that rows are added to; see `growing`."""
 
     def __init__(self, place: Path) -> None:
         self._place, self._writer = place, None
-        self.names: list[str] = []
-        self.rows = 0
+        self.names: list[str] = []  #: Columns so far, "time" the first
+        self.rows = 0  #: Number of rows so far
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         """Writes rows.
@@ -125,8 +120,7 @@ class Growing:
 
     def _begin(self, names: list[str]) -> None:
         """Begins the file, or does so again with more columns."""
-        missing = [name for name in self.names if name not in names]
-        if missing:
+        if missing := [name for name in self.names if name not in names]:
             told = f"column {missing[0]!r} ends before the recording does"
             raise RecordingError(told, given=missing[0])
         earlier = self._place.with_name(f"{self._place.name}.earlier")
@@ -140,9 +134,9 @@ class Growing:
         if earlier.exists():
             with pq.ParquetFile(earlier) as file:
                 for batch in file.iter_batches(_GROUP):
-                    known = dict(zip(batch.schema.names, batch.columns, strict=True))
                     none = _floats(np.full(batch.num_rows, np.nan))
-                    self._write(pa.table({name: known.get(name, none) for name in names}))
+                    known = dict(zip(batch.schema.names, batch.columns, strict=True))
+                    self._write(pa.table(dict.fromkeys(names, none) | known))
             earlier.unlink()
 
     def _write(self, table: pa.Table) -> None:
@@ -178,15 +172,9 @@ def growing(
 
 
 class StoredColumns(Mapping[str, np.ndarray]):
-    """Columns of a file that are read when they are asked for, and not kept.
+    """Columns of a file, with the recording's `metadata`, that are read when they are asked for.
 
-    The file stays open, so it may be moved.
-
-    Args:
-        path: The file.
-
-    Attributes:
-        metadata: Of the recording.
+    They are not kept. The file stays open, so it may be moved.
     """
 
     def __init__(self, path: Path) -> None:

@@ -24,47 +24,43 @@ _SCALARS = {
     FLUID_PRESSURE: "fluid_pressure",
     TEMPERATURE: "temperature",
 }
-_PLACED = {
+# Messages that are fields of others, each before those that are its own fields.
+_WITHIN = {
     "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
     "geometry_msgs/Transform transform\n",
     "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
     "geometry_msgs/Quaternion rotation\n",
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-}
-_STAMPED = {
+    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n",
+    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride\n",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
 }
-_LAYOUT = {
-    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n",
-    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride\n",
-}
 
 
-def _within(parts: Mapping[str, str]) -> str:
-    """Definitions of messages that are fields of others."""
-    return "".join(f"{'=' * 80}\nMSG: {name}\n{fields}" for name, fields in parts.items())
+def _whole(fields: str) -> str:
+    """The definition of a message with those of the messages in it."""
+    for kind, inner in _WITHIN.items():
+        if f"{kind} " in fields or f"{kind}[] " in fields:
+            fields += f"{'=' * 80}\nMSG: {kind}\n{inner}"
+    return fields
 
 
-_HEADER = _within(_STAMPED)
-DEFINITIONS = {
-    JOINT_STATE: "std_msgs/Header header\nstring[] name\nfloat64[] position\n"
-    f"float64[] velocity\nfloat64[] effort\n{_HEADER}",
+_STAMPED = "std_msgs/Header header\n"
+_FIELDS = {
+    JOINT_STATE: f"{_STAMPED}string[] name\nfloat64[] position\nfloat64[] velocity\n"
+    "float64[] effort\n",
     STRING: "string data\n",
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",
+    FLUID_PRESSURE: f"{_STAMPED}float64 fluid_pressure\nfloat64 variance\n",
+    TEMPERATURE: f"{_STAMPED}float64 temperature\nfloat64 variance\n",
     FLOAT64: "float64 data\n",
-    TRANSFORMS: f"geometry_msgs/TransformStamped[] transforms\n{_within(_PLACED)}{_HEADER}",
-    **{
-        kind: f"std_msgs/Header header\nfloat64 {_SCALARS[kind]}\nfloat64 variance\n{_HEADER}"
-        for kind in (FLUID_PRESSURE, TEMPERATURE)
-    },
     "std_msgs/msg/Float32": "float32 data\n",
-    **{
-        f"std_msgs/msg/Float{bits}MultiArray": f"std_msgs/MultiArrayLayout layout\n"
-        f"float{bits}[] data\n{_within(_LAYOUT)}"
-        for bits in (32, 64)
-    },
+    "std_msgs/msg/Float64MultiArray": "std_msgs/MultiArrayLayout layout\nfloat64[] data\n",
+    "std_msgs/msg/Float32MultiArray": "std_msgs/MultiArrayLayout layout\nfloat32[] data\n",
 }
+DEFINITIONS = {kind: _whole(fields) for kind, fields in _FIELDS.items()}
 """Of the messages that are written, and of those that older bags do not define."""
 
 _ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
@@ -78,7 +74,7 @@ def supported(kind: str) -> bool:
 def own_definition(fields: Mapping[str, str]) -> str:
     """Returns the definition of a message of ours; its fields have units, "" for unknown ones."""
     lines = (f"float64 {name}" + f"  # {unit}" * bool(unit) for name, unit in fields.items())
-    return "\n".join(("std_msgs/Header header", *lines, _HEADER))
+    return _whole(_STAMPED + "".join(f"{line}\n" for line in lines))
 
 
 def transforms_message(

@@ -5,12 +5,13 @@ A series is a struct with `time` (or `Time`) beside its numbers: Simulink's "str
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from leglab.base.errors import LeglabError, RecordingError
-from leglab.data.alignment import TopicSeries, aligned
+from leglab.base.errors import RecordingError
+from leglab.data.alignment import TopicSeries, on_clock
 from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut
@@ -51,7 +52,13 @@ def table_of(
     series |= {n: (time, dict(_split(n, x, time.size))) for n, x in beside.items()}
     if rest := samples.keys() - beside.keys():
         metadata["left_out"] = sorted((*others, *rest))
-    table, notes = _on_one_clock(list(series.values()), columns or ColumnMap(), left_out)
+    topics = [
+        TopicSeries(name, np.rint(own * 1e9).astype(np.int64), found)
+        for name, (own, found) in series.items()
+    ]
+    clock = max(topics, key=lambda topic: topic.stamps.size)
+    clock = replace(clock, columns={"time": series[clock.topic][0]})
+    table, notes = on_clock(topics, clock, columns or ColumnMap(), left_out)
     return Timed(table), metadata | ({"alignment": notes} if notes else {})
 
 
@@ -108,39 +115,13 @@ def _split(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.n
         raise RecordingError(told, given=name, allowed="numbers, one row a time")
     if values.shape[0] != rows or (values.ndim > 2 and values.shape[-1] == rows):
         values = np.moveaxis(values, -1, 0)  # Simulink puts time last where samples are matrices.
-    yield from _elements(name, values)
+    yield from _elements(name, values.astype(np.float64))
 
 
 def _elements(name: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     flat = rows.reshape(len(rows), -1)
     for index, column in enumerate(flat.T):
         yield (name if flat.shape[1] == 1 else f"{name}[{index}]"), column
-
-
-def _on_one_clock(
-    series: list[tuple[np.ndarray, dict[str, np.ndarray]]], columns: ColumnMap, left_out: LeftOut
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    time = max((own for own, _ in series), key=len)
-    clock = np.rint(time * 1e9).astype(np.int64)
-    table = {"time": time}
-    notes = []
-    for own, found in series:
-        stamps = np.rint(own * 1e9).astype(np.int64)
-        for name, samples in found.items():
-            if name in table:
-                raise RecordingError(f"two series give column {name!r}", given=name)
-            if np.array_equal(own, time):
-                table[name] = samples
-                continue
-            hold = columns.name_of(name).endswith("_command")
-            topic = TopicSeries(name, stamps, {name: samples.astype(np.float64)}, "its own")
-            try:
-                table[name] = aligned(topic, name, clock, hold=hold)
-                how = "last value held" if hold else "linear"
-                notes.append(f"{name}: {own.size} samples, {how} on a clock of {time.size}")
-            except LeglabError as error:
-                left_out.add(name, error)
-    return table, notes
 
 
 def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, np.ndarray]:

@@ -151,9 +151,9 @@ def test_topics_of_other_rates(tmp_path, compression):
     expected = np.where(row < 3, np.nan, np.where(row < 9, 10.0, 11.0))
     np.testing.assert_array_equal(recording["knee_valve_command"], expected)
     cap, _, command = recording.metadata["alignment"]
-    assert cap.startswith("cap: 4 messages by header time, linear on the 20 stamps of /joint_st")
+    assert cap.startswith("cap: 4 samples by header time, linear on the 20 stamps of /joint_st")
     assert cap.endswith("5 rows without a value")
-    assert command.startswith("u[1]: 2 messages by log time, last value held")
+    assert command.startswith("u[1]: 2 samples by log time, last value held")
 
 
 def test_nothing_is_drawn_across_a_gap(tmp_path):
@@ -231,7 +231,7 @@ def test_several_joint_state_topics(tmp_path):
         ),
         (
             [("/knee_position", FLOAT64, 1, {"data": 1}), *joint_messages(range(1, 3))],
-            "'/knee_position' and another topic both give column 'knee_position'",
+            "'/knee_position' and another one both give column 'knee_position'",
         ),
         (
             [("/time", FLOAT64, 1, {"data": 1}), *joint_messages(range(1, 3))],
