@@ -67,6 +67,8 @@ class Thresholds:
     # window starts there, and what a window says after such a moment does not count. No machine
     # runs its whole recording there.
     vapour_pressure: float = 2e4
+    # Samples from one pose to the next of those in which pushes of native actuators are computed.
+    pose_every: int = 1
     # Where no pressures are measured, a replay of this time [s] before a window, which forgets
     # where it began, says what they are at its start.
     warm_up: float = 0.15

@@ -86,9 +86,21 @@ WRONG = {
 }
 
 
+_MORE = pytest.mark.slow("more units and machines of the same kinds")
+
+
+def some(cases, *fast):
+    """All cases, of which the others are slow."""
+    return [case if case in fast else pytest.param(*case, marks=_MORE) for case in cases]
+
+
 @pytest.mark.parametrize(
     ("kind", "drive"),
-    [*((kind, "servo") for kind in WRONG), ("degrees", "motor"), ("drive", "motor")],
+    some(
+        [*((kind, "servo") for kind in WRONG), ("degrees", "motor"), ("drive", "motor")],
+        *((kind, "servo") for kind in ("all degrees", "counts", "encoder", "drive", "small")),
+        ("degrees", "motor"),
+    ),
 )
 def test_a_wrong_unit_or_sign_of_most_recordings_is_a_question(
     kind, drive, tmp_path, monkeypatch, capsys
@@ -120,16 +132,28 @@ CHANGED = {
 }
 
 
-@pytest.mark.parametrize("drive", DRIVES)
-@pytest.mark.parametrize("change", CHANGED)
+@pytest.mark.parametrize(
+    ("change", "drive"),
+    some(
+        [(change, drive) for change in CHANGED for drive in DRIVES],
+        *((change, "servo") for change in ("as its model", "payload", "delay", "weak drive")),
+        ("friction", "motor"),
+    ),
+)
 def test_a_machine_that_has_changed_is_not_taken_for_another_unit(change, drive, tmp_path):
     (tmp_path / "model.xml").write_text(machine(drive))
     logs = {f"l{seed}": log(drive, seed, **CHANGED[change]) for seed in range(2)}
     assert doubts(Machine(tmp_path / "model.xml"), logs) == []
 
 
-@pytest.mark.parametrize("case", ["nominal", "d2"])
-@pytest.mark.parametrize("pressures", [True, False])
+@pytest.mark.parametrize(
+    ("case", "pressures"),
+    some(
+        [(case, pressures) for case in ("nominal", "d2") for pressures in (True, False)],
+        ("nominal", True),
+        ("d2", False),
+    ),
+)
 def test_a_valve_that_is_counted_the_other_way(case, pressures):
     bench = Machine("knee_bench")
     logs = admit(bench, of_bench(case)).recordings

@@ -161,11 +161,14 @@ class _Trials:
     def __init__(
         self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
     ) -> None:
-        self.recordings, self.limits = recordings, limits
+        self.recordings = recordings
         # Two samples a bin tell a unit as well as ten do, in a fifth of the time.
         period = max(common_period(recordings, limits), 0.5 * limits.bin)
         self.machine = at_replay_step(machine, period)
         shared = set.intersection(*(set(r.columns) for r in recordings.values()))
+        # The pose of a part of a window says well enough how commands push.
+        every = max(1, round(limits.window / limits.force_blocks / period))
+        limits = replace(limits, pose_every=every)
         windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
         length = (windows + 2) * window_length(period, limits)[0]
         self.series = [
@@ -178,6 +181,7 @@ class _Trials:
         ]
         grids = {s.name: Recording(time=s.time, columns=s.columns) for s in self.series}
         self.channels = channels(machine, grids, limits)
+        self.limits = limits
         self._as_logged = self._replay({})
 
     def _replay(self, factors: Mapping[str, float]) -> Replay:

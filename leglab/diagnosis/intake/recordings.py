@@ -139,7 +139,8 @@ def split_held_out(
     if wanted:
         held = []
         for entry in wanted:
-            meant = [name for name in recordings if _names(entry, name)]
+            fits = {name: _fit(entry, name) for name in recordings}
+            meant = [name for name, fit in fits.items() if fit == max(fits.values()) > 0]
             if len(meant) != 1:
                 raise SettingsError.unknown("recording", entry, recordings)
             held += meant
@@ -169,12 +170,12 @@ def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) ->
     return machine.measured_by(frozenset.intersection(*(frozenset(r.columns) for r in recordings)))
 
 
-def _names(entry: str, name: str) -> bool:
-    """Whether what a user wrote means a recording: its path or the end of it, or its folder."""
+def _fit(entry: str, name: str) -> int:
+    """How much of a recording's name a user wrote: its path or the end of it, or its folder."""
     parts, wanted = Path(name).parts, Path(entry).parts
     ends = {parts, (*parts[:-1], Path(name).stem), *([parts[:1]] if len(parts) > 1 else [])}
     ends.add(parts[-1:])
-    return any(wanted[-len(end) :] == end for end in ends)
+    return max((len(end) for end in ends if wanted[-len(end) :] == end), default=0)
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:

@@ -22,9 +22,14 @@ class Pushes:
     Attributes:
         actuators: Those that act at once by a fixed gain.
         dofs: Degrees of freedom of the model.
+
+    Args:
+        machine: Of the recording.
+        series: The recording.
+        stride: Samples from one pose to the next of those for which they are computed.
     """
 
-    def __init__(self, machine: Machine, series: UniformSeries) -> None:
+    def __init__(self, machine: Machine, series: UniformSeries, stride: int = 1) -> None:
         model = machine.base.model
         at_once = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
@@ -36,22 +41,24 @@ class Pushes:
         self._limits = np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf])
         dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
         # d(acceleration)/d(command), and the rate [1/s] at which dampers and servos slow a joint.
-        self._response = np.zeros((acting.size, series.time.size, len(dofs)))
+        count = -(-series.time.size // stride)
+        response = np.zeros((acting.size, count, len(dofs)))
         decay = np.zeros(len(dofs))
         gain = model.actuator_gainprm[acting, 0]
         affine = model.actuator_biastype[acting] == mujoco.mjtBias.mjBIAS_AFFINE
         damping = np.where(affine, -model.actuator_biasprm[acting, 2], 0.0)
-        inverse = np.zeros((model.nv, model.nv))
-        for k, data in enumerate(poses(machine, series)):
+        inverse, unit = np.zeros((model.nv, model.nv)), np.eye(model.nv)
+        for k, data in enumerate(poses(machine, series, slice(None, None, stride))):
             moment = actuator_moments(model, data)[acting]
-            mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
+            mujoco.mj_solveM(model, data, inverse, unit)
             if machine.followers is not None:  # they move with what leads them
                 moves, mass = machine.followers.motion(data.qpos), np.linalg.inv(inverse)
                 inverse = moves @ np.linalg.solve(moves.T @ mass @ moves, moves.T)
-            self._response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
+            response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
             slowing = model.dof_damping + damping @ moment**2
             decay += np.maximum(slowing[dofs], 0.0) * inverse[dofs, dofs]
-        self._decay = decay / series.time.size
+        self._decay = decay / count
+        self._response = np.repeat(response, stride, axis=1)[:, : series.time.size]
 
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float

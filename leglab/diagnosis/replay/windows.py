@@ -254,7 +254,7 @@ def _cut(
     for command in commands:
         held &= np.ptp(command[inside], axis=1) <= thresholds.same * np.ptp(command)
     levers, touched = _along(machine, series, max(1, round(thresholds.bin / series.period)))
-    pushes = Pushes(machine, series)
+    pushes = Pushes(machine, series, thresholds.pose_every)
     cut = Cut(series=series, firsts=firsts, levers=levers, touched=touched, pushes=pushes)
     return cut, travel, held
 
