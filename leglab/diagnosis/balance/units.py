@@ -13,7 +13,7 @@ import numpy as np
 
 from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
-from leglab.diagnosis.intake.admission import Admitted, check_roles
+from leglab.diagnosis.intake.admission import Admitted, check_roles, refuse_shared
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries, common_period
 from leglab.diagnosis.intake.units import OPPOSITE, command_units, in_map, position_units
@@ -31,7 +31,7 @@ _GAINS = (0.3, 3.0)
 _BLOWN = 1e8
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Doubt:
     """Doubt about the unit or direction of columns of one recording."""
 
@@ -45,9 +45,9 @@ class Doubt:
     @property
     def words(self) -> str:
         """The doubt as a question, and what to write if it is right."""
-        better = f"the model fits {self.times_better:.2g} times better"
-        if self.times_better >= 100.0:
-            better = "the model fits more than 100 times better"
+        times = self.times_better
+        better = f"{times:.2g} times" if times < 100.0 else "more than 100 times"
+        better = f"the model fits {better} better"
         names = ", ".join(map(repr, self.columns))
         if self.unit == OPPOSITE:
             other = "".join(f" (or of {column!r})" for column in self.alike)
@@ -59,9 +59,7 @@ class Doubt:
 
 
 def unquestioned(
-    machine: Machine,
-    admitted: Admitted,
-    thresholds: Thresholds = DEFAULT,
+    machine: Machine, admitted: Admitted, thresholds: Thresholds = DEFAULT
 ) -> Admitted:
     """The recordings without those whose units or directions are in doubt.
 
@@ -69,12 +67,8 @@ def unquestioned(
         RecordingError: At least half of them share a doubt, or none would be left to fit or judge.
     """
     found = doubts(machine, admitted.recordings, thresholds)
-    shared: dict[tuple[tuple[str, ...], str], list[Doubt]] = {}
-    for doubt in found:
-        shared.setdefault((doubt.columns, doubt.unit), []).append(doubt)
-    most = max(shared.values(), key=len, default=[])
-    if most and 2 * len(most) >= len(admitted.recordings):
-        raise RecordingError(f"{most[0].recording}{_others(len(most))}: {most[0].words}")
+    asked = ((doubt.recording, (doubt.columns, doubt.unit), doubt.words) for doubt in found)
+    refuse_shared(asked, len(admitted.recordings))
     dropped = {doubt.recording: doubt.words for doubt in found}
     usable = {name: r for name, r in admitted.recordings.items() if name not in dropped}
     check_roles(usable, dropped, admitted.held_out)
@@ -84,10 +78,6 @@ def unquestioned(
         held_out=tuple(name for name in admitted.held_out if name in usable),
         notes=merged(remarks, admitted.recordings) + admitted.notes,
     )
-
-
-def _others(count: int) -> str:
-    return f" (and {count - 1} more recordings)" if count > 1 else ""
 
 
 def doubts(
@@ -114,40 +104,27 @@ def doubts(
         for recording, times in trials.clear(columns, before, errors):
             known = best.get(recording)
             said = known.times_better if known else 0.0
-            if known and known.unit == unit == OPPOSITE and _same(times, said, thresholds):
+            same = abs(times - said) < thresholds.same * said
+            if known and known.unit == unit == OPPOSITE and same:
                 best[recording] = replace(known, alike=(*known.alike, *columns))
             elif times > said:
-                best[recording] = Doubt(
-                    recording=recording,
-                    columns=columns,
-                    factor=factor,
-                    unit=unit,
-                    times_better=times,
-                )
+                best[recording] = Doubt(recording, columns, factor, unit, times)
     return list(best.values())
-
-
-def _same(one: float, other: float, limits: Thresholds) -> bool:
-    return abs(one / other - 1.0) < limits.same
 
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Squares of a replay, each (windows, joints)."""
 
+    recording: np.ndarray  #: Number of each window's recording, (windows,)
     left: np.ndarray  #: Of measured less predicted positions
     bent: np.ndarray  #: Of departures of the motion from a straight line in time
     moved: np.ndarray  #: Of the motion, from where it starts
 
-
-def _size(errors: _Errors, rows: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Squares of what bends the motion of the joints of some windows, (joints,)."""
-    return np.maximum(errors.bent[rows].sum(axis=0), 1e-300)
-
-
-def _shares(errors: _Errors, rows: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Errors of some windows as shares of all that bends their motion, (windows,)."""
-    return np.minimum(errors.left[rows] / _size(errors, rows), _BLOWN).sum(axis=1)
+    def shares(self, squares: np.ndarray, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Squares of some windows as shares of all that bends their motion, (windows,)."""
+        size = np.maximum(self.bent[rows].sum(axis=0), 1e-300)
+        return np.minimum(squares[rows] / size, _BLOWN).sum(axis=1)
 
 
 def _times(factor: float, samples: np.ndarray, period: float) -> np.ndarray:
@@ -162,6 +139,9 @@ class _Trials:
         self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
     ) -> None:
         self.recordings = recordings
+        #: Joints that each column shows or moves.
+        self.joints = {f"{joint}_position": (joint,) for joint in machine.joints}
+        self.joints |= {f"{a}_command": machine.driven[a] for a in machine.actuators}
         # Two samples a bin tell a unit as well as ten do, in a fifth of the time.
         period = max(common_period(recordings, limits), 0.5 * limits.bin)
         self.machine = at_replay_step(machine, period)
@@ -191,8 +171,8 @@ class _Trials:
         ]
         return Replay(self.machine, scaled, self.channels, self.limits, threads=1)
 
-    def errors(self, factors: Mapping[str, float]) -> tuple[np.ndarray, _Errors]:
-        """Recording of each window, (windows,), and its squares."""
+    def errors(self, factors: Mapping[str, float]) -> _Errors:
+        """Squares with factors on columns."""
         change, replay = Change(self.machine), self._as_logged
         for actuator in self.machine.actuators:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
@@ -211,70 +191,58 @@ class _Trials:
         place = np.linspace(-1.0, 1.0, replay.bins)
         line = (moved @ place / (place @ place))[:, :, None] * place
         bent = ((moved - moved.mean(axis=2, keepdims=True) - line) ** 2).mean(axis=2)
-        return replay.recording, _Errors((errors**2).mean(axis=2), bent, (moved**2).mean(axis=2))
+        left, moved = (errors**2).mean(axis=2), (moved**2).mean(axis=2)
+        return _Errors(replay.recording, left, bent, moved)
 
-    def effects(self) -> Iterator[tuple[np.ndarray, _Errors]]:
+    def effects(self) -> Iterator[_Errors]:
         """Errors with drives that are weak or strong by an effect."""
-        commands = [f"{actuator}_command" for actuator in self.machine.actuators]
-        for group in {(c,): None for c in commands} | {tuple(commands): None}:
+        commands = [column for column in self.joints if column.endswith("_command")]
+        for group in dict.fromkeys([*((column,) for column in commands), tuple(commands)]):
             for gain in _GAINS:
                 yield self.errors(dict.fromkeys(group, gain))
 
-    def candidates(
-        self, as_it_is: tuple[np.ndarray, _Errors]
-    ) -> Iterator[tuple[tuple[str, ...], str, float]]:
+    def candidates(self, as_it_is: _Errors) -> Iterator[tuple[tuple[str, ...], str, float]]:
         """Columns, units and factors to try, of joints whose motion the model does not explain.
 
         A log has angles of all hinges, or commands of all drives, in one unit more often than not.
         """
-        machine, (_, errors) = self.machine, as_it_is
         # A straight line from the measured start explains as much, but for half of its errors.
-        unexplained = errors.left.sum(axis=0) > 0.25 * errors.bent.sum(axis=0)
-        poor = {j for j, bad in zip(machine.joints, unexplained, strict=True) if bad}
-        groups: dict[tuple[str, float], list[str]] = {}
-        for joint in machine.joints:
-            column = f"{joint}_position"
-            units: dict[str, float] = {}
-            for one in self.recordings.values():
-                units |= position_units(one[column], hinge=machine.unit(joint) == "rad")
-            for unit, factor in {OPPOSITE: -1.0, **units}.items():
-                groups.setdefault((unit, factor), []).append(column)
-                if joint in poor:
+        unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
+        poor = {j for j, bad in zip(self.machine.joints, unexplained, strict=True) if bad}
+        groups: dict[tuple[str, str, float], list[str]] = {}
+        for column, joints in self.joints.items():
+            _, _, kind = column.rpartition("_")
+            for unit, factor in {OPPOSITE: -1.0, **self._units(column)}.items():
+                groups.setdefault((kind, unit, factor), []).append(column)
+                if poor.intersection(joints):
                     yield (column,), unit, factor
-        for actuator in machine.actuators:
-            column, entry = f"{actuator}_command", machine.base.model.actuator(actuator)
-            hinge = all(machine.unit(joint) == "rad" for joint in machine.driven[actuator])
-            units = command_units(angle=hinge and float(entry.biasprm[1]) != 0.0)
-            for unit, factor in {OPPOSITE: -1.0, **units}.items():
-                groups.setdefault((f"{unit} ", factor), []).append(column)
-                if poor.intersection(machine.driven[actuator]):
-                    yield (column,), unit, factor
-        for (unit, factor), columns in groups.items():
+        for (_, unit, factor), columns in groups.items():
             if poor and len(columns) > 1 and factor != -1.0:
-                yield tuple(columns), unit.strip(), factor
+                yield tuple(columns), unit, factor
+
+    def _units(self, column: str) -> dict[str, float]:
+        """Factors to try on a column, by unit."""
+        hinge = all(self.machine.unit(joint) == "rad" for joint in self.joints[column])
+        if column.endswith("_position"):
+            found = (position_units(r[column], hinge=hinge) for r in self.recordings.values())
+            return {unit: factor for units in found for unit, factor in units.items()}
+        entry = self.machine.base.model.actuator(column.removesuffix("_command"))
+        return command_units(angle=hinge and float(entry.biasprm[1]) != 0.0)
 
     def clear(
-        self,
-        columns: tuple[str, ...],
-        before: list[tuple[np.ndarray, _Errors]],
-        after: tuple[np.ndarray, _Errors],
+        self, columns: tuple[str, ...], before: list[_Errors], after: _Errors
     ) -> Iterator[tuple[str, float]]:
         """Recordings of which a factor on columns explains clearly more, and how much better."""
-        recording, new = after
-        known = [errors for number, errors in before if number.shape == recording.shape]
-        if len(known) < len(before):
+        if any(errors.recording.shape != after.recording.shape for errors in before):
             return
-        machine, share = self.machine, self.limits.smaller_share
-        moved_by = {f"{a}_command": machine.driven[a] for a in machine.actuators}
-        moved_by |= {f"{joint}_position": (joint,) for joint in machine.joints}
-        own = sorted({machine.joints.index(j) for column in columns for j in moved_by[column]})
+        own = {self.machine.joints.index(j) for column in columns for j in self.joints[column]}
         for number, name in enumerate(self.recordings):
-            rows = np.ix_(recording == number, own)
-            as_it_is, *others = (_shares(errors, rows) for errors in known)
+            rows = np.ix_(after.recording == number, sorted(own))
+            as_it_is, *others = (errors.shares(errors.left, rows) for errors in before)
             left = min((as_it_is, *others), key=lambda x: float(x.sum()))
-            least = _shares(new, rows)
-            moved = (new.moved[rows] / _size(new, rows)).sum()
-            if not left.size or not least.sum() < share * min(left.sum(), moved):
+            least, moved = (after.shares(x, rows) for x in (after.left, after.moved))
+            most = self.limits.smaller_share * min(left.sum(), moved.sum())
+            if not left.size or not least.sum() < most:
                 continue
             # Each window is a sample of its own: what one of them says may be chance.
             gain = np.log(np.maximum(left, 1e-300) / np.maximum(least, 1e-300))
@@ -293,11 +261,7 @@ def _liveliest(series: UniformSeries, columns: list[str], length: int) -> Unifor
         steps = np.abs(np.diff(series.columns[column], prepend=series.columns[column][0]))
         path = np.concatenate([[0.0], np.cumsum(steps * series.valid)])
         lively += (path[firsts + length] - path[firsts]) / (path[-1] or 1.0)
-    part = slice(int(firsts[np.argmax(lively)]), None)
-    part = slice(part.start, part.start + length)
-    return replace(
-        series,
-        time=series.time[part],
-        columns={name: samples[part] for name, samples in series.columns.items()},
-        valid=series.valid[part],
-    )
+    first = int(firsts[np.argmax(lively)])
+    part = slice(first, first + length)
+    own = {name: samples[part] for name, samples in series.columns.items()}
+    return replace(series, time=series.time[part], columns=own, valid=series.valid[part])

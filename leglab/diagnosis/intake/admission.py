@@ -1,6 +1,6 @@
 """The gate of a diagnosis: which recordings and columns can be used, and what is said of them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +52,8 @@ def admit(
         name, others = next(iter(entries)), len(entries) - 1
         more = f" (and {others} more recordings cannot be used)" if others else ""
         raise RecordingError(f"{name}: {dropped[name]}{more}", given=name)
-    _check_units(entries)
+    doubted = ((n, column, why) for n, e in entries.items() for column, why in e.doubted.items())
+    refuse_shared(doubted, len(entries))
     periods = {name: Clock.of(e.recording.time).period for name, e in usable.items()}
     fastest = min(periods.values())
     for name, period in periods.items():
@@ -70,8 +71,10 @@ def admit(
     remarks = [Remark(f"left out, {why}", name) for name, why in dropped.items()]
     for name, entry in usable.items():
         further = dict.fromkeys(sorted(entry.pressures - columns), "other recordings lack them")
-        for column, why in {**entry.lost, **further}.items():
-            remarks.append(Remark(f"pressures are not used, {why}", name, repr(column)))
+        remarks += [
+            Remark(f"pressures are not used, {why}", name, repr(column))
+            for column, why in {**entry.lost, **further}.items()
+        ]
         remarks += entry.remarks
     needed = [*machine.columns, *sorted(columns)]
     admitted = {name: entry.recording.select(needed) for name, entry in usable.items()}
@@ -84,20 +87,18 @@ def admit(
     )
 
 
-def _check_units(entries: Mapping[str, "_Entry"]) -> None:
-    """Refuses columns that at least half of the recordings have in another unit, as it seems.
+def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> None:
+    """Refuses what half of `count` recordings or more have: a factor in the map would save them.
 
-    A factor in the column map would save them all.
+    Each doubt is a recording's name, what others may have as well, and the question.
     """
-    shared: dict[str, list[str]] = {}
-    for name, entry in entries.items():
-        for column in entry.doubted:
-            shared.setdefault(column, []).append(name)
-    for column, names in shared.items():
-        if 2 * len(names) >= len(entries):
-            why, more = entries[names[0]].doubted[column], len(names) - 1
-            others = f" (and {more} more recordings)" if more else ""
-            raise RecordingError(f"{names[0]}: {why}{others}", given=column)
+    shared: dict[Hashable, list[tuple[str, str]]] = {}
+    for name, alike, question in doubts:
+        shared.setdefault(alike, []).append((name, question))
+    most = max(shared.values(), key=len, default=[])
+    if most and 2 * len(most) >= count:
+        more = f" (and {len(most) - 1} more recordings)" if len(most) > 1 else ""
+        raise RecordingError(f"{most[0][0]}{more}: {most[0][1]}", given=most[0][0])
 
 
 def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[str, ...]) -> None:
@@ -116,15 +117,15 @@ def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[s
 def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozenset[str]:
     """Pressure columns to use: the more, the better, yet not at the price of most recordings."""
     total = sum(e.recording.duration for e in usable.values())
-    found = frozenset.intersection(*(e.pressures for e in usable.values()))
-    for columns in dict.fromkeys(e.pressures for e in usable.values()):
-        complete = {n: e for n, e in usable.items() if columns <= e.pressures}
-        enough = sum(e.recording.duration for e in complete.values()) >= 0.5 * total
-        to_fit = set(complete) - set(held)
-        judges = set(held) & set(complete) if held else len(complete) > 1 or len(usable) == 1
-        if enough and to_fit and judges and len(columns) > len(found):
-            found = columns
-    return found
+
+    def serve(columns: frozenset[str]) -> bool:
+        complete = {n: e.recording.duration for n, e in usable.items() if columns <= e.pressures}
+        judged = set(held) & set(complete) if held else len(complete) > 1 or len(usable) == 1
+        enough = sum(complete.values()) >= 0.5 * total
+        return bool(enough and judged and set(complete) - set(held))
+
+    common = frozenset.intersection(*(e.pressures for e in usable.values()))
+    return max(filter(serve, (e.pressures for e in usable.values())), key=len, default=common)
 
 
 class _Entry:
@@ -141,11 +142,11 @@ class _Entry:
         unreadable = recording.metadata.get("unreadable")
         reasons: Mapping[str, str] = unreadable if isinstance(unreadable, dict) else {}
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
-        self.machine, self.name, self.recording, self.limits = machine, name, own, limits
+        self.machine, self.name, self.limits = machine, name, limits
+        self.logged = self.recording = own
         said = recording.metadata.get("time")
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
-        self.gone: dict[str, int] = {}  # samples that were left out, by column
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         mixed = self._leave_out()
         for column, cylinder in known.items():
@@ -154,9 +155,9 @@ class _Entry:
                 self.lost[column] = why
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
         # Why the recording cannot be used at all.
-        self.fault = self._missing(recording, reasons) or mixed or self._unwrap()
+        self.fault = self._missing(recording, reasons) or mixed
         for joint in machine.joints:
-            self.fault = self.fault or self._position_fault(joint)
+            self.fault = self.fault or self._unwrap(joint) or self._position_fault(joint)
         if not self.fault:
             self._pause(state_changes(recording, (*machine.columns, *known)))
 
@@ -192,14 +193,11 @@ class _Entry:
                 why = f"every other row of column {column!r} is another signal's; two publishers?"
                 return f"{why} allowed: one source a column"
             if (gone := unsupported(samples)).any():
-                kept, self.gone[column] = np.where(gone, np.nan, samples), int(gone.sum())
+                kept, rows = np.where(gone, np.nan, samples), np.arange(samples.size)
                 self.recording = self.recording.with_columns({column: kept})
-                rows = np.arange(samples.size)
                 known = np.isfinite(kept)
-                if not known.any():
-                    continue
-                off = np.abs(samples - np.interp(rows, rows[known], kept[known]))[gone]
-                worst = int(np.flatnonzero(gone)[np.argmax(off)])
+                off = np.abs(samples - np.interp(rows, rows[known], kept[known]))
+                worst = int(np.argmax(np.where(gone, off, 0.0)))
                 at = f"{samples[worst]:.4g} at {self.recording.time[worst]:.5g} s"
                 text = "samples that jump away from the motion are left out"
                 self.remarks.append(Remark(text, self.name, f"{column!r} {gone.sum()}, worst {at}"))
@@ -210,34 +208,28 @@ class _Entry:
         column = self.machine.columns[0]
         for state, rows in changes.items():
             samples = np.where(beside(self.recording, rows), np.nan, self.recording[column])
-            if np.isfinite(samples).sum() < 2:
-                continue
-            before = int(np.isfinite(self.recording[column]).sum())
-            gone = before - int(np.isfinite(samples).sum())
-            self.gone[column] = self.gone.get(column, 0) + gone
-            self.recording = self.recording.with_columns({column: samples})
-            text = "windows across changes of a state are left out"
-            self.remarks.append(Remark(text, self.name, f"{state!r} {rows.size} times"))
+            if np.isfinite(samples).sum() >= 2:
+                self.recording = self.recording.with_columns({column: samples})
+                text = "windows across changes of a state are left out"
+                self.remarks.append(Remark(text, self.name, f"{state!r} {rows.size} times"))
 
-    def _unwrap(self) -> str | None:
-        """Takes the jumps of encoders out of positions; says why it cannot."""
-        own = self.recording
-        for joint in self.machine.joints:
-            column, unit = f"{joint}_position", self.machine.unit(joint)
-            if (found := unwrapped(own.time, own[column], hinge=unit == "rad")) is None:
-                continue
-            samples, turn, jumps = found
-            for whole, units in ((360.0, "degrees"), (1.0, "turns")):
-                if unit == "rad" and abs(turn / whole - 1.0) < DEFAULT.same:
-                    why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad; is it in "
-                    return self._doubt(column, f"{why}{units}?", 2.0 * np.pi / whole)
-            if (allowed := _range(self.machine, joint)) is not None:
-                # The turn in which the joint can be.
-                middle = 0.5 * (allowed[0] + allowed[1])
-                samples = samples + turn * np.rint((middle - np.nanmedian(samples)) / turn)
-            self.recording = self.recording.with_columns({column: samples})
-            text = f"the encoder begins anew after {turn:.4g} {unit}; unwrapped"
-            self.remarks.append(Remark(text, self.name, f"{column!r} {jumps} times"))
+    def _unwrap(self, joint: str) -> str | None:
+        """Takes the jumps of an encoder out of positions; says why it cannot."""
+        column, unit = f"{joint}_position", self.machine.unit(joint)
+        found = unwrapped(self.recording.time, self.recording[column], hinge=unit == "rad")
+        if found is None:
+            return None
+        samples, turn, jumps = found
+        for whole, units in ((360.0, "degrees"), (1.0, "turns")):
+            if unit == "rad" and abs(turn / whole - 1.0) < DEFAULT.same:
+                why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad; is it in "
+                return self._doubt(column, f"{why}{units}?", 2.0 * np.pi / whole)
+        if (allowed := _range(self.machine, joint)) is not None:
+            # The turn in which the joint can be.
+            samples += turn * np.rint((np.mean(allowed) - np.nanmedian(samples)) / turn)
+        self.recording = self.recording.with_columns({column: samples})
+        text = f"the encoder begins anew after {turn:.4g} {unit}; unwrapped"
+        self.remarks.append(Remark(text, self.name, f"{column!r} {jumps} times"))
         return None
 
     def _position_fault(self, joint: str) -> str | None:
@@ -245,16 +237,15 @@ class _Entry:
         column, unit = f"{joint}_position", self.machine.unit(joint)
         values = self.recording[column]
         low, high = np.nanmin(values), np.nanmax(values)
-        said = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
         if (allowed := _range(self.machine, joint)) is None:
             return None
-        lower, upper = allowed
-        room = self.limits.beyond_range * (upper - lower)
-        if low >= lower - room and high <= upper + room:
+        room = self.limits.beyond_range * (allowed[1] - allowed[0])
+        lower, upper = allowed[0] - room, allowed[1] + room
+        if lower <= low and high <= upper:
             return None
-        why = f"{said}, joint {joint!r} allows [{lower:.4g}, {upper:.4g}] {unit}"
-        units = position_units(values, hinge=unit == "rad")
-        found = within(units, (low, high), (lower - room, upper + room))
+        why = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
+        why += f", joint {joint!r} allows [{allowed[0]:.4g}, {allowed[1]:.4g}] {unit}"
+        found = within(position_units(values, hinge=unit == "rad"), (low, high), (lower, upper))
         return self._doubt(column, f"{why}; is it {found[0]}?", found[1]) if found else why
 
     def _doubt(self, column: str, question: str, factor: float) -> str:
@@ -285,26 +276,15 @@ class _Entry:
 
     def doubts(self, recording: Recording) -> Iterator[Remark]:
         """Remarks on the columns that are used, those of `recording`."""
-        measured = {c: v for c, v in recording.columns.items() if not c.endswith("_command")}
         for column, values in recording.columns.items():
-            known = values[np.isfinite(values)]
-            if missing := values.size - known.size - self.gone.get(column, 0):
-                text = "samples without a number"
-                yield Remark(text, self.name, f"{column!r} {missing}")
-            if column in measured and known.size > 1 and np.ptp(known) == 0.0:
-                text = "the same in every row, at rest or a sensor that is not connected"
-                yield Remark(text, self.name, f"{column!r} {known[0]:.6g}")
-        for actuator in self.machine.actuators:
-            entry = self.machine.base.model.actuator(actuator)
-            low, high = entry.ctrlrange.tolist()
-            values = recording[f"{actuator}_command"]
-            outside = int(((values < low) | (values > high)).sum())
-            if entry.ctrllimited[0] and outside:
-                text = "a command leaves its range, the model clips it"
-                place = f"'{actuator}_command' beyond [{low:g}, {high:g}] in {outside} samples"
-                yield Remark(text, self.name, place)
-        for column, values in measured.items():
+            if missing := int((~np.isfinite(self.logged[column])).sum()):
+                yield Remark("samples without a number", self.name, f"{column!r} {missing}")
+            if column.endswith("_command"):
+                continue
             low, high = np.nanmin(values), np.nanmax(values)
+            if low == high:
+                text = "the same in every row, at rest or a sensor that is not connected"
+                yield Remark(text, self.name, f"{column!r} {low:.6g}")
             # What rests elsewhere as long is no saturated sensor.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
@@ -314,6 +294,14 @@ class _Entry:
                     text = "an extreme value holds, is the sensor saturated?"
                     place = f"{column!r} {word} {limit:.6g} for {run} samples"
                     yield Remark(text, self.name, place)
+        for actuator in self.machine.actuators:
+            entry, column = self.machine.base.model.actuator(actuator), f"{actuator}_command"
+            low, high = entry.ctrlrange.tolist()
+            outside = int(((recording[column] < low) | (recording[column] > high)).sum())
+            if entry.ctrllimited[0] and outside:
+                text = "a command leaves its range, the model clips it"
+                place = f"{column!r} beyond [{low:g}, {high:g}] in {outside} samples"
+                yield Remark(text, self.name, place)
 
 
 def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
@@ -335,15 +323,15 @@ def _longest_run(mask: np.ndarray) -> int:
 def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
     """Resampling of recordings that are not all on one uniform grid."""
     period = common_period(recordings, limits)
-    clocks = {name: Clock.of(r.time) for name, r in recordings.items()}
-    lines, remarks, rates, drifting = [], [], [], []
-    for name, clock in clocks.items():
-        own, rows = clock.period, len(recordings[name])
-        if clock.clear and own < (1.0 - limits.same) * period:
-            rates.append(f"{name} from {1.0 / own:.4g} Hz")
-        elif clock.clear and abs(own / period - 1.0) * rows > 1.0:
+    remarks, rates, drifting = [], [], []
+    for name, recording in recordings.items():
+        clock, rows = Clock.of(recording.time), len(recording)
+        off = clock.period / period - 1.0
+        if clock.clear and off < -limits.same:
+            rates.append(f"{name} from {1.0 / clock.period:.4g} Hz")
+        elif clock.clear and abs(off) * rows > 1.0:
             # Worth a note is what comes to a sample over the recording.
-            drifting.append(f"{name} {100.0 * (own / period - 1.0):+.2g} %")
+            drifting.append(f"{name} {100.0 * off:+.2g} %")
         if clock.rounding:
             text = f"stamps are rounded to {clock.rounding:.3g} s; taken for a uniform clock's"
             remarks.append(Remark(text, name))
@@ -352,17 +340,16 @@ def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tup
             remarks.append(Remark("stamps are uneven, resampled by them", name, share))
         if clock.lost:
             share = f"{100.0 * clock.lost / (clock.lost + rows):.2g} %"
-            longest = float(np.diff(recordings[name].time).max())
-            place = f"{clock.lost} ({share}), the longest pause {longest:.3g} s"
+            place = (
+                f"{clock.lost} ({share}), the longest pause {np.diff(recording.time).max():.3g} s"
+            )
             remarks.append(Remark("rows are missing", name, place))
-    if rates:
-        lines.append(
-            f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
-            f"{', '.join(rates)}; their motion above {0.5 / period:.4g} Hz is lost"
-        )
+    lines = merged(remarks, recordings)
     if drifting:
-        lines.append(
-            f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
-            f"{', '.join(drifting)}"
-        )
-    return (*lines, *merged(remarks, recordings))
+        told = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
+        lines = (told + ", ".join(drifting), *lines)
+    if rates:
+        told = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
+        lost = f"; their motion above {0.5 / period:.4g} Hz is lost"
+        lines = (told + ", ".join(rates) + lost, *lines)
+    return lines

@@ -34,9 +34,8 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
         if found[good[start]]:
             continue
         end = start + 1
-        if values[end] == 0.0:
-            later = zeros[np.searchsorted(zeros, end)] if zeros.size and zeros[-1] >= end else None
-            end = end if later is None else int(later)
+        if values[end] == 0.0 and zeros.size and zeros[-1] >= end:
+            end = int(zeros[np.searchsorted(zeros, end)])
         if end < steps.size and far[end] and steps[end] * steps[start] < 0.0:
             found[good[start + 1 : end + 1]] = True
     first = int(np.argmax(steps != 0.0)) if moves.size else 0

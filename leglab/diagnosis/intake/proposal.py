@@ -12,12 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from leglab.base.likeness import likeness_of_numbers, likeness_of_words, numbered, words_of
 from leglab.data.column_map import ColumnMap, ColumnRule
 from leglab.data.units_in_names import NamedUnit, split
-from leglab.diagnosis.intake.units import (
-    command_units,
-    position_units,
-    pressure_unit,
-    within,
-)
+from leglab.diagnosis.intake.units import command_units, position_units, pressure_unit, within
 from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
@@ -90,22 +85,20 @@ class Proposal:
     @property
     def column_map(self) -> ColumnMap:
         """The lines that hold."""
-        return ColumnMap(
-            rules={
-                line.theirs: ColumnRule(name=line.ours, factor=line.factor, offset=line.offset)
-                for line in self.lines
-                if line.sure
-            }
-        )
+        rules = {
+            one.theirs: ColumnRule(name=one.ours, factor=one.factor, offset=one.offset)
+            for one in self.lines
+            if one.sure
+        }
+        return ColumnMap(rules=rules)
 
     def asked(self, column: str, factor: float, why: str) -> "Proposal":
         """Returns the proposal with another factor on one of our columns, and why."""
-        lines = (
-            replace(one, factor=factor * one.factor, offset=factor * one.offset, why=f"? {why}")
-            if one.sure and one.ours == column
-            else one
-            for one in self.lines
-        )
+        lines = list(self.lines)
+        for k, one in enumerate(lines):
+            if one.sure and one.ours == column:
+                scaled = factor * one.factor, factor * one.offset
+                lines[k] = Line(one.theirs, column, True, *scaled, f"? {why}")
         return replace(self, lines=tuple(lines))
 
     def to_json(self) -> dict[str, Any]:
@@ -114,18 +107,13 @@ class Proposal:
         return {"columns": lines, "missing": list(self.missing), "doubt": self.doubt}
 
     def __str__(self) -> str:
-        unused = [json.dumps(line.theirs) for line in self.lines if not line.ours]
-        return "\n".join(
-            [
-                "# Proposed by leglab inspect; behind # are guesses. factor: ours per theirs.",
-                *(f"{name} = {json.dumps(value)}" for name, value in self.settings.items()),
-                "[columns]",
-                *(str(line) for line in self.lines if line.ours),
-                *(f"# ? no column for {name}" for name in self.missing),
-                *([f"# ? {self.doubt}"] if self.doubt else []),
-                *([f"# not used: {', '.join(unused)}"] if unused else []),
-            ]
-        )
+        unused = ", ".join(json.dumps(line.theirs) for line in self.lines if not line.ours)
+        said = ["# Proposed by leglab inspect; behind # are guesses. factor: ours per theirs."]
+        said += [f"{name} = {json.dumps(value)}" for name, value in self.settings.items()]
+        said += ["[columns]", *(str(line) for line in self.lines if line.ours)]
+        said += [f"# ? no column for {name}" for name in self.missing]
+        said += [f"# ? {self.doubt}"] * bool(self.doubt)
+        return "\n".join(said + [f"# not used: {unused}"] * bool(unused))
 
 
 def propose(
@@ -157,14 +145,10 @@ def propose(
     lines = _assigned(columns, [*(_TIME for _ in absent), *wanted], table)
     if not wanted:
         lines = {c.name: lines[c.name] if lines[c.name].ours else c.alone() for c in columns}
-    needed = [*absent, *needed]
     every = [*known.values(), *(line for name, line in lines.items() if name != "time")]
     sure = {line.ours for line in every if line.sure}
-    return Proposal(
-        lines=tuple(every),
-        missing=tuple(name for name in needed if name not in sure),
-        settings=given.settings.model_dump(exclude_defaults=True),
-    )
+    missing = tuple(name for name in [*absent, *needed] if name not in sure)
+    return Proposal(tuple(every), missing, given.settings.model_dump(exclude_defaults=True))
 
 
 class _Column:
@@ -225,15 +209,16 @@ def _assigned(
     if not columns or not wanted:
         return lines
     scores = _likenesses(columns, wanted)
-    pairs = [(i, k) for i, k in zip(*linear_sum_assignment(scores, maximize=True), strict=True)]
-    pairs = [(i, k) for i, k in pairs if scores[i, k] >= _NEAR]
+    rows = zip(*linear_sum_assignment(scores, maximize=True), strict=True)
+    pairs = [(i, k) for i, k in rows if scores[i, k] >= _NEAR]
     taken = {k: scores[i, k] for i, k in pairs}
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
         name, score = columns[k].name, scores[i, k]
         # Others that are as like to this one and not liker to another.
-        near = [j for j in np.argsort(-scores[i], kind="stable").tolist() if j != k]
-        near = [j for j in near if scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
+        order = np.argsort(-scores[i], kind="stable").tolist()
+        others = (j for j in order if scores[i, j] > max(0.8 * score, taken.get(j, 0.0)))
+        near = [j for j in others if j != k]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9
         factor, why, known = units[name]
         reasons = [why] * bool(why)
@@ -242,8 +227,7 @@ def _assigned(
         if score < _SURE:
             reasons.append(f"likeness {score:.0%}")
         sure = score >= _SURE and factor != 0.0 and not tied
-        doubt = "" if sure and known and not near else "? "
-        why = doubt + "; ".join(reasons)
+        why = "? " * (not (sure and known) or bool(near)) + "; ".join(reasons)
         lines[name] = Line(name, wanted[i].name, sure, factor or 1.0, why=why)
     return lines
 
@@ -307,19 +291,20 @@ def _units(
 def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
     """Unit of a signal and its factor by the range of what it may be; as it is where none fits."""
     low, high = float(samples.min()), float(samples.max())
-    room = _room(one)
+    lowest, highest = _room(one)
     found: tuple[str, float] | None = None
     if one.kind in CHAMBERS:
         found = pressure_unit(high, one.limits[1])
-    elif not room[0] <= low <= high <= room[1]:
-        hinge, moves = one.unit == "rad", one.unit in ("rad", "m")
-        units = position_units(samples, hinge=hinge) if moves else {}
+    elif not lowest <= low <= high <= highest:
+        moves = one.unit in ("rad", "m")
+        units = position_units(samples, hinge=one.unit == "rad") if moves else {}
         units |= command_units(angle=False) if one.kind == "command" else {}
-        found = within(units, (low, high), room)
+        found = within(units, (low, high), (lowest, highest))
     return found or ("", 1.0)
 
 
 def _room(one: UsableColumn) -> tuple[float, float]:
     """The range of a column and as much beyond it as a range that was guessed may be off."""
     low, high = one.limits
-    return low - DEFAULT.beyond_range * (high - low), high + DEFAULT.beyond_range * (high - low)
+    beyond = DEFAULT.beyond_range * (high - low)
+    return low - beyond, high + beyond

@@ -44,15 +44,11 @@ def _below(path: Path) -> tuple[list[Path], list[Path]]:
         return [path], []
     files: list[Path] = []
     others: list[Path] = []
-    for entry in sorted(path.iterdir()):
-        if entry.name.startswith("."):
-            continue
-        if entry.is_dir():
-            more, rest = _below(entry)
-            files, others = files + more, others + rest
-        else:
-            suffix = Path(entry.name.removesuffix(".gz")).suffix.lower()
-            (files if suffix in data.SUFFIXES else others).append(entry)
+    for entry in sorted(e for e in path.iterdir() if not e.name.startswith(".")):
+        suffix = Path(entry.name.removesuffix(".gz")).suffix.lower()
+        alone = ([entry], []) if suffix in data.SUFFIXES else ([], [entry])
+        more, rest = _below(entry) if entry.is_dir() else alone
+        files, others = files + more, others + rest
     return files, others
 
 
@@ -114,8 +110,8 @@ def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
     names = {}
     for path, own in zip(paths, parts, strict=True):
         ends = (own[-count:] for count in range(1, len(own) + 1))
-        end = next((e for e in ends if sum(p[-len(e) :] == e for p in parts) == 1), None)
-        if end is None:
+        end = next((e for e in ends if sum(p[-len(e) :] == e for p in parts) == 1), ())
+        if not end:
             told = f"two recordings are called {path.name!r}; allowed: "
             raise SettingsError(told, given=path, allowed="each recording once")
         names[path] = "/".join(end)
@@ -136,18 +132,18 @@ def split_held_out(
         LeglabError: A name does not exist, or nothing is left to fit.
     """
     recordings = dict(recordings)
+    held: tuple[str, ...] = ()
+    for entry in wanted:
+        fits = {name: _fit(entry, name) for name in recordings}
+        meant = [name for name, fit in fits.items() if fit == max(fits.values()) > 0]
+        if len(meant) != 1:
+            raise SettingsError.unknown("recording", entry, recordings)
+        held += (*meant,)
+    if wanted and len(set(held)) == len(recordings):
+        told = "every recording is held out; allowed: "
+        raise SettingsError(told, given=tuple(wanted), allowed="at least one to fit")
     if wanted:
-        held = []
-        for entry in wanted:
-            fits = {name: _fit(entry, name) for name in recordings}
-            meant = [name for name, fit in fits.items() if fit == max(fits.values()) > 0]
-            if len(meant) != 1:
-                raise SettingsError.unknown("recording", entry, recordings)
-            held += meant
-        if len(set(held)) == len(recordings):
-            told = "every recording is held out; allowed: "
-            raise SettingsError(told, given=tuple(wanted), allowed="at least one to fit")
-        return recordings, tuple(held)
+        return recordings, held
     machine = machine_for(model, recordings.values())
     usable = admit(machine, recordings, (), thresholds).recordings
     if len(usable) > 1:
@@ -189,11 +185,11 @@ def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tu
         rows = [recording[c] for c in machine.columns]
         rows += [np.gradient(recording[f"{j}_position"], recording.time) for j in machine.joints]
         tables[name] = np.stack(rows)[:, :: max(1, len(recording) // 2000)]
-    scores = {}
-    for name, table in tables.items():
+
+    def score(name: str) -> tuple[float, float]:
         others = np.concatenate([t for n, t in tables.items() if n != name], axis=1)
-        low, high = np.nanmin(others, axis=1), np.nanmax(others, axis=1)
-        inside = ((table >= low[:, None]) & (table <= high[:, None])).mean()
-        speed = np.nanmean(np.abs(table[-1]))
-        scores[name] = (round(float(inside), 2), float(speed))
-    return (max(scores, key=lambda n: scores[n]),)
+        low, high = np.nanmin(others, axis=1)[:, None], np.nanmax(others, axis=1)[:, None]
+        inside = ((tables[name] >= low) & (tables[name] <= high)).mean()
+        return round(float(inside), 2), float(np.nanmean(np.abs(tables[name][-1])))
+
+    return (max(tables, key=score),)

@@ -22,17 +22,15 @@ def merged(remarks: Iterable[Remark], recordings: Iterable[str]) -> tuple[str, .
     """
     found: dict[str, dict[str, list[str]]] = {}
     for text, recording, place in remarks:
-        places = found.setdefault(text, {}).setdefault(recording, [])
-        if place and place not in places:
-            places.append(place)
-    whole = set(recordings)
-    lines = []
+        found.setdefault(text, {}).setdefault(recording, []).append(place)
+    lines, whole = [], set(recordings)
     for text, where in found.items():
-        if all(places == next(iter(where.values())) for places in where.values()):
-            listed = ", ".join(next(iter(where.values())))
-            named = "all recordings" if len(whole) > 1 and set(where) == whole else ", ".join(where)
-            lines.append(f"{named}: {text}{f': {listed}' if listed else ''}")
-        else:
-            told = (f"{name} ({', '.join(p)})" if p else name for name, p in where.items())
+        listed = {name: ", ".join(filter(None, dict.fromkeys(p))) for name, p in where.items()}
+        places, *others = set(listed.values())
+        if others:
+            told = (f"{name} ({p})" if p else name for name, p in listed.items())
             lines.append(f"{text}: {'; '.join(told)}")
+        else:
+            named = "all recordings" if len(whole) > 1 and set(where) == whole else ", ".join(where)
+            lines.append(f"{named}: {text}" + f": {places}" * bool(places))
     return tuple(lines)

@@ -26,7 +26,7 @@ def unwrapped(
     if good.size < 10:
         return None
     values, steps, intervals = samples[good], np.diff(samples[good]), np.diff(time[good])
-    unit = float(np.median(intervals))
+    unit = np.median(intervals)
     low, high = np.quantile(values, (0.001, 0.999))
     # Across a longer interval a jump is not told from motion, across a gap only by the speed.
     jumps = (intervals <= DEFAULT.neighbours * unit) & (np.abs(steps) > 0.5 * (high - low))
