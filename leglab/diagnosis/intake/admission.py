@@ -146,13 +146,14 @@ class _Entry:
         self.logged = self.recording = own
         said = recording.metadata.get("time")
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
-        self.lost: dict[str, str] = {}  # why pressures cannot be used, by column
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         mixed = self._leave_out()
-        for column, cylinder in known.items():
-            why = self._pressure_fault(column, cylinder) if column in own else reasons.get(column)
-            if why:
-                self.lost[column] = why
+        faults = {
+            c: self._pressure_fault(c, by) if c in own else reasons.get(c)
+            for c, by in known.items()
+        }
+        #: Why pressures cannot be used, by column.
+        self.lost = {column: why for column, why in faults.items() if why}
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
         # Why the recording cannot be used at all.
         self.fault = self._missing(recording, reasons) or mixed

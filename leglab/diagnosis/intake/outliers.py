@@ -20,14 +20,13 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
     """
     good = np.flatnonzero(np.isfinite(samples))
     found = np.zeros(samples.size, dtype=bool)
-    if good.size < _NEAR:
-        return found
     values = samples[good]
+    if good.size < _NEAR or not np.ptp(values):
+        return found
     steps = np.diff(values)
     sizes = np.abs(steps)
     usual = percentile_filter(sizes, _MOST, size=_NEAR, mode="nearest")
-    moves = sizes[sizes > 0.0]
-    least = max(quantum(values), float(np.median(moves)) if moves.size else 0.0)
+    least = max(quantum(values), float(np.median(sizes[sizes > 0.0])))
     far = sizes > DEFAULT.certain * np.maximum(usual, least)
     zeros = np.flatnonzero((values[:-1] == 0.0) & (values[1:] != 0.0))
     for start in np.flatnonzero(far).tolist():  # The first sample of a run follows this step.
@@ -38,8 +37,8 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
             end = int(zeros[np.searchsorted(zeros, end)])
         if end < steps.size and far[end] and steps[end] * steps[start] < 0.0:
             found[good[start + 1 : end + 1]] = True
-    first = int(np.argmax(steps != 0.0)) if moves.size else 0
-    if moves.size and first < _NEAR and far[first] and not found[good[first + 1]]:
+    first = int(np.argmax(steps != 0.0))
+    if first < _NEAR and far[first] and not found[good[first + 1]]:
         found[good[: first + 1]] = True
     return found
 

@@ -20,10 +20,9 @@ def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, n
     """
     found = {}
     most = 0.5 * recording.duration / DEFAULT.window
-    for column in recording.columns:
+    for column, samples in recording.columns.items():
         if column in signals or unit_of(column, recording.metadata):
             continue
-        samples = recording[column]
         rows = np.flatnonzero(np.isfinite(samples))
         values = samples[rows]
         changed = rows[1:][np.diff(values) != 0.0]
