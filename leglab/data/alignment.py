@@ -86,10 +86,9 @@ def on_clock(
 
 def _overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
     """Returns whether any row of the clock gets a value."""
-    if not series.stamps.size or not clock.size:
+    if not series.stamps.size or not clock.size or series.stamps.min() > clock.max():
         return False
-    begins_in_time = bool(series.stamps.min() <= clock.max())
-    return begins_in_time and (hold or bool(series.stamps.max() >= clock.min()))
+    return hold or bool(series.stamps.max() >= clock.min())
 
 
 def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
@@ -115,12 +114,10 @@ def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) ->
     interval = np.diff(stamps)
     if (interval < 0).any():
         row = int(np.argmax(interval < 0)) + 1
-        raise RecordingError(
-            f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
-            f"comes after {stamps[row - 1]} ns; allowed: ",
-            given=int(stamps[row]),
-            allowed="stamps that do not go backwards",
-        )
+        told = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
+        told += f"comes after {stamps[row - 1]} ns; allowed: "
+        allowed = "stamps that do not go backwards"
+        raise RecordingError(told, given=int(stamps[row]), allowed=allowed)
     latest = np.append(interval > 0, True)  # Of several messages at one time the last one counts.
     stamps, values = stamps[latest], values[latest]
     before = np.searchsorted(stamps, clock, side="right") - 1

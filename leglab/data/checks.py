@@ -39,14 +39,7 @@ class Finding:
 
 
 def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
-    """Lists what is wrong with a table, in the order of columns and rows.
-
-    Args:
-        table: A recording, or arrays of shape (n,) by column name.
-
-    Returns:
-        Findings; none for clean data.
-    """
+    """Lists what is wrong with a recording or arrays, (n,), by name, ordered by column and row."""
     if isinstance(table, Recording):
         table = {"time": table.time, **table.columns}
     if not any(samples.size for samples in table.values()):
@@ -64,11 +57,8 @@ def drop_redundant_rows(
 
     Nothing is invented: no value is interpolated, no row is moved.
 
-    Args:
-        table: Arrays of shape (n,) by column name, `time` among them.
-
     Returns:
-        The repaired table, and one line for each kind of repair that was made.
+        Arrays of shape (m,) by column name, and one line for each kind of repair that was made.
     """
     filled = ~np.isnan(np.column_stack(list(table.values()))).all(axis=1)
     keep = np.logical_or.accumulate(filled[::-1])[::-1]
@@ -86,13 +76,9 @@ def drop_redundant_rows(
 def to_recording(
     table: Mapping[str, np.ndarray], metadata: Mapping[str, Any], *, source: str, repair: bool
 ) -> Recording:
-    """Builds a recording from a table as it was read.
+    """Builds a recording from arrays of shape (n,) by column name, `time` among them.
 
-    Args:
-        table: Arrays of shape (n,) by column name, `time` among them.
-        metadata: The recording's metadata.
-        source: Where the table came from, for messages.
-        repair: Whether safe repairs are made; they are noted in the metadata under "repairs".
+    Safe repairs, if they are to be made, are noted in the metadata under "repairs".
 
     Raises:
         RecordingError: The time axis is not valid; the first reason is given, and how many more.

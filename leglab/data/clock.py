@@ -49,8 +49,7 @@ def time_axis(
         metadata: Of the file.
         left_out: Gets "time" where it cannot be used.
         source: Where the table came from, for messages.
-        given: The time's name in the file and its rule, where a column map names it; the table has
-            it as "time".
+        given: Name and rule of the "time" of the table where a column map names it.
         timed: Whether the format defines `time` in seconds.
 
     Returns:

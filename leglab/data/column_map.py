@@ -76,16 +76,13 @@ class ColumnMap:
     def apply(
         self, table: Mapping[str, np.ndarray], source: str, left_out: LeftOut
     ) -> dict[str, np.ndarray]:
-        """Renames and converts.
+        """Renames and converts arrays of shape (n,); columns without a rule are as they were.
 
         Args:
-            table: Arrays of shape (n,) by column name, as measured.
+            table: By column name, as measured.
             source: Where the table came from, for messages.
             left_out: Columns that could not be read; gets those by our names, and columns of the
                 map that are not there.
-
-        Returns:
-            Arrays of shape (n,) by our names; columns without a rule are as they were.
 
         Raises:
             LeglabError: A column of the map is not in the table, or two columns get one name.

@@ -19,16 +19,9 @@ _LIST = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 def to_arrays(
     table: pa.Table, path: Path, left_out: LeftOut, *, decimal: str = "."
 ) -> dict[str, np.ndarray]:
-    """Turns an Arrow table into arrays of numbers and times; empty cells become NaN or NaT.
+    """Returns an Arrow table as arrays of numbers and times, (n,), by column name.
 
-    Args:
-        table: The table.
-        path: Where it came from, for messages.
-        left_out: Gets columns that cannot be read.
-        decimal: Decimal sign of numbers in text.
-
-    Returns:
-        Arrays of shape (n,) by column name.
+    Empty cells become NaN or NaT; `decimal` is the decimal sign of numbers in text.
 
     Raises:
         RecordingError: A column is named twice or is not numeric.
@@ -72,12 +65,11 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
         samples = _elements(column)
     if samples is not None:
         return samples
-    for row, value in enumerate(column.to_pylist()):
-        if value is not None and not _is_number(value, decimal):
-            told = f"{path}: column {name!r}, row {row}: {value!r} is not "
-            raise RecordingError(told, given=value, allowed="a number")
-    told = f"{path}: column {name!r} holds {kind}, allowed are "
-    raise RecordingError(told, given=str(kind), allowed="numbers")
+    cells = enumerate(column.to_pylist())
+    others = ((i, x) for i, x in cells if x is not None and not _is_number(x, decimal))
+    row, value = next(others, (0, str(kind)))
+    told = f"{path}: column {name!r}, row {row}: {value!r} is not "
+    raise RecordingError(told, given=value, allowed="a number")
 
 
 def _is_list(kind: pa.DataType) -> bool:

@@ -22,12 +22,7 @@ _FALSE = [word for w in ("false", "off", "no") for word in (w, w.capitalize(), w
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads all columns of a text with cells. Row 0 is the first line after the names.
-
-    Args:
-        path: The file, gzip or not.
-        left_out: Gets columns that cannot be read.
-        columns: What it says of the text goes before what is found.
+    """Reads all columns of a text with cells, gzip or not. Row 0 is the first after the names.
 
     Raises:
         LeglabError: A line has too few or too many cells (as the last one of a truncated file), or

@@ -66,12 +66,7 @@ def decoded(content: bytes, path: Path, encoding: str | None) -> str:
 
 
 def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
-    """Finds how a text holds its table.
-
-    Args:
-        text: The file's.
-        settings: What a column map says of it goes first.
-        path: The file, for messages.
+    """Finds how a text holds its table; what the settings of a column map say goes first.
 
     Raises:
         FileError: Nothing is there, the names do not fit the rows, or commas may be decimal signs

@@ -30,9 +30,8 @@ def to_input_output(
     try:
         from nonlinear_benchmarks import Input_output_data
     except ImportError as error:
-        raise LeglabError(
-            "the package nonlinear_benchmarks is missing: pip install nonlinear-benchmarks"
-        ) from error
+        told = "the package nonlinear_benchmarks is missing: pip install nonlinear-benchmarks"
+        raise LeglabError(told) from error
     return Input_output_data(
         u=_stacked(recording, inputs, "inputs"),
         y=_stacked(recording, outputs, "outputs"),
@@ -63,17 +62,13 @@ def from_input_output(
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
         told = f"sampling_time is {period!r}, allowed is "
         raise RecordingError(told, given=period, allowed="a positive number of seconds")
-    names = [*inputs, *outputs]
-    if len(set(names)) < len(names):
-        told = f"columns {', '.join(map(repr, names))} are not all different"
-        raise RecordingError(told, given=tuple(names))
-    columns = {**_split(data.u, inputs, "u", "inputs"), **_split(data.y, outputs, "y", "outputs")}
-    metadata: dict[str, Any] = {}
-    if data.name:
-        metadata["name"] = str(data.name)
+    columns = _split(data.u, inputs, "u", "inputs") | _split(data.y, outputs, "y", "outputs")
+    if len(columns) < len(inputs) + len(outputs):
+        told = f"columns {', '.join(map(repr, (*inputs, *outputs)))} are not all different"
+        raise RecordingError(told, given=(*inputs, *outputs))
+    metadata: dict[str, Any] = {"name": str(data.name)} if data.name else {}
     window = data.state_initialization_window_length
-    if window is not None:
-        metadata["state_initialization_window_length"] = int(window)
+    metadata |= {} if window is None else {"state_initialization_window_length": int(window)}
     time = start + np.arange(len(data.y)) * float(period)
     return Recording(time=time, columns=columns, metadata=metadata)
 
@@ -87,10 +82,8 @@ def _stacked(recording: Recording, names: Sequence[str], what: str) -> np.ndarra
 
 
 def _split(array: Any, names: Sequence[str], field: str, what: str) -> dict[str, np.ndarray]:
-    array = np.asarray(array)
-    if array.ndim == 1:
-        array = array[:, None]
-    if isinstance(names, str) or array.ndim != 2 or array.shape[1] != len(names):
-        told = f"{field} has shape {array.shape}, {what} is {names!r}; allowed: "
+    columns = np.asarray(array).T if np.ndim(array) != 1 else np.asarray(array)[None]
+    if isinstance(names, str) or columns.ndim != 2 or len(columns) != len(names):
+        told = f"{field} has shape {np.shape(array)}, {what} is {names!r}; allowed: "
         raise RecordingError(told, given=names, allowed="one name a column")
-    return {name: array[:, i] for i, name in enumerate(names)}
+    return dict(zip(names, columns, strict=True))

@@ -57,12 +57,7 @@ class Summary:
 
 
 def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> Summary:
-    """Summarises a table.
-
-    Args:
-        table: Arrays of shape (n,) by column name; see `leglab.data.read_tables`.
-        metadata: Of the file.
-    """
+    """Summarises arrays of shape (n,) by column name, as `leglab.data.read_tables` has them."""
     time = table.get("time", np.empty(0))
     time = time[np.isfinite(time)]
     period = usual_step(time) or None

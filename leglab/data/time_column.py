@@ -15,7 +15,9 @@ _WORDS = re.compile(
     "nanos|zeit|uhrzeit|zeitstempel|temps|tiempo|xvalue"
 )
 _WHOLE = re.compile(r"(.*?)[._/ ]*(sec|secs|seconds)", re.IGNORECASE)
-_PARTS = {"nanosec": 9, "nsec": 9, "nsecs": 9, "nanoseconds": 9, "usec": 6, "microseconds": 6}
+_PARTS = dict.fromkeys(("nanosec", "nsec", "nsecs", "nanoseconds"), "ns")
+_PARTS |= dict.fromkeys(("usec", "microseconds"), "us")
+_SECOND = {"ns": 10**9, "us": 10**6}
 # Rows of a clock that may be repeated, out of order or in a gap.
 _ODD = 0.01
 
@@ -29,11 +31,8 @@ def time_column(
     whose type is a time, and which goes forward. Whole seconds beside their fraction, and a date
     beside a time of day, are put together. A column that only counts rows never is.
 
-    Args:
-        table: Raw arrays of shape (n,) by column name.
-
     Returns:
-        Name, samples and the columns that they came from; None for samples without one.
+        Name, samples, (n,), and the columns that they came from; None for samples without one.
 
     Raises:
         RecordingError: Two columns can be it; names both.
@@ -46,8 +45,7 @@ def time_column(
     found = exact if exact == ["time"] else [n for n in exact if _advances(choices[n][0])]
     found = found or [n for n in choices if _is_like(n) and _advances(choices[n][0])]
     found = found or [n for n, (x, _) in choices.items() if _is_typed(n, x) and _advances(x)]
-    if len(found) > 1:
-        found = [name for name in found if _is_even(choices[name][0])] or found
+    found = [name for name in found if len(found) == 1 or _is_even(choices[name][0])] or found
     if len(found) > 1:
         raise RecordingError(
             f"columns {' and '.join(map(repr, found))} can be the time; which one it is says a "
@@ -98,29 +96,25 @@ def _is_even(samples: np.ndarray) -> bool:
 def _split_seconds(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
     """Whole seconds and their fraction in two columns, as ROS has them, as datetime64."""
     found = []
-    for name, whole in table.items():
+    counts = {name: x for name, x in table.items() if x.dtype.kind in "if" and x.size}
+    counts = {name: x for name, x in counts.items() if x.min() >= 0}
+    for name, whole in counts.items():
         match = _WHOLE.fullmatch(name)
-        if not match or not _counts(whole, 2**33):  # ns up to the year 2242 are an int64
+        if not match or not whole.max() < 2**33:  # ns up to the year 2242 are an int64
             continue
-        for other, part in table.items():
-            digits = _PARTS.get(other[len(name) - len(match[2]) :].lower())
-            if digits and other.startswith(match[1]) and _counts(part, 10**digits):
-                ticks = whole.astype(np.int64) * 10**digits + part.astype(np.int64)
+        for other, part in counts.items():
+            unit = _PARTS.get(other[match.start(2) :].lower(), "")
+            if unit and other.startswith(match[1]) and part.max() < _SECOND[unit]:
+                ticks = whole.astype(np.int64) * _SECOND[unit] + part.astype(np.int64)
                 stem = match[1] or f"{name} and {other}"
-                unit = "ns" if digits == 9 else "us"
                 found.append((stem, ticks.view(f"M8[{unit}]"), (name, other)))
     return found
 
 
-def _counts(samples: np.ndarray, end: int) -> bool:
-    """Whether all samples are numbers from 0 up to an end."""
-    number = samples.dtype.kind in "if" and samples.size > 0
-    return number and bool(((samples >= 0) & (samples < end)).all())
-
-
 def _dated(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
     """A date and a time of day in two columns, as datetime64."""
-    dates = [n for n, x in table.items() if x.dtype.kind == "M" and _whole_days(x)]
+    stamps = {n: x for n, x in table.items() if x.dtype.kind == "M" and x.size}
+    dates = [n for n, x in stamps.items() if (x.astype("M8[D]") == x).all()]
     times = [n for n, x in table.items() if x.dtype.kind == "m" and "day" not in n.lower()]
     if len(dates) != 1 or len(times) != 1:
         return []
@@ -128,7 +122,3 @@ def _dated(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple
     day = np.timedelta64(1, "D").astype("m8[ns]")
     both = table[date].astype("M8[ns]") + table[time].astype("m8[ns]") % day
     return [(f"{date} and {time}", both, (date, time))]
-
-
-def _whole_days(samples: np.ndarray) -> bool:
-    return bool(samples.size and (samples.astype("M8[D]") == samples).all())

@@ -45,8 +45,7 @@ for _word, (_each, _si) in list(_KNOWN.items()):
 # At the end of a name these are rather a port, an axis or a word than a unit.
 _NO_ENDING = frozenset(("a", "v", "n", "h", "-", "min", "rev", "m", "turn", "ma", "mn"))
 _BRACKETS = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)\s*$")
-# Not "A", which is a port.
-_CAPITAL_ENDINGS = frozenset(("V", "N", "mA", "kN"))
+_CAPITAL_ENDINGS = frozenset(("V", "N", "mA", "kN"))  # not "A", which is a port
 
 
 def split(name: str) -> NamedUnit:
@@ -54,17 +53,9 @@ def split(name: str) -> NamedUnit:
 
     A unit stands in brackets at the end, after a slash or a comma, or after the last `_`, `-`, `.`
     or blank. An index such as `[0]` is no unit.
-
-    Args:
-        name: As the file has it.
-
-    Returns:
-        Stem, unit, factor and SI unit.
     """
-    match = _BRACKETS.search(name)
-    if match:
-        unit = next((group for group in match.groups() if group is not None), "").strip()
-        return _named(name, name[: match.start()], unit)
+    if match := _BRACKETS.search(name):
+        return _named(name, name[: match.start()], match[match.lastindex or 0].strip())
     # The longest ending first: `speed_rad_s`, not `s`.
     for place in re.finditer(r"(?:\s*[,/]\s*|[_\-. ]+)(?=[^,])|(?<=[a-z])(?=[A-Z][a-z])", name):
         unit, stem = name[place.end() :].strip(), name[: place.start()].strip()
