@@ -48,8 +48,10 @@ class LeglabError(ValueError):
         return cls(message, given=name, allowed=choices)
 
     def at(self, place: object) -> Self:
-        """Builds the same error with its place, for instance a file, before the message."""
-        error = type(self)(f"{place}: {self}", given=self.given)
+        """Builds the same error with its place, a file or its folder, before the message."""
+        known = str(self).startswith((f"{place}: ", f"{place}/"))
+        message = str(self) if known else f"{place}: {self}"
+        error = type(self)(message, given=self.given)
         error.allowed = self.allowed
         return error
 

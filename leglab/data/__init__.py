@@ -6,7 +6,7 @@ from types import ModuleType
 
 import numpy as np
 
-from leglab.base.errors import FileError, RecordingError
+from leglab.base.errors import FileError, LeglabError, RecordingError
 from leglab.base.input import no_file
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
@@ -137,10 +137,13 @@ def read_tables(
         raise FileError(f"{path}: {no_file(path)}", given=path)
     form = form_at(path)
     left_out = LeftOut(partial, salvage=salvage)
-    if form == "lerobot":
-        found = lerobot.read_tables(path, left_out)
-    else:
-        found = {"": _MODULES[form].read_table(path, left_out, columns)}
+    try:
+        if form == "lerobot":
+            found = lerobot.read_tables(path, left_out)
+        else:
+            found = {"": _MODULES[form].read_table(path, left_out, columns)}
+    except LeglabError as error:
+        raise error.at(path) from error
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {

@@ -48,13 +48,10 @@ def read_table(
         LeglabError: The file is of version 7.3, truncated or broken, or lengths differ.
     """
     variables = _load(path)
-    try:
-        ours = variables.get(_VARIABLE)
-        if isinstance(ours, dict) and {"time", "signals", "name_map"} <= ours.keys():
-            return _own_table(ours, left_out)
-        return table_of(variables, left_out, columns)
-    except LeglabError as error:
-        raise error.at(path) from error
+    ours = variables.get(_VARIABLE)
+    if isinstance(ours, dict) and {"time", "signals", "name_map"} <= ours.keys():
+        return _own_table(ours, left_out)
+    return table_of(variables, left_out, columns)
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -107,12 +104,10 @@ def _allowed(name: str) -> str:
 def _load(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
-        raise FileError(
-            f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
-            f"save('{path.name}', ..., '-v7')",
-            given="version 7.3 (HDF5)",
-            allowed="version 5",
-        )
+        given, allowed = "version 7.3 (HDF5)", "version 5"
+        told = f"{path}: a MATLAB file of {given}, allowed is {allowed}; in MATLAB: "
+        told += f"save('{path.name}', ..., '-v7')"
+        raise FileError(told, given=given, allowed=allowed)
     from scipy.io import loadmat
 
     try:

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap_ros2.writer import Writer
 
-from leglab.base.errors import FileError, LeglabError, RecordingError
+from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import read_bytes
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
@@ -75,10 +75,7 @@ def read_table(
     clock_topic = _clock_topic(bag, columns, path)
     series = decode(bag, clock_topic, columns.settings.stamps, path, left_out)
     clock = series.pop(clock_topic)
-    try:
-        table, notes = on_clock(series.values(), clock, columns, left_out)
-    except LeglabError as error:
-        raise error.at(path) from error
+    table, notes = on_clock(series.values(), clock, columns, left_out)
     if columns.settings.stamps == "header" and clock.stamped_by == "log":
         notes.insert(0, f"{clock_topic}: no header stamps, log time instead")
     if "time" in table:

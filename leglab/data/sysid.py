@@ -78,8 +78,8 @@ def read_table(
         if not {"times", "data"} <= arrays.keys():
             return table_of(arrays, left_out, columns)
         return Timed(_table_of(_classes()[0].load_from_disk(path))), {}
-    except LeglabError as error:
-        raise error.at(path) from error
+    except LeglabError:
+        raise
     # A foreign archive can fail anywhere in the loaders; the cause is the file.
     except Exception as error:
         told = f"{path}: not a complete .npz file: {first_line(error)}"
