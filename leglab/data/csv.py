@@ -68,9 +68,11 @@ def read_table(
             raise FileError(f"{path}: {told}{way}", given=path)
         metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {told}"]
     # Of a comma too many at the end of each line.
-    unnamed = [name for name in table.column_names if name.startswith("Unnamed: ")]
-    empty = [name for name in unnamed if table[name].null_count == len(table)]
-    return to_arrays(table.drop_columns(empty), path, left_out, decimal=found.decimal), metadata
+    filled = [x.null_count < len(x) for x in table.columns]
+    kept = [
+        i for i, name in enumerate(found.names) if filled[i] or not name.startswith("Unnamed: ")
+    ]
+    return to_arrays(table.select(kept), path, left_out, decimal=found.decimal), metadata
 
 
 def write(recording: Recording, path: Path) -> None:

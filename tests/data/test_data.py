@@ -122,6 +122,7 @@ def test_truncated_csv(tmp_path):
         ("time,a\n", "no sample"),
         ("t,a\n0,1\n", "no column 'time', found 't', 'a'; --columns FILE says"),
         ("time,a,a\n0,1,2\n", "column 'a' is there 2 times"),
+        ("time,Unnamed: 1,Unnamed: 1\n0,,2\n1,,3\n2,4,5\n", "'Unnamed: 1' is there 2 times"),
         ("time,a\n0,1\n1,broken\n2,3\n", "column 'a', row 1: 'broken' is not a number"),
         ("time,a\n0,1,2\n0.1,1\n0.2,1\n0.3,1", "row 0 has 3 cells instead of 2"),
         ("time,a\n0,x\n0.1,1\n0.2,1\n", "column 'a', row 0: 'x' is not a number"),
