@@ -3,7 +3,6 @@ import pytest
 
 from leglab import data
 from leglab.base.errors import LeglabError
-from leglab.data.column_map import ColumnMap, ColumnRule
 
 
 def write(tmp_path, text):
@@ -68,24 +67,18 @@ def test_a_missing_map(tmp_path):
         data.read_column_map(tmp_path / "none.toml")
 
 
-def test_another_machine_lists_both_sides(tmp_path):
-    (tmp_path / "a.csv").write_text("time,x,y\n0,1,2\n")
-    path = write(tmp_path, "[columns]\nenc = 'knee_position'\nu = 'knee_valve_command'\n")
-    message = r"none of the columns of .*names 'enc', 'u'; the recording has 'time', 'x', 'y'"
+TWO = "enc = 'knee_position'\nu = 'knee_valve_command'"
+
+
+@pytest.mark.parametrize(
+    ("text", "rules", "message"),
+    [
+        ("time,x,y\n0,1,2\n", TWO, "none of .*names 'enc', 'u'; .* has 'time', 'x', 'y'"),
+        ("time,enc\n0,1\n", TWO, r"a.csv: no 'u' of the columns of .*map.toml is there"),
+        ("time,enc,a\n0,1,2\n", "enc = 'a'", "two columns are called 'a'"),
+    ],
+)
+def test_a_map_of_another_recording_lists_both_sides(tmp_path, text, rules, message):
+    (tmp_path / "a.csv").write_text(text)
     with pytest.raises(LeglabError, match=message):
-        data.read(tmp_path / "a.csv", columns=path)
-
-
-def test_a_column_that_is_not_there_is_named(tmp_path):
-    (tmp_path / "a.csv").write_text("time,enc\n0,1\n")
-    rules = {"enc": ColumnRule(name="knee_position"), "u": ColumnRule(name="knee_valve_command")}
-    with pytest.raises(LeglabError, match=r"a.csv: no 'u' of the columns of column map"):
-        data.read(tmp_path / "a.csv", columns=ColumnMap(rules=rules))
-
-
-def test_a_name_is_not_given_twice(tmp_path):
-    (tmp_path / "a.csv").write_text("time,enc,knee_position\n0,1,2\n")
-    with pytest.raises(LeglabError, match="two columns are called 'knee_position'"):
-        data.read(
-            tmp_path / "a.csv", columns=ColumnMap(rules={"enc": ColumnRule(name="knee_position")})
-        )
+        data.read(tmp_path / "a.csv", columns=write(tmp_path, f"[columns]\n{rules}\n"))
