@@ -176,12 +176,10 @@ def _usable(
         reasons = {name: why.removeprefix(f"{source}: ") for name, why in left_out.items()}
         metadata = {**metadata, "unreadable": reasons}
     if timed and "time" not in table:
-        if "time" in left_out:
-            raise RecordingError(f"{source}: {metadata['unreadable']['time']}", given="time")
         found = ", ".join(map(repr, table)) or "no column"
-        raise RecordingError(
-            f"{source}: no column 'time', found {found}; {MAP_HINT}", given=tuple(table)
-        )
+        why = f"no column 'time', found {found}; {MAP_HINT}"
+        why = metadata.get("unreadable", {}).get("time", why)
+        raise RecordingError(f"{source}: {why}", given="time")
     return table, metadata
 
 
@@ -210,8 +208,7 @@ def write(
     elif module is mcap:
         mcap.write(recording, path, scene)
     else:
-        form = form or format_of(path)
-        told = f"{path}: {form} cannot show a machine; allowed: "
+        told = f"{path}: {form or format_of(path)} cannot show a machine; allowed: "
         raise FileError(told, given=form, allowed="mcap")
     return path
 

@@ -143,9 +143,8 @@ def _scan(stream: BinaryIO, bag: Bag, salvage: bool) -> None:
         else:
             bag.take(record)
     if broken:
-        bag.lost.append(
-            f"{broken} of {chunks} chunks are broken, with them {missing} messages lost"
-        )
+        told = f"{broken} of {chunks} chunks are broken, with them {missing} messages lost"
+        bag.lost.append(told)
 
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
@@ -161,16 +160,16 @@ def _scan_sqlite(content: bytes, bag: Bag) -> None:
         definitions |= {kind: (form, text) for kind, form, text in found if text}
     rows = "id, name, type, serialization_format FROM topics"
     for row in database.execute(f"SELECT {rows}"):
-        number, topic, kind, encoding = _typed(row, (int, str, str, str))
+        number, topic, kind, encoding = _typed(row, int, str, str, str)
         form, text = definitions.get(kind, ("", ""))
         bag.take(Schema(id=number, data=text.encode(), encoding=form, name=kind))
         bag.take(Channel(number, topic, encoding, {}, number))
     for row in database.execute("SELECT topic_id, timestamp, data FROM messages"):
-        number, time, data = _typed(row, (int, int, bytes))
+        number, time, data = _typed(row, int, int, bytes)
         bag.take(Message(number, time, data, time, 0))
 
 
-def _typed(row: tuple, types: tuple[type, ...]) -> tuple:
+def _typed(row: tuple, *types: type) -> tuple:
     """The values of a row; sqlite3 itself takes any type in any column."""
     for value, kind in zip(row, types, strict=True):
         if not isinstance(value, kind):

@@ -20,7 +20,7 @@ _LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
 _EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
 # Up to here [s], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
 # so later recordings begin at 0 s and their start is kept in the metadata.
-_LAST_EXACT = 2**53 / 1e9
+LAST_EXACT = 2**53 / 1e9
 # The period of rounded stamps must be known to this share: a window of the diagnosis, a few hundred
 # rows, is then off by less than a row.
 _KNOWN = 1e-3
@@ -102,7 +102,7 @@ def _in_seconds(
         return np.full(raw.size, np.nan), 0, ""
     far = abs(float(known[np.argmax(np.abs(known.astype(np.float64)))])) * float(factor)
     # A time of day, which is stored as one since midnight, begins at 0 as well.
-    first = known.min() if far > _LAST_EXACT or stored == "m" else known.dtype.type(0)
+    first = known.min() if far > LAST_EXACT or stored == "m" else known.dtype.type(0)
     time = raw - first if raw.dtype.kind != "f" else raw.astype(np.float64) - float(first)
     scale = 1 / factor
     time = time / float(scale) if scale.denominator == 1 else time * float(factor)

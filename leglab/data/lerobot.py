@@ -31,12 +31,11 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
     Raises:
         LeglabError: A file is broken, or there is none.
     """
-    info = _info(path)
+    features = _features(path)
     files = sorted(path.glob("data/*/*.parquet")) if path.is_dir() else [path]
     if not files:
         told = f"{path}: a dataset of LeRobot without data; allowed: "
         raise FileError(told, given=path, allowed="files data/chunk-*/*.parquet")
-    features = info.get("features", {})
     pictures = frozenset(name for name, f in features.items() if f.get("dtype") in _PICTURES)
     found: dict[int, dict[str, np.ndarray]] = {}
     for file in files:
@@ -70,7 +69,7 @@ def _root(path: Path) -> Path | None:
     return None
 
 
-def _info(path: Path) -> dict[str, Any]:
+def _features(path: Path) -> dict[str, dict[str, Any]]:
     root = path if path.is_dir() else _root(path)
     if root is None:
         return {}
@@ -80,7 +79,7 @@ def _info(path: Path) -> dict[str, Any]:
     if not isinstance(features, dict) or not all(isinstance(f, dict) for f in features.values()):
         told = f"{place}: no description of a dataset of LeRobot; allowed: "
         raise FileError(told, given=place, allowed="an object with 'features'")
-    return info
+    return features
 
 
 def _names(given: Any) -> list[str]:
@@ -96,8 +95,7 @@ def _names(given: Any) -> list[str]:
 def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:
     if len(names) == 1 and feature in table:  # Of one element it is no list.
         table[f"{feature}[0]"] = table.pop(feature)
-    places = [f"{feature}[{i}]" for i in range(len(names))]
-    several = f"{feature}[{len(names)}]" in table or len(set(names)) < len(names)
-    if len(names) > 0 and all(place in table for place in places) and not several:
+    places = [place for place in table if place.startswith(f"{feature}[")]
+    if len(places) == len(set(names)) == len(names):
         for place, name in zip(places, names, strict=True):
             table[f"{feature}/{name}"] = table.pop(place)

@@ -18,7 +18,7 @@ from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 from leglab.data.alignment import on_clock
 from leglab.data.bag import METADATA_NAME, Bag, decode, scan
-from leglab.data.clock import Timed
+from leglab.data.clock import LAST_EXACT, Timed
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut, to_json
 from leglab.data.ros_messages import (
@@ -48,10 +48,6 @@ _PART = re.compile(
 )
 # Names of fields that ROS allows.
 _FIELD = re.compile(r"[a-z](?:_?[a-z0-9])*")
-
-# Up to here [ns], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
-# so later recordings begin at 0 s and their start is kept in the metadata.
-_LAST_EXACT = 2**53
 
 # Seconds in the header are an int32.
 _END_OF_ROS_TIME = 2**31
@@ -83,7 +79,7 @@ def read_table(
         raise RecordingError(told, given="time")
     metadata = dict(bag.metadata)
     start = 0
-    if clock.stamps.max(initial=0) > _LAST_EXACT:
+    if clock.stamps.max(initial=0) > LAST_EXACT * 1e9:
         metadata["start_ns"] = start = int(clock.stamps.min())
     if lost := [*lacking, *bag.lost]:
         metadata["salvaged"] = lost
@@ -133,7 +129,10 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Sce
     # A JointState has a velocity for every joint or for none, and an effort likewise.
     fields = ["position"]
     fields += [f for f in ("velocity", "effort") if all(f"{j}_{f}" in known for j in joints)]
-    states = {f: _rows([known.pop(f"{joint}_{f}") for joint in joints]) for f in fields if joints}
+    states = {
+        field: np.column_stack([known.pop(f"{joint}_{field}") for joint in joints]).tolist()
+        for field in (fields if joints else ())
+    }
     with Writer(stream) as writer:
         writer.add_metadata(METADATA_NAME, {"metadata": to_json(recording.metadata)})
         writer.add_metadata("units", {name: unit for name, unit in units.items() if unit})
@@ -146,7 +145,7 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Sce
                 count = sum(schema.name.startswith(kind) for schema in schemas.values())
                 kind += str(count + 1) if count else ""
                 schemas[text] = writer.register_msgdef(kind, text)
-            rows = _rows([known[name] for name in names.values()])
+            rows = np.column_stack([known[name] for name in names.values()]).tolist()
             topics.append((topic, schemas[text], tuple(names), rows))
         poses = _write_description(scene, stamps[0], writer) if scene else None
         for row, stamp in enumerate(stamps):
@@ -167,10 +166,6 @@ def _type_of(topic: str, columns: dict[str, str], units: dict[str, str]) -> tupl
         return kind, DEFINITIONS[kind]
     text = own_definition({field: units[column] for field, column in columns.items()})
     return OWN_PACKAGE + topic.rpartition("/")[2].capitalize(), text
-
-
-def _rows(columns: list[np.ndarray]) -> list[list[float]]:
-    return np.stack(columns, axis=1).tolist()
 
 
 def _topics(names: list[str], recording: Recording) -> dict[str, dict[str, str]]:
@@ -241,8 +236,7 @@ def _clock_topic(bag: Bag, columns: ColumnMap, path: Path) -> str:
     candidates = {c.topic for c in bag.channels.values() if bag.kind(c) == JOINT_STATE}
     if not candidates:
         told = f"{path}: no topic of type {JOINT_STATE}; found {bag.topics()}"
-        forms = {c.message_encoding for c in bag.channels.values()} - {"cdr"}
-        if forms:
+        if forms := {c.message_encoding for c in bag.channels.values()} - {"cdr"}:
             told += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
             told += "export them as CSV (PlotJuggler, Foxglove)"
         raise RecordingError(told, allowed=(JOINT_STATE,))
