@@ -66,9 +66,9 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
     if samples is not None:
         return samples
     cells = enumerate(column.to_pylist())
-    others = ((i, x) for i, x in cells if x is not None and not _is_number(x, decimal))
-    row, value = next(others, (0, str(kind)))
-    told = f"{path}: column {name!r}, row {row}: {value!r} is not "
+    others = ((f", row {i}", x) for i, x in cells if not (x is None or _is_number(x, decimal)))
+    where, value = next(others, ("", str(kind)))
+    told = f"{path}: column {name!r}{where}: {value!r} is not "
     raise RecordingError(told, given=value, allowed="a number")
 
 
