@@ -30,7 +30,7 @@ _SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 
 @dataclass
 class Bag:
-    """The content of a file."""
+    """The content of the files of a recording."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)  #: Message definitions by id
     #: Channels by id; several may share a topic.
@@ -39,35 +39,30 @@ class Bag:
     messages: list[Message] = field(default_factory=list)
     metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
     lost: list[str] = field(default_factory=list)  #: What is not whole, a line each
+    offset: int = 0  #: Of the ids of a file, each of which counts anew
 
     def take(self, record: object) -> None:
         """Keeps a record that says or holds something."""
         # The summary at the end repeats schemas and channels: the first ones count.
         if isinstance(record, Schema):
-            self.schemas.setdefault(record.id, record)
+            self.schemas.setdefault(record.id + self.offset, record)
         elif isinstance(record, Channel):
-            self.channels.setdefault(record.id, record)
+            channel = replace(record, schema_id=record.schema_id + self.offset)
+            self.channels.setdefault(record.id + self.offset, channel)
         elif isinstance(record, Message):
-            channel = self.channels.get(record.channel_id)  # Of a broken chunk, it is at the end.
-            if channel is None or supported(self.kind(channel)):
+            record.channel_id += self.offset
+            # The channel of a broken chunk is at the end.
+            if record.channel_id not in self.channels or self.supports(record):
                 self.messages.append(record)
         elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-            self.metadata = parse_json(record.metadata["metadata"])
-            check_notes(self.metadata)
+            metadata = parse_json(record.metadata["metadata"])
+            check_notes(metadata)
+            self.metadata |= metadata
 
-    def add(self, part: "Bag", offset: int, path: Path) -> None:
-        """Adds another file, in which ids are counted anew."""
-        for schema in part.schemas.values():
-            self.schemas[schema.id + offset] = schema
-        for channel in part.channels.values():
-            schema_id = channel.schema_id + offset
-            self.channels[channel.id + offset] = replace(channel, schema_id=schema_id)
-        for message in part.messages:
-            message.channel_id += offset
-            if message.channel_id in self.channels:
-                self.take(message)
-        self.metadata |= part.metadata
-        self.lost += [f"{path.name}: {line}" for line in part.lost]
+    def supports(self, message: Message) -> bool:
+        """Returns whether a message has a channel, and numbers."""
+        channel = self.channels.get(message.channel_id)
+        return channel is not None and supported(self.kind(channel))
 
     def kind(self, channel: Channel) -> str:
         """Returns the type of a channel's messages."""
@@ -93,33 +88,36 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
     """
     bag = Bag()
     for index, path in enumerate(paths):
-        part = Bag()
+        lost: list[str] = []
+        bag.offset, before = _IDS * index, (len(bag.messages), len(bag.channels))
         try:
             if path.suffix == ".zstd":
                 packed = ZstdDecompressor().stream_reader(path.open("rb"), read_across_frames=True)
-                _scan(io.BytesIO(packed.read()), part, salvage)
+                _scan(io.BytesIO(packed.read()), bag, lost, salvage)
             else:
                 # A mapped file, for its `read` never allocates more than there is, whatever a
                 # broken record says of its length.
                 read = mmap.ACCESS_READ
                 with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=read) as stream:
-                    _scan(cast(BinaryIO, stream), part, salvage)
+                    _scan(cast(BinaryIO, stream), bag, lost, salvage)
         # Whatever the decompressors and parsers trip over, the cause is the file.
         except Exception as error:
-            at, why = f"after {len(part.messages)} readable messages", first_line(error)
-            if not (salvage and (part.messages or part.channels)):
+            readable = len(bag.messages) - before[0]
+            at, why = f"after {readable} readable messages", first_line(error)
+            if not salvage or before == (len(bag.messages), len(bag.channels)):
                 ends = isinstance(error, EndOfFile | struct.error)
                 reason = f"it ends {at}; is the file truncated?" if ends else f"{at}: {why}"
                 way = "" if salvage else "; --salvage reads what is whole"
                 what = "bag of sqlite3" if ".db3" in path.name else "MCAP file"
                 told = f"{path}: not a complete {what}: {reason}{way}"
                 raise FileError(told, given=path) from error
-            part.lost.append(f"it ends or is broken {at} ({why}), the rest is lost")
-        bag.add(part, _IDS * index, path)
+            lost.append(f"it ends or is broken {at} ({why}), the rest is lost")
+        bag.lost += [f"{path.name}: {line}" for line in lost]
+    bag.messages = [message for message in bag.messages if bag.supports(message)]
     return bag
 
 
-def _scan(stream: BinaryIO, bag: Bag, salvage: bool) -> None:
+def _scan(stream: BinaryIO, bag: Bag, lost: list[str], salvage: bool) -> None:
     if stream.read(len(_SQLITE)) == _SQLITE:
         _scan_sqlite(_SQLITE + stream.read(), bag)
         return
@@ -143,8 +141,7 @@ def _scan(stream: BinaryIO, bag: Bag, salvage: bool) -> None:
         else:
             bag.take(record)
     if broken:
-        told = f"{broken} of {chunks} chunks are broken, with them {missing} messages lost"
-        bag.lost.append(told)
+        lost.append(f"{broken} of {chunks} chunks are broken, with them {missing} messages lost")
 
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
