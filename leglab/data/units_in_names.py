@@ -22,7 +22,8 @@ _TABLE = {
     "rad": "1 rad radian radians|1e-3 mrad|0.017453292519943295 deg ° degree degrees|"
     "6.283185307179586 turn turns rev revs revolutions",
     "rad/s": "0.10471975511965977 rpm rev/min 1/min u/min min-1",
-    "m": "1 m meter meters metre metres|1e-2 cm|1e-3 mm|1e-6 um µm μm",
+    "m": "1 m meter meters metre metres|1e-2 cm|1e-3 mm|1e-6 um µm μm "
+    "micrometres|0.0254 inch inches",
     "N m": "1 nm n~m n*m n.m n·m newtonmeter|1e3 knm kn~m|1e-3 mnm",
     "N": "1 n newton newtons|1e3 kn|1e-3 mn",
     # 1e6 and 1e-3 differ in case alone; nobody measures a machine in mPa.

@@ -4,10 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from leglab.data.units_in_names import split
+
 # Factors lie ten times or more from 1: what is nearer is an effect (a gain, an encoder's scale).
-_ANGLES = {"degrees": np.pi / 180.0, "mrad": 1e-3, "turns": 2.0 * np.pi}
-_LENGTHS = {"mm": 1e-3, "inches": 0.0254, "micrometres": 1e-6}
-_PRESSURES = {"bar": 1e5, "MPa": 1e6, "psi": 6894.757, "kPa": 1e3}
+_ANGLES, _LENGTHS, _PRESSURES = (
+    {unit: split(f"x [{unit}]").factor for unit in units.split()}
+    for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
+)
 _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
