@@ -70,7 +70,7 @@ def on_clock(
                 if name in table:
                     both = f"{one.topic!r} and another one both give column {name!r}"
                     raise RecordingError(both, given=name)
-                table[name] = aligned(one, name, clock.stamps, hold=hold)
+                table[name] = _aligned(one, name, clock.stamps, hold=hold)
             except LeglabError as error:
                 left_out.add(name, error)
                 continue
@@ -91,22 +91,11 @@ def _overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
     return hold or bool(series.stamps.max() >= clock.min())
 
 
-def aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
-    """Brings one column onto a clock.
+def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
+    """Values of one column on a clock, (n,), whose stamps are in any order.
 
-    Args:
-        series: The series, with at least one message.
-        name: The column.
-        clock: Times of the rows [ns], in any order. Shape (n,).
-        hold: Whether the last value holds (a command), else values are drawn linearly between
-            neighbours, not across gaps (a measurement).
-
-    Returns:
-        Values; NaN before the first message, and for a measurement after the last one and in
-        gaps. Shape (n,).
-
-    Raises:
-        RecordingError: Stamps go backwards; names the topic and the message.
+    The last one holds, or they are drawn linearly between neighbours. NaN before the first message,
+    and where they are drawn after the last one and in gaps.
     """
     stamps, values = series.stamps, series.columns[name]
     if np.array_equal(stamps, clock):

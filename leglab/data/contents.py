@@ -1,6 +1,7 @@
 """Which format a file or folder has: its first bytes say so, else its suffix."""
 
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 from leglab.base.errors import FileError
@@ -94,9 +95,7 @@ def format_of(path: str | Path) -> str:
 
 def _zip_form(path: Path) -> str | None:
     """The format of a ZIP archive: NumPy's and Excel's are some."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-    except (zipfile.BadZipFile, OSError):
-        return None
-    return "excel" if "[Content_Types].xml" in names else None
+    with suppress(zipfile.BadZipFile, OSError), zipfile.ZipFile(path) as archive:
+        if "[Content_Types].xml" in archive.namelist():
+            return "excel"
+    return None

@@ -84,20 +84,15 @@ def transforms_message(
 
     Positions are x, y, z [m], quaternions w, x, y, z.
     """
-    placed = zip(frames, positions, quaternions, strict=True)
-    return {
-        "transforms": [
-            {
-                "header": {**header(stamp), "frame_id": parent},
-                "child_frame_id": child,
-                "transform": {
-                    "translation": {"x": x, "y": y, "z": z},
-                    "rotation": {"x": i, "y": j, "z": k, "w": w},
-                },
-            }
-            for (parent, child), (x, y, z), (w, i, j, k) in placed
-        ]
-    }
+    placed = []
+    for (parent, child), at, turn in zip(frames, positions, quaternions, strict=True):
+        pose = {
+            "translation": dict(zip("xyz", at, strict=True)),
+            "rotation": dict(zip("wxyz", turn, strict=True)),
+        }
+        begin = {"header": {**header(stamp), "frame_id": parent}, "child_frame_id": child}
+        placed.append({**begin, "transform": pose})
+    return {"transforms": placed}
 
 
 def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, float]:
