@@ -76,6 +76,10 @@ WRONG = {
         times("_position", 180.0 / np.pi),
         "with 'hip_position', 'knee_position' in degrees",
     ),
+    "everything": (
+        times("", 180.0 / np.pi),
+        "with 'hip_position', 'knee_position', 'hip_command', 'knee_command' in degrees",
+    ),
     "turns": (times("knee_position", 0.5 / np.pi), "with 'knee_position' in turns"),
     "counts": (counts, "with 'hip_position' in counts, some 4096 a turn"),
     "encoder": (times("knee_position", -1.0), "with the opposite sign of 'knee_position'"),

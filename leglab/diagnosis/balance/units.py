@@ -16,7 +16,7 @@ from leglab.base.recording import Recording
 from leglab.diagnosis.intake.admission import Admitted, check_roles, refuse_shared
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.series import UniformSeries, common_period
-from leglab.diagnosis.intake.units import OPPOSITE, command_units, in_map, position_units
+from leglab.diagnosis.intake.units import DEGREES, OPPOSITE, command_units, in_map, position_units
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
@@ -205,6 +205,8 @@ class _Trials:
         """Columns, units and factors to try, of joints whose motion the model does not explain.
 
         A log has angles of all hinges, or commands of all drives, in one unit more often than not.
+        Angles and commands of position servos in degrees nearly explain each other: they are tried
+        together where a hinge turns farther than most can.
         """
         # A straight line from the measured start explains as much, but for half of its errors.
         unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
@@ -216,6 +218,12 @@ class _Trials:
                 groups.setdefault((kind, unit, factor), []).append(column)
                 if poor.intersection(joints):
                     yield (column,), unit, factor
+        angles, goals = (groups.get((kind, *DEGREES), []) for kind in ("position", "command"))
+        turned = max(
+            (float(np.abs(s.columns[c]).max()) for s in self.series for c in angles), default=0.0
+        )
+        if goals and turned > self.limits.far:
+            yield (*angles, *goals), *DEGREES
         for (_, unit, factor), columns in groups.items():
             if poor and len(columns) > 1 and factor != -1.0:
                 yield tuple(columns), unit, factor

@@ -14,6 +14,7 @@ _ANGLES, _LENGTHS, _PRESSURES = (
 _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
+DEGREES = ("degrees", _ANGLES["degrees"])
 # Counts of encoders in a turn: others lie near enough to ask.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
