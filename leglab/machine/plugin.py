@@ -115,7 +115,7 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
             start = int(model.name_pluginadr[i])
             own = bytes(model.names[start:]).split(b"\0", 1)[0].decode()
             table = tables[names[model.plugin[i]]]
-            joint = _named_joint(model, i, table.plugin)
+            joint = _named(model, i, table.plugin, "joint")
             if table.plugin == RESIDUAL:
                 knots = {v: _text(model, i, RESIDUAL, f"{v}_knots") for v in RESIDUAL_VARIABLES}
                 counts = {v: len(text.split()) + 2 for v, text in knots.items() if text}
@@ -128,16 +128,45 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
     return found
 
 
-def _named_joint(model: mujoco.MjModel, instance: int, plugin: str) -> int:
-    """Number of the joint that an instance acts on; -1 for none.
+# Attributes that name an element, and its kind.
+_NAMING = {
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "cylinder": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "supply": mujoco.mjtObj.mjOBJ_PLUGIN,
+    "strut": mujoco.mjtObj.mjOBJ_TENDON,
+}
+
+
+def _named(model: mujoco.MjModel, instance: int, plugin: str, attribute: str) -> int:
+    """Number of the element that an attribute of an instance names; -1 for none.
 
     The plugins find it (`element_named` in leglab/csrc/plugin/config.h): names in attributes keep
     their form where a model is attached to another one with a prefix.
     """
-    name = _text(model, instance, plugin, "joint").encode()
-    library = ctypes.CDLL(str(library_path()))
-    kind = int(mujoco.mjtObj.mjOBJ_JOINT)
-    return library.leglab_element_named(ctypes.c_void_p(model._address), instance, kind, name)
+    name = _text(model, instance, plugin, attribute).encode()
+    find = ctypes.CDLL(str(library_path())).leglab_element_named
+    kind = int(_NAMING[attribute])
+    return find(ctypes.c_void_p(model._address), instance, kind, name)
+
+
+def full_names(model: mujoco.MjModel) -> dict[tuple[str, str], str]:
+    """Names of elements that attributes of plugin instances give without prefix or suffix.
+
+    By the name that the instance's element has in the specification, and the attribute.
+    """
+    found = {}
+    plugins = slots(parameter_tables())
+    owners = {int(model.actuator_plugin[i]): model.actuator(i).name for i in range(model.nactuator)}
+    for i in range(model.nplugin):
+        plugin = plugins.get(int(model.plugin[i]), "")
+        own = owners.get(i) or mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, i)
+        for attribute, kind in _NAMING.items() if plugin and own else ():
+            number = _named(model, i, plugin, attribute)
+            name = mujoco.mj_id2name(model, kind, number) if number >= 0 else ""
+            if name and name != _text(model, i, plugin, attribute):
+                found[own, attribute] = name
+    return found
 
 
 def _text(model: mujoco.MjModel, instance: int, plugin: str, name: str) -> str:

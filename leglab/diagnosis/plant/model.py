@@ -103,7 +103,14 @@ class Machine:
         #: Command paths and sensor corrections in the file; variants are free of them.
         self.carried = take_out(self._spec)
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
+        self._full_names: dict[tuple[str, str], str] = {}
         self.base = self.variant(())  #: the model as it is
+        if names := leglab.machine.plugin.full_names(self.base.model):
+            self._full_names = names
+            self._spec = self.spec()
+            self.carried = take_out(self._spec)
+            self._variants.clear()
+            self.base = self.variant(())
         model = self.base.model
         #: Names of all joints, by number.
         self.all_joints = tuple(model.joint(i).name for i in range(model.njnt))
@@ -191,7 +198,7 @@ class Machine:
 
         What the compiler works out from inertia is written out, as `AsCompiled` has it. Free joints
         that are taken out are there if it is to be `whole`. An actuator without a name has that of
-        its joint.
+        its joint, and names in settings of plugins have the prefix of an attached model.
 
         Raises:
             LeglabError: The model's files have changed since they were read.
@@ -207,6 +214,12 @@ class Machine:
             if not actuator.name and on_joint and actuator.target not in names:
                 actuator.name = actuator.target
                 names.add(actuator.target)
+        plugins = {
+            **{a.name: a.plugin for a in spec.actuators},
+            **{p.name: p for p in spec.plugins},
+        }
+        for (owner, attribute), name in self._full_names.items():
+            plugins[owner].config = {**plugins[owner].config, attribute: name}
         if self.fix_base and not whole:
             take_free_joints_out(spec)
         return spec
