@@ -210,8 +210,7 @@ def to_xml(spec: mujoco.MjSpec) -> str:
 def _refer_to_instances(root: ElementTree.Element) -> None:
     """Adds a body for each plugin instance that no element of the model refers to."""
     world = root.find("worldbody")
-    bodies = [] if world is None else [*world.iter("body")]
-    if not bodies:
+    if world is None or not (bodies := [*world.iter("body")]):
         return
     names = {body.get("name") for body in bodies}
     above = {body: parent for parent in bodies for body in parent.findall("body")}

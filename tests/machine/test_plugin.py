@@ -293,3 +293,7 @@ def test_a_saved_model_attached_twice_moves_as_it_did(xml):
         found.append(data.qpos.reshape(-1, alone.nq))
     assert np.abs(found[0] - alone.qpos0).max() > 1e-3
     np.testing.assert_allclose(found[1], np.tile(found[0], (2, 1)), atol=1e-12)
+    names = plugin.full_names(two)
+    assert names
+    assert not plugin.full_names(alone)
+    assert all(name.startswith(owner[:5]) for (owner, _), name in names.items())
