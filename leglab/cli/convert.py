@@ -210,6 +210,8 @@ def inspect(
         _show(file, summary, unreadable)
         for path in filter(None, (out, plot)):
             tell(f"written to {path}")
+        for line in proposal.doubtful if proposal is not None and out is not None else ():
+            tell(f"check in {out}: {line}")
         if proposal is not None and out is None:
             tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
     if any(finding.fatal for finding in summary.findings):

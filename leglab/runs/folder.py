@@ -248,6 +248,8 @@ def check_runs(folders: Sequence[Path]) -> None:
         for name in RUN_FILES:
             if not (folder / name).is_file():
                 told = f"{str(folder)!r} is not the folder of a run: it has no {name}"
+                if folder.name in RUN_FILES:
+                    told += f"; give its folder, {str(folder.parent)!r}"
                 raise FileError(told, given=folder)
 
 

@@ -121,7 +121,7 @@ def test_units_by_name_and_by_the_range_of_the_joint(capsys):
     found = proposed(capsys, "knee_bench")
     np.testing.assert_allclose(found["knee_pressure_b"], 1e5 * columns["pB"])
     assert "# ? bar, by the range [0, 1.6e+07] Pa" in Path("map.toml").read_text()
-    assert '# "knee" = "knee_position"  # ? likeness 50%' in Path("map.toml").read_text()
+    assert '\n"knee" = "knee_position"\n' in Path("map.toml").read_text()
 
 
 def test_what_an_equality_gives_needs_no_column_and_a_base_is_held(capsys):

@@ -170,9 +170,9 @@ class _Entry:
             return told[0]
         if absent:
             return (
-                f"no column {', '.join(map(repr, absent))}: the model needs {', '.join(needed)}; "
-                f"the recording has {', '.join(recording.columns)}. Measured under other names? "
-                "Give --columns FILE, a column map"
+                f"no column {', '.join(map(repr, absent))}; the recording has "
+                f"{', '.join(recording.columns)}. Measured under other names? leglab inspect "
+                "RECORDING --model MODEL --out map.toml proposes a column map, for --columns"
             )
         for column in needed:
             if np.isfinite(recording[column]).sum() < 2:

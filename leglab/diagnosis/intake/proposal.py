@@ -101,6 +101,13 @@ class Proposal:
                 lines[k] = Line(one.theirs, column, True, *scaled, f"? {why}")
         return replace(self, lines=tuple(lines))
 
+    @property
+    def doubtful(self) -> list[str]:
+        """Lines that somebody should check."""
+        said = [str(line) for line in self.lines if line.ours and line.why.startswith("?")]
+        said += [f"# ? no column for {name}" for name in self.missing]
+        return said + [f"# ? {self.doubt}"] * bool(self.doubt)
+
     def to_json(self) -> dict[str, Any]:
         """Returns the map as JSON can hold it."""
         lines = [asdict(line) for line in self.lines if line.ours]
@@ -108,7 +115,8 @@ class Proposal:
 
     def __str__(self) -> str:
         unused = ", ".join(json.dumps(line.theirs) for line in self.lines if not line.ours)
-        said = ["# Proposed by leglab inspect; behind # are guesses. factor: ours per theirs."]
+        said = ["# Proposed by leglab inspect. ?: to be checked. A line behind # is not applied."]
+        said += ["# factor: ours per theirs."]
         said += [f"{name} = {json.dumps(value)}" for name, value in self.settings.items()]
         said += ["[columns]", *(str(line) for line in self.lines if line.ours)]
         said += [f"# ? no column for {name}" for name in self.missing]
@@ -181,7 +189,9 @@ class _Column:
             sides = {_CHAMBER_WORDS[word] for word in self.words if word in _CHAMBER_WORDS}
             return float("pressure" in kinds and sides == {one.kind})
         if one.kind != "command":
-            return (kinds == {one.kind}) + 0.5 * (not kinds and one.kind == "position")
+            # A joint's bare name is its position more often than not.
+            bare = 0.8 if self.words == words_of(one.element) else 0.5
+            return (kinds == {one.kind}) + bare * (not kinds and one.kind == "position")
         if not kinds:
             return 0.5
         likeness = 1.0 if "command" in sent else 0.8 if sent else 0.0

@@ -48,10 +48,12 @@ class Outcome:
         self.spread = _scatter(row.evidence, row.score)
         #: Effects that are told, named or in a confusion set.
         self.named = tuple(
-            key
-            for name, element in names
-            for key in sorted(problem.library.sites)
-            if key[0] == name and element in (key[1], EVERY)
+            dict.fromkeys(  # A part in all joints may stand beside that of one joint.
+                key
+                for name, element in names
+                for key in sorted(problem.library.sites)
+                if key[0] == name and element in (key[1], EVERY)
+            )
         )
         #: What an improved model carries is the told effects, and what has a tolerance.
         if specimen is not None:
