@@ -217,8 +217,7 @@ def _refer_to_instances(root: ElementTree.Element) -> None:
     body_of = {
         joint.get("name"): body for body in reversed(bodies) for joint in body.findall("joint")
     }
-    actuators = root.find("actuator") or ()
-    joint_of = {drive.get("name"): drive.get("joint") for drive in actuators}
+    joint_of = {drive.get("name"): drive.get("joint") for drive in root.findall("actuator/*")}
     referred = {one.get("instance") for one in root.iter("plugin")}
     for plugin in root.findall("extension/plugin"):
         for instance in plugin.findall("instance"):
