@@ -1,5 +1,6 @@
 """`leglab diagnose`: names what the simulation is missing."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,10 +20,10 @@ from leglab.cli.options import (
     To,
     check_order,
 )
-from leglab.cli.terminal import complain, output, print_json, print_table, progress, tell
+from leglab.cli.terminal import output, print_json, print_table, progress, read_and_warn, tell
 
 if TYPE_CHECKING:
-    from leglab.base.recording import Recording
+    from leglab.diagnosis.result import Diagnosis
 
 
 def diagnose(
@@ -65,43 +66,23 @@ def diagnose(
         raise SettingsError("diagnose needs a model and at least one recording")
     check_order(model, recordings)
     from leglab.diagnosis.improve import improved_model
-    from leglab.diagnosis.intake.recordings import (
-        read_recordings,
-        recording_files,
-        split_held_out,
-    )
+    from leglab.diagnosis.intake.recordings import split_held_out
     from leglab.diagnosis.plant.model import Machine
     from leglab.diagnosis.search.pipeline import DiagnosisSettings
     from leglab.diagnosis.verdict import output as results
     from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
     from leglab.report.diagnosis.page import write_page
-    from leglab.report.diagnosis.words import facts, headline, smaller_words
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     check_apart(out, [Path(model), *recordings, *(healthy or [])])
-    now, earlier = (
-        {path.resolve() for path in recording_files(paths)[0]}
-        for paths in (recordings, healthy or [])
-    )
-    if both := now & earlier:
-        told = f"{min(both).name} is given as a recording and as --healthy; allowed: "
-        raise SettingsError(told, given=min(both), allowed="one of both")
-
-    def read(paths: list[Path]) -> "dict[str, Recording]":
-        return read_recordings(
-            paths,
-            columns,
-            span=(since, until),
-            salvage=salvage,
-            tell=lambda line: complain(line, "warning"),
-        )
-
+    _check_given_once(recordings, healthy or [])
+    read = partial(read_and_warn, columns=columns, span=(since, until), salvage=salvage)
     machine = Machine(model, fix_base=fix_base)
     named, held = split_held_out(machine, read(recordings), held_out or [])
     before = read(healthy) if healthy else None
     settings = DiagnosisSettings(effects=tuple(effect) if effect else None)
     made = ("diagnosis.html", "improved.xml", "figures")
-    with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as partial:
+    with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as folder:
         with progress("diagnosis") as show:
             result, found = run_diagnosis(
                 machine,
@@ -115,24 +96,42 @@ def diagnose(
                 better = improved_model(found, lambda line: show(description=line))
                 if better is not None:
                     learned, errors = better.learned, better.errors
-                    result = result.with_model(better.write(partial).name, learned, errors)
+                    result = result.with_model(better.write(folder).name, learned, errors)
         with piece("diagnosis.html", result.missing):
-            write_page(result, partial, model=Path(model).stem)
-        results.write_diagnosis(result, partial)
+            write_page(result, folder, model=Path(model).stem)
+        results.write_diagnosis(result, folder)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
-        return
-    output.print(headline(result), markup=False, highlight=False)
-    for term, text in facts(result):
-        output.print(f"{term}: {text}", markup=False, highlight=False)
-    for line in smaller_words(result):
+    else:
+        _show(result, out)
+
+
+def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:
+    """Refuses a recording that is given as healthy as well."""
+    from leglab.diagnosis.intake.recordings import recording_files
+
+    now, earlier = (
+        {path.resolve() for path in recording_files(paths)[0]} for paths in (recordings, healthy)
+    )
+    if both := now & earlier:
+        told = f"{min(both).name} is given as a recording and as --healthy; allowed: "
+        raise SettingsError(told, given=min(both), allowed="one of both")
+
+
+def _show(result: "Diagnosis", out: Path) -> None:
+    """Prints the verdict in words and tables."""
+    from leglab.diagnosis.verdict import output as results
+    from leglab.report.diagnosis.words import facts, headline, smaller_words
+
+    lines = [headline(result), *(f"{term}: {text}" for term, text in facts(result))]
+    for line in [*lines, *smaller_words(result)]:
         output.print(line, markup=False, highlight=False)
     for table in results.summary_tables(result):
         print_table(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
-    made_last = out / ("diagnosis.json" if "diagnosis.html" in result.missing else "diagnosis.html")
-    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {made_last}")
+    page = "diagnosis.json" if "diagnosis.html" in result.missing else "diagnosis.html"
+    tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out / page}")
 
 
 def _check_effects(names: list[str]) -> None:

@@ -23,7 +23,7 @@ from leglab.cli.options import (
     To,
     check_order,
 )
-from leglab.cli.terminal import complain, output, print_json, print_table, progress
+from leglab.cli.terminal import output, print_json, print_table, progress, read_and_warn
 
 if TYPE_CHECKING:
     from leglab.diagnosis.improve import Improvement
@@ -53,19 +53,13 @@ def improve(
     is a static force of joints, or command offset of cylinders, in `leglab.residual` elements.
     """
     from leglab.diagnosis.improve import improve as run_improvement
-    from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
+    from leglab.diagnosis.intake.recordings import split_held_out
     from leglab.diagnosis.plant.model import Machine
 
     check_order(model, recordings)
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])
-    found = read_recordings(
-        recordings,
-        columns,
-        span=(since, until),
-        salvage=salvage,
-        tell=lambda line: complain(line, "warning"),
-    )
+    found = read_and_warn(recordings, columns=columns, span=(since, until), salvage=salvage)
     machine = Machine(model, fix_base=fix_base)
     named, held = split_held_out(machine, found, held_out or [])
     made = ("improved.xml",)

@@ -22,6 +22,7 @@ from rich.text import Text
 from leglab.base.tables import print_whole
 
 if TYPE_CHECKING:
+    from leglab.base.recording import Recording
     from leglab.runs.record import RunMetrics
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -85,6 +86,22 @@ def tell_of_models(folders: Iterable[Path]) -> None:
     notes = [model_note(file) for file in files if file.is_file()]
     for note in dict.fromkeys(filter(None, notes)):
         complain(note, "warning")
+
+
+def read_and_warn(
+    paths: Sequence[Path],
+    *,
+    columns: Path | None,
+    span: tuple[float | None, float | None],
+    salvage: bool,
+) -> "dict[str, Recording]":
+    """Reads recordings by name and warns of what is left out, as `read_recordings` has it."""
+    from leglab.diagnosis.intake.recordings import read_recordings
+
+    def warn(line: str) -> None:
+        complain(line, "warning")
+
+    return read_recordings(paths, columns, span=span, salvage=salvage, tell=warn)
 
 
 _WIDE = 120  # characters
