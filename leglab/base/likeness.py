@@ -1,4 +1,4 @@
-"""Likeness of names: of their words in any order, or of their numbers."""
+"""Similarity of names, by their words in any order or by their numbers."""
 
 import re
 from collections import Counter, defaultdict
@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-# Words shorter than this are found in any other.
+# Minimum length of a word that may match part of another: shorter ones match by chance.
 _SHORT = 3
-# Weight of a word that most names have, beside one that names one alone.
+# Weight of a common word (joint, motor) relative to 1 of a distinctive one.
 _PLAIN_WEIGHT = 0.1
-# What every further word takes off: it decides between names that are alike but for it.
+# Penalty per additional word: a tie-break, below every other difference of scores.
 _FURTHER = 0.01
 
 
@@ -34,7 +34,7 @@ def words_of(name: str, known: Collection[str] = ()) -> list[str]:
 def likeness_of_words(
     words: Sequence[str], names: Sequence[Sequence[str]], plain: Collection[str]
 ) -> np.ndarray:
-    """Returns from 0 to 1 how like words are to those of each of several names, (names,).
+    """Scores words against those of each name, from 0 to 1, (names,).
 
     Args:
         words: Of a name.
@@ -48,7 +48,7 @@ def likeness_of_words(
         weights = [(_PLAIN_WEIGHT if w in plain else 1.0) / count[w] for w in name]
         ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in name]
         if any(r for r, w in zip(ratios, name, strict=True) if not w.isdigit()):
-            # What belongs to another name counts against this one.
+            # Words of other names count against this name.
             foreign = len(known - set(name)) / max(len(known), 1)
             further = _FURTHER * sum(word not in name for word in words)
             found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
@@ -81,7 +81,7 @@ def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
 def likeness_of_numbers(
     number: int, peers: Sequence[int], names: Sequence[Sequence[str]]
 ) -> np.ndarray:
-    """Returns how like a number is to each of several names: its own number, else its place.
+    """Scores a number against names: by the same number, else by its rank.
 
     Args:
         number: In a name, as of `numbered`.

@@ -193,7 +193,7 @@ def has_locks(path: Path) -> bool:
 
 @contextmanager
 def piece(name: str, missing: dict[str, str]) -> Iterator[None]:
-    """Notes in `missing` why a piece of a result could not be made, instead of raising.
+    """Records in `missing` why a part of a result could not be made, instead of raising.
 
     A search of hours is not lost with a page or a file that comes after it.
     """

@@ -32,8 +32,8 @@ _sources: dict[str, bool] = {}
 _packages: set[str] = set()
 # Why an entry point could not be loaded, by kind and name.
 _failures: dict[tuple[str, str], str] = {}
-# Files whose content may decide a result, with its digest when they were first loaded: what is
-# written into them afterwards is not what runs.
+# Files on which results depend, with the digest of their content at the first import: later edits
+# of a file do not change the code that runs.
 _files: dict[Path, bytes] = {}
 # Code that is being imported here brings what it registers along by itself.
 _importing = 0
@@ -188,7 +188,7 @@ def carry(luggage: Carried) -> None:
 
 
 def code_digest() -> str:
-    """Digest of the files of all that is loaded, and of what these import from beside them."""
+    """Returns a digest of all loaded files and of modules that they import from their folder."""
     digest = hashlib.sha256()
     for file in sorted(_files):
         digest.update(_files[file])

@@ -49,8 +49,8 @@ def convert(
         typer.Option(
             "--to",
             metavar="FORMAT_OR_S",
-            help="Format, default: by the suffix of OUT; or the second of its time from which on "
-            "IN is left out.",
+            help="Format, by default that of the suffix of OUT; or a time [s]: later samples are "
+            "ignored.",
         ),
     ] = None,
     since: From = None,
@@ -165,7 +165,7 @@ def inspect(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace map and plot.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Shows what is in a recording: columns, units, rate, duration, gaps, what is wrong.
+    """Shows a recording: columns, units, rate, duration, gaps and defects.
 
     With --model it proposes how the columns are called in the model and in which unit they are.
     Ends with status 2 where the file cannot be used as a recording.
@@ -261,7 +261,7 @@ def _proposal(
     *,
     fix_base: bool,
 ) -> "Proposal":
-    """The column map that a model's names make likely; what the user's has stays."""
+    """Proposes a column map for a model; rules of the user's map stay."""
     from leglab.base.units import own_units
     from leglab.diagnosis.intake.proposal import propose
 
@@ -273,7 +273,7 @@ def _proposal(
     machine = Machine(model, fix_base=fix_base)
     units, usable = own_units(metadata), usable_columns(machine)
     proposal = propose(table, units, usable, machine.columns, known)
-    # What an equality gives needs no column.
+    # Joints that an equality determines need no column.
     machine = machine.measured_by({line.ours for line in proposal.lines if line.sure})
     needed = {"time", *machine.columns}
     proposal = replace(proposal, missing=tuple(n for n in proposal.missing if n in needed))
@@ -300,7 +300,7 @@ def _tried(
         if not found:
             break
         (doubt,) = found
-        # Which one of several counts the other way nobody can tell.
+        # The data do not tell which of several columns has the wrong sign.
         factor = 1.0 if doubt.alike else doubt.factor
         for column in (*doubt.columns, *doubt.alike):
             proposal = proposal.asked(column, factor, doubt.words.partition(": ")[0])

@@ -77,14 +77,17 @@ Recordings = Annotated[
 ]
 From = Annotated[
     float | None,
-    typer.Option("--from", metavar="S", help="Leave out what is before this second of its time."),
+    typer.Option("--from", metavar="S", help="Ignore samples before this time [s]."),
 ]
 To = Annotated[
     float | None,
-    typer.Option("--to", metavar="S", help="Leave out what is from this second of its time on."),
+    typer.Option("--to", metavar="S", help="Ignore samples from this time on [s]."),
 ]
 Salvage = Annotated[
-    bool, typer.Option("--salvage", help="Read what is whole of a broken file; says what is lost.")
+    bool,
+    typer.Option(
+        "--salvage", help="Read the intact part of a damaged file and report what is lost."
+    ),
 ]
 Which = Annotated[
     str | None,

@@ -78,7 +78,7 @@ def complain(text: str, kind: str = "error") -> None:
 
 
 def tell_of_models(folders: Iterable[Path]) -> None:
-    """Warns, a line each, of runs whose model is no longer what its file is."""
+    """Warns of each run whose model file has changed since the run."""
     from leglab.runs.folder import model_note
     from leglab.runs.record import CONFIGURATION
 
@@ -95,7 +95,7 @@ def read_and_warn(
     span: tuple[float | None, float | None],
     salvage: bool,
 ) -> "dict[str, Recording]":
-    """Reads recordings by name and warns of what is left out, as `read_recordings` has it."""
+    """Reads recordings by name; prints a warning for each file that `read_recordings` skips."""
     from leglab.diagnosis.intake.recordings import read_recordings
 
     def warn(line: str) -> None:

@@ -38,7 +38,7 @@ class Bag:
     #: Raw messages of supported types, in file order.
     messages: list[Message] = field(default_factory=list)
     metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
-    lost: list[str] = field(default_factory=list)  #: What is not whole, a line each
+    lost: list[str] = field(default_factory=list)  #: One line for each damaged or missing part
     offset: int = 0  #: Of the ids of a file, each of which counts anew
 
     def take(self, record: object) -> None:
@@ -145,7 +145,7 @@ def _scan(stream: BinaryIO, bag: Bag, lost: list[str], salvage: bool) -> None:
 
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
-    """Reads a bag of sqlite3; definitions of messages are there from ROS 2 Iron on."""
+    """Reads a sqlite3 bag; it contains message definitions from ROS 2 Iron on."""
     database = sqlite3.connect(":memory:")
     # Versions 2 of the format mean a log beside the file, which a bag that was closed has not.
     database.deserialize(content[:18] + b"\1\1" + content[20:])

@@ -39,7 +39,7 @@ class Finding:
 
 
 def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
-    """Lists what is wrong with a recording or arrays, (n,), by name, ordered by column and row."""
+    """Lists defects of a recording, or of arrays (n,) by name, ordered by column and row."""
     if isinstance(table, Recording):
         table = {"time": table.time, **table.columns}
     if not any(samples.size for samples in table.values()):

@@ -1,4 +1,4 @@
-"""The time axis of a table as it was read: its unit, where it begins, what its stamps resolve."""
+"""Time axis of a table: unit, start, and resolution of the stamps."""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -14,7 +14,7 @@ from leglab.data.units_in_names import split
 _SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Rates of machines' logs [Hz], from 10 Hz to 20 kHz with room for drift: below, a joint moves on
 # unseen between two rows (25 Hz are slow already); above, no controller of a drive runs. Seconds in
-# whole numbers are never faster than 1 Hz, and nobody means anything else by fractions from there.
+# whole numbers are never faster than 1 Hz; fractional stamps at 1 Hz or more are in seconds.
 _LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
 # Stamps from 2000 to 2100 count from 1970, if a row takes no longer than 10 s.
 _EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
@@ -27,7 +27,7 @@ _KNOWN = 1e-3
 
 
 class Timed(dict[str, np.ndarray]):
-    """Columns of a format that defines `time` in seconds: a reader returns it as it is meant."""
+    """Columns of a format that defines `time` in seconds."""
 
 
 def time_axis(
@@ -82,7 +82,7 @@ def time_axis(
 def _in_seconds(
     name: str, raw: np.ndarray, rule: ColumnRule | None, moved: np.ndarray, *, timed: bool
 ) -> tuple[np.ndarray, int, str]:
-    """Returns seconds, the start [ns since 1970] if time begins at 0 for it, and what to say."""
+    """Returns time [s], the start [ns since 1970] that was subtracted or 0, and a remark."""
     offset = rule.offset if rule else 0.0
     if timed:
         time = raw.astype(np.float64)
@@ -180,7 +180,7 @@ def _straight(
         resolved = factor * float(np.gcd.reduce(np.diff(raw))) or np.inf
     if not short:
         told = f"its steps are {resolved:.3g} s" if resolved < np.inf else "it stands"
-    # Few rows that are there twice are told row by row.
+    # `inspect` reports a few repeated rows one by one.
     if repeats and (short or resolved > 2.0 * mean):
         told = f"column {name!r} is the time, and {told}: no use; log "
         finer = "float64, or time since the start" if short else "more digits or a finer unit"

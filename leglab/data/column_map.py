@@ -30,7 +30,7 @@ class ColumnRule(Configuration):
 
 
 class MapSettings(Configuration):
-    """What cannot be known of a recording, text such as CSV or MCAP; what is not given is found."""
+    """Settings for reading a recording; those that are not given are detected from the file."""
 
     #: MCAP: the JointState topic of the time axis; None: the only one, or `/joint_states`.
     clock: str | None = None
@@ -70,7 +70,7 @@ class ColumnMap:
 
     @property
     def time(self) -> tuple[str, ColumnRule] | None:
-        """Name in the recording and rule of what becomes the time."""
+        """Name in the recording and rule of the column that becomes `time`."""
         return next((item for item in self.rules.items() if item[1].name == "time"), None)
 
     def apply(

@@ -30,7 +30,7 @@ _MAGIC = {
     b"\x93NUMPY": "npy",
     b"#ROSBAG": "bag 1",
 }
-# Formats that are not read, and what to do; {0} stands for the file, {1} for its stem.
+# Formats that are not read, each with a converting command; {0} is the file, {1} its stem.
 _WAYS_OUT = {
     "hdf5": "HDF5 is not read; convert: python -c \"import h5py, numpy; f = h5py.File('{0}'); d = "
     "{{}}; f.visititems(lambda n, x: d.update({{n: x[()]}}) if isinstance(x, h5py.Dataset) else "

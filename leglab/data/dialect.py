@@ -1,4 +1,4 @@
-"""How a text holds its table: encoding, separator, decimal sign, the lines before the first row.
+"""Layout of a table in text: encoding, separator, decimal sign, lines before the first row.
 
 DuckDB's sniffer takes the longest uniform run from the first line on, which a head of several lines
 (dSPACE, LabVIEW, oscilloscopes) or blanks as separators defeat; here the rows tell, from their end.
@@ -66,7 +66,7 @@ def decoded(content: bytes, path: Path, encoding: str | None) -> str:
 
 
 def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
-    """Finds how a text holds its table; what the settings of a column map say goes first.
+    """Detects separator, decimal sign, names and first row, as far as the settings leave them open.
 
     Raises:
         FileError: Nothing is there, the names do not fit the rows, or commas may be decimal signs
@@ -206,7 +206,7 @@ def _is_sample(cell: str, decimal: str) -> bool:
 
 
 def _are_units(cells: list[str]) -> bool:
-    """Whether the first cell and half of all are units; nobody knows all."""
+    """Tests whether the first cell and at least half of all cells are known units."""
     bare = [cell.strip().strip("[]()") for cell in cells]
     known = [unit in ("", "-") or bool(split(f"x [{unit}]").unit) for unit in bare]
     return known[0] and 2 * sum(known) >= len(known)

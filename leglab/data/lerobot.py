@@ -45,7 +45,7 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
         owner = table["episode_index"]
         for number in np.unique(owner[np.isfinite(owner)]).astype(int).tolist():
             part = {n: x[owner == number] for n, x in table.items() if n not in _COUNTERS}
-            if number in found:  # It goes on in another file.
+            if number in found:  # An episode may continue in another file.
                 part = {n: np.concatenate([found[number][n], x]) for n, x in part.items()}
             found[number] = part
     return {f"episode_{number}": (found[number], {}) for number in sorted(found)}

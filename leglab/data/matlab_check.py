@@ -15,7 +15,7 @@ _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes a number
 _CHARACTERS = frozenset((1, 2, 4, 16, 17, 18))
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17
-# What MATLAB does with objects that it alone reads; {0} is the variable.
+# MATLAB commands that convert objects to readable types; {0} is the variable.
 _SAVE = "; save('log.mat', '-struct', 's', '-v7')"
 _DATASET = (
     "for k = 1:{0}.numElements, e = {0}{{k}}; s.(matlab.lang.makeValidName(e.Name)) = "

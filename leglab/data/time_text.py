@@ -9,7 +9,7 @@ TIME = re.compile(
     r"\s*([\d./-]*[T ]\s*)?\d{1,2}:\d\d(:\d\d([.,]\d+)?)? *(?i:[AP]M)? *(Z|UTC|[+-][\d:]+)?\s*"
     r"|\s*\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}\s*|\d{8}T\d{6}\S*"
 )
-"""What one cell may be."""
+"""Pattern of a cell with a date or a time of day."""
 
 _CLOCKS = ("%H:%M:%S.%n", "%H:%M:%S", "%H:%M", "%I:%M:%S.%n %p", "%I:%M:%S %p")
 _BASIC = ("%Y%m%dT%H%M%S.%n", "%Y%m%dT%H%M%S", "%Y%m%dT%H%M%S.%nZ", "%Y%m%dT%H%M%SZ")

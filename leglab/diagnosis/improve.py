@@ -55,7 +55,7 @@ class Improvement:
     recordings: tuple[ReplayError, ...]
     units: dict[str, str]  #: Of the channels
     model: str | None = None  #: File name of the improved model; None where there is none
-    #: What could not be made, each with the reason, as noted by `leglab.base.output.piece`.
+    #: Reasons why parts of the result are missing, by part (`leglab.base.output.piece`).
     missing: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

@@ -267,8 +267,8 @@ class Diagnosis:
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
-        missing: Files of the result that could not be made, each with the reason, as noted by
-            `leglab.base.output.piece`.
+        missing: Reasons why parts of the result are missing, by part
+            (`leglab.base.output.piece`).
         rollouts: Replays of all windows that it took.
         seconds: Wall time.
     """

@@ -1,4 +1,4 @@
-"""The files that a model is made of: their digest, and a copy that loads from anywhere."""
+"""Files of a model (MJCF, includes, assets): digest, and a copy that loads from anywhere."""
 
 import hashlib
 import os
@@ -20,9 +20,9 @@ from leglab.machine.plugin import load_error, load_plugin
 _TICK = 0.1
 _MOST = 8  # models whose content is remembered
 _XML = (".xml", ".mjcf", ".urdf")
-# What names a file or a folder of assets in MJCF.
+# Attributes of MJCF that name a file or a folder of assets.
 _NAMED = re.compile(rb"""\b(file\w*|\w*dir)(\s*=\s*["'])([^"']*)(?=["'])""")
-_APART = "absolute"  # folder of what is named from the root of the file system
+_APART = "absolute"  # folder for files that MJCF names by absolute paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +122,7 @@ def model_files(model: str | Path) -> ModelFiles | None:
 
 
 def model_digest(model: str | Path) -> str:
-    """Digest of a model with what it includes and its assets; empty of one that ships with leglab.
+    """Returns the digest of a model's files; empty for a model that ships with leglab.
 
     Raises:
         LeglabError: As `model_files`.
@@ -132,7 +132,7 @@ def model_digest(model: str | Path) -> str:
 
 
 def since(source: Path, digest: str) -> str:
-    """What became of a model's files since they had a digest, in words; empty where nothing did."""
+    """Returns "was removed", "has changed", or nothing if the digest still holds."""
     if not source.is_file():
         return "was removed"
     try:
@@ -153,7 +153,7 @@ _remembered: dict[Path, tuple[tuple[tuple[int, ...], ...] | None, ModelFiles]] =
 
 
 def _state(files: Mapping[Path, bytes]) -> tuple[tuple[int, ...], ...] | None:
-    """What changes with the content of files; None where one is gone."""
+    """Returns inode, size and times of files; None if one is missing."""
     try:
         found = [file.stat() for file in files]
     except OSError:

@@ -115,13 +115,13 @@ def write_result(run: Result, folder: Path) -> None:
 
 
 def model_of(folder: Path, configuration: RunConfiguration) -> str:
-    """The model on which the run of a folder ran: a name, or the path of the folder's own copy."""
+    """Returns the model of a run: its name, or the path of the copy in the run's folder."""
     file = configuration.model_file
     return str(configuration.settings["model"]) if file is None else str(folder / file)
 
 
 def model_note(path: Path) -> str:
-    """Says that a run's model is no longer what its file is; empty where it is.
+    """Returns a warning if the model file has changed since the run; empty otherwise.
 
     Args:
         path: The `run.json` of the run.

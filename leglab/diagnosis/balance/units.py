@@ -1,6 +1,6 @@
-"""Wrong units and directions of signals: what the model explains with them, and without.
+"""Detection of wrong units and signs of signals by replays.
 
-Windows are replayed with a signal as it is, and multiplied by each factor of `intake.units`. A
+Windows are replayed with the logged signal, and with each factor of `intake.units` on it. A
 machine that has changed is not taken for another unit: no factor near 1 is tried, and one counts
 only where it explains nearly all of the motion, of which the signal as it is explains little.
 """
@@ -27,7 +27,7 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 _WINDOWS, _FEWEST, _MOST = 16, 4, 8
 # A drive may be weak or strong by these: an effect explains that, and no unit need.
 _GAINS = (0.3, 3.0)
-# Squares beyond so many times those of the motion are those of a replay that blew up.
+# Limit of squared errors relative to the motion's: beyond it the replay diverged.
 _BLOWN = 1e8
 
 
@@ -39,12 +39,12 @@ class Doubt:
     columns: tuple[str, ...]  #: That have the same unit
     factor: float  #: Of these columns, that the model asks for
     unit: str  #: That they have then, or `OPPOSITE`
-    times_better: float  #: Ratio of the errors of replays as it is, and with the factor
+    times_better: float  #: RMS replay error with the logged signal over that with the factor
     alike: tuple[str, ...] = ()  #: Columns whose opposite direction says the same
 
     @property
     def words(self) -> str:
-        """The doubt as a question, and what to write if it is right."""
+        """The doubt as a question, with the entry of the column map that answers it."""
         times = self.times_better
         better = f"{times:.2g} times" if times < 100.0 else "more than 100 times"
         better = f"the model fits {better} better"
@@ -178,11 +178,11 @@ class _Trials:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
                 change.command(actuator, partial(_times, factor))
         positions = {c: f for c, f in factors.items() if not c.endswith("_command")}
-        if positions:  # Whose unit decides where windows start, and what touches what.
+        if positions:  # Positions decide where windows start and which contacts are active.
             replay = self._replay(positions)
         joints = len(self.machine.joints)  # their channels come first
         errors = replay.error(change).values[:, :joints]
-        # What is the same in all windows is a constant force's, and no unit's.
+        # An error that is equal in all windows comes from a constant force, not from a unit.
         for number in range(len(self.series)):
             own = replay.recording == number
             errors[own] -= errors[own].mean(axis=0) if own.any() else 0.0
@@ -252,14 +252,14 @@ class _Trials:
             most = self.limits.smaller_share * min(left.sum(), moved.sum())
             if not left.size or not least.sum() < most:
                 continue
-            # Each window is a sample of its own: what one of them says may be chance.
+            # Windows are samples: the gain must exceed their scatter.
             gain = np.log(np.maximum(left, 1e-300) / np.maximum(least, 1e-300))
             if gain.mean() > self.limits.beyond_chance * gain.std() / np.sqrt(gain.size):
                 yield name, float(np.sqrt(as_it_is.sum() / least.sum()))
 
 
 def _liveliest(series: UniformSeries, columns: list[str], length: int) -> UniformSeries:
-    """The part of a series, of so many samples, in which its columns move most."""
+    """Returns the part of a series, `length` samples long, in which its columns move most."""
     count = series.time.size
     if count <= length:
         return series

@@ -88,7 +88,7 @@ def admit(
 
 
 def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> None:
-    """Refuses what half of `count` recordings or more have: a factor in the map would save them.
+    """Refuses a doubt that at least half of `count` recordings share: the column map can mend it.
 
     Each doubt is a recording's name, what others may have as well, and the question.
     """
@@ -263,7 +263,7 @@ class _Entry:
         joint = self.machine.driven[cylinder][0]
         both = (self.recording.columns.get(f"{joint}_{c}", finite) for c in CHAMBERS)
         highest = own = float(np.abs(finite).max())
-        if own >= self.limits.vapour_pressure:  # One chamber alone may be open to the tank.
+        if own >= self.limits.vapour_pressure:  # The other chamber may be open to the tank.
             highest = max(float(np.nanmax(np.abs(x), initial=0.0)) for x in both)
         supply = self.machine.parameter(cylinder, "supply_pressure")
         if found := pressure_unit(highest, supply):

@@ -56,14 +56,14 @@ _TIME = UsableColumn("time", "", "time", "s")
 
 @dataclass(frozen=True)
 class Line:
-    """A column of the recording and what it may be."""
+    """One line of the map: a column of the recording and its proposed name and factor."""
 
     theirs: str  #: The column
     ours: str  #: Its name here; "" where nothing is like it
     sure: bool  #: Whether the line holds until somebody says otherwise
     factor: float = 1.0  #: Ours per theirs
     offset: float = 0.0  #: Added after the factor
-    why: str = ""  #: How name and unit were guessed, and what else is near
+    why: str = ""  #: Reason for name and unit, and other columns with a similar score
 
     def __str__(self) -> str:
         theirs, ours = (json.dumps(name, ensure_ascii=False) for name in (self.theirs, self.ours))
@@ -160,7 +160,7 @@ def propose(
 
 
 class _Column:
-    """What the name of a column says."""
+    """Words, unit and kind of quantity in a column's name."""
 
     def __init__(self, name: str, unit: str, wanted: Sequence[UsableColumn]) -> None:
         self.name = name
@@ -198,7 +198,7 @@ class _Column:
         if sent == {"reference"} and one.follows not in ("position", "velocity"):
             likeness = 0.4  # of a controller that is not part of the model
         if not sent and kinds == {"effort"} and one.follows == "effort":
-            likeness = 0.5  # what it gave is what it was sent, or nearly
+            likeness = 0.5  # the force of a motor follows its command
         others = kinds & {"position", "velocity", "effort"}
         return likeness * (0.5 if others and one.follows not in others else 1.0)
 
@@ -264,7 +264,7 @@ def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> n
 def _units(
     pairs: Sequence[tuple[UsableColumn, _Column]], table: Mapping[str, np.ndarray]
 ) -> dict[str, tuple[float, str, bool]]:
-    """Factor to our unit, 0 where nobody knows; why; whether there is no doubt; by column.
+    """Returns factor to our unit (0: unknown), reason, and whether it is certain, by column.
 
     The name says the unit, else the range of the joint, control or supply; what was logged of all
     elements has one unit.
@@ -299,7 +299,7 @@ def _units(
 
 
 def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
-    """Unit of a signal and its factor by the range of what it may be; as it is where none fits."""
+    """Returns unit and factor by the allowed range; no unit and 1 where none fits."""
     low, high = float(samples.min()), float(samples.max())
     lowest, highest = _room(one)
     found: tuple[str, float] | None = None

@@ -1,4 +1,4 @@
-"""States that a log has beside its signals: enabled, mode, contact, and when they change."""
+"""Discrete states in a log (enabled, mode, contact) and the times at which they change."""
 
 from collections.abc import Collection
 
@@ -33,7 +33,7 @@ def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, n
 
 
 def beside(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Mask of the rows, (n,), so near to some of them that no window bridges what is between."""
+    """Masks the rows, (n,), around the given ones, so widely that no window bridges them."""
     usual = float(np.median(np.diff(recording.time)))
     reach = max(DEFAULT.neighbours * usual, DEFAULT.bin)
     mask = np.zeros(len(recording), dtype=bool)

@@ -6,7 +6,7 @@ import numpy as np
 
 from leglab.data.units_in_names import split
 
-# Factors lie ten times or more from 1: what is nearer is an effect (a gain, an encoder's scale).
+# Factors differ from 1 by ten times or more: smaller ones are effects (gain, encoder scale).
 _ANGLES, _LENGTHS, _PRESSURES = (
     {unit: split(f"x [{unit}]").factor for unit in units.split()}
     for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
@@ -25,7 +25,7 @@ def position_units(samples: np.ndarray, *, hinge: bool) -> dict[str, float]:
     found = dict(_ANGLES if hinge else _LENGTHS)
     if hinge and known.size and np.all(known == np.rint(known)):
         turns = {f"counts, some {n:.0f} a turn": 2.0 * np.pi / n for n in _COUNTS}
-        # What moves less than a degree or so, or round and round, is another encoder's.
+        # Other resolutions would make the motion smaller than a degree or longer than eight turns.
         found |= {unit: f for unit, f in turns.items() if 0.02 < f * np.ptp(known) < 50.0}
     return found
 
@@ -66,5 +66,5 @@ def within(
 
 
 def in_map(columns: str, factor: float) -> str:
-    """What a user writes who agrees, of columns in quotes."""
+    """Returns the entry of the column map for columns in quotes."""
     return f"if so, give {columns} factor = {factor:.8g} in the column map (--columns)"

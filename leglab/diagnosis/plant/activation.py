@@ -46,7 +46,7 @@ def stateful(model: mujoco.MjModel) -> np.ndarray:
 
 
 def attributes(model: mujoco.MjModel) -> np.ndarray:
-    """All that the activations follow from beside commands, as one vector."""
+    """Parameters that determine the activations, as one vector."""
     acting = stateful(model)
     rows = [np.ravel(getattr(model, f"actuator_{name}")[acting]) for name in _ATTRIBUTES]
     return np.concatenate([*rows, [model.opt.disableflags, model.opt.disableactuator]])

@@ -1,4 +1,4 @@
-"""What MuJoCo's compiler works out from inertia, kept as it was in the model as given.
+"""Values that MuJoCo's compiler derives from inertia, kept as in the given model.
 
 A drive's damping does not change with the load that it carries: `dampratio` and `springdamper` are
 resolved once, and so are muscles' lengths and largest forces, and masses that the compiler scales

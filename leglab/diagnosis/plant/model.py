@@ -187,7 +187,7 @@ class Machine:
         return frozenset(joint for each in led for joint in each)
 
     def measured_by(self, columns: Collection[str]) -> "Machine":
-        """The machine whose followers are what equalities determine and no column measures."""
+        """Returns the machine with unmeasured joints computed where equalities determine them."""
         absent = {j for j in self.all_joints if f"{j}_position" not in columns}
         found = determined(self.base.model, self.all_joints, absent)
         same = found == set(self.follower_names)
@@ -248,7 +248,7 @@ class Machine:
         return next((str(one.name) for one in of_it if one.config.get(attribute) == target), None)
 
     def free_name(self, name: str) -> str:
-        """Returns a name, with a number where a part of the model has it: of what is inserted."""
+        """Returns a name that no element has, with a number appended if needed."""
         spec = self._spec
         taken = {part.name for part in (*spec.plugins, *spec.actuators, *spec.bodies)}
         numbered = (f"{name}_{number}" for number in count(2))
@@ -373,7 +373,7 @@ class Change:
         self.parameters: dict[tuple[str, str], float] = {}
         #: Plugins of instances that edits insert, by instance.
         self.inserted: dict[str, str] = {}
-        self.beyond = False  #: Whether a value was beyond what its plugin takes
+        self.beyond = False  #: Whether a value was outside the bounds of its plugin's parameter
         # What the model file says of these paths comes first.
         commands, corrections = machine.carried
         self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
@@ -409,7 +409,7 @@ class Change:
         self.parameters[element, name] = self.within(table.parameters[name], value, own)
 
     def within(self, row: Parameter, value: float, own: float) -> float:
-        """Returns the nearest value that a plugin's parameter takes; `own` is the model's."""
+        """Returns the nearest value within a parameter's bounds; `own` is the model's value."""
         low = row.minimum
         if not row.minimum_allowed:
             low += DEFAULT.negligible * (own - low)

@@ -107,7 +107,7 @@ def _problem(
 
     problem = posed(at_replay_step(machine, period))
     if problem.blown and problem.machine.timestep > machine.file_timestep:
-        # A longer step than the model's own is a choice of replays, which is to blame then.
+        # The replay's step is longer than the model's and may be the cause: try the model's.
         steps = int(np.ceil(period / machine.file_timestep - 1e-9))
         problem = posed(machine.at_timestep(period / steps))
     _check_stable(problem)

@@ -15,9 +15,9 @@ from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import DEFAULT
 
-# Windows with a state, and without it, below which their errors are not compared.
+# Fewest windows, with the value and without it, that are compared.
 _FEWEST = 5
-# Of states that do not matter, one in a thousand gets a line.
+# Significance level: one irrelevant state in a thousand is reported.
 _CHANCE = 1e-3
 
 
@@ -44,7 +44,7 @@ def notes(problem: Problem) -> tuple[str, ...]:
 def by_states(
     problem: Problem, recordings: Mapping[str, Recording], squares: np.ndarray
 ) -> tuple[str, ...]:
-    """A line for each value of a state (mode, contact) with which the error changes.
+    """Reports values of a state (mode, contact) during which the error is larger.
 
     Args:
         problem: Whose windows are compared.
@@ -52,8 +52,8 @@ def by_states(
         squares: Mean squares of the errors of all windows, (windows,).
 
     Returns:
-        Where the RMS error is more than twice that of the other windows, by medians, and the ranks
-        differ by more than chance (Mann and Whitney 1947).
+        One line for each value whose median RMS error is more than twice that of the other windows
+        and whose ranks differ significantly (Mann and Whitney 1947).
     """
     replay = problem.replay
     values: dict[str, np.ndarray] = {}

@@ -96,9 +96,9 @@ class Outcome:
 
 
 def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
-    """Returns a fit without what is neither named nor has a tolerance.
+    """Sets parameters that are neither named nor tolerant to the model's values.
 
-    A fit leaves a thousandth of a trial of whatever it has looked at.
+    The fit leaves small values on every effect that it has tried.
     """
     values = {}
     for key, value in fitted.items():
