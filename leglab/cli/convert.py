@@ -49,7 +49,7 @@ def convert(
         typer.Option(
             "--to",
             metavar="FORMAT_OR_S",
-            help="Format, by default that of the suffix of OUT; or a time [s]: later samples are "
+            help="Format, by default that of the suffix of OUT; or a time in seconds: later samples are "
             "ignored.",
         ),
     ] = None,

@@ -77,11 +77,11 @@ Recordings = Annotated[
 ]
 From = Annotated[
     float | None,
-    typer.Option("--from", metavar="S", help="Ignore samples before this time [s]."),
+    typer.Option("--from", metavar="S", help="Ignore samples before this time, in seconds."),
 ]
 To = Annotated[
     float | None,
-    typer.Option("--to", metavar="S", help="Ignore samples from this time on [s]."),
+    typer.Option("--to", metavar="S", help="Ignore samples from this time on, in seconds."),
 ]
 Salvage = Annotated[
     bool,
