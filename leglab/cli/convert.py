@@ -49,8 +49,8 @@ def convert(
         typer.Option(
             "--to",
             metavar="FORMAT_OR_S",
-            help="Format, by default that of the suffix of OUT; or a time in seconds: later samples are "
-            "ignored.",
+            help="Format, by default that of the suffix of OUT; or a time in seconds, "
+            "from which on samples are ignored.",
         ),
     ] = None,
     since: From = None,
