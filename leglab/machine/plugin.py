@@ -145,6 +145,8 @@ def _named(model: mujoco.MjModel, instance: int, plugin: str, attribute: str) ->
     their form where a model is attached to another one with a prefix.
     """
     name = _text(model, instance, plugin, attribute).encode()
+    if not name:
+        return -1
     find = ctypes.CDLL(str(library_path())).leglab_element_named
     kind = int(_NAMING[attribute])
     return find(ctypes.c_void_p(model._address), instance, kind, name)

@@ -151,7 +151,8 @@ void require_single_stage_integrator(const mjModel* m, int instance) {
 }  // namespace leglab::plugin
 
 // For tools: `element_named` without its bound.
-extern "C" __attribute__((visibility("default"))) int leglab_element_named(const mjModel* m, int instance, int kind, const char* text) {
+extern "C" __attribute__((visibility("default"))) int leglab_element_named(
+    const mjModel* m, int instance, int kind, const char* text) {
   const auto object = static_cast<mjtObj>(kind);
   const int count = object == mjOBJ_JOINT ? m->njnt : object == mjOBJ_PLUGIN ? m->nplugin : m->nactuator;
   return leglab::plugin::element_named(m, instance, object, count, text);
