@@ -14,8 +14,10 @@ from leglab.diagnosis.plant.paths import take_out
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.machine.plugin import to_xml
 from leglab.machine.sensors import EncoderFaults, PressureFaults
 from rigs import PENDULUM, Truth
+from tests.helpers.native_models import every_plugin
 from tests.helpers.patched_models import reloaded_error
 from tests.helpers.unpleasant import of_bench, of_kinds
 
@@ -177,3 +179,20 @@ def test_a_single_cause_without_a_name_is_doubted_and_learned():
     assert np.sqrt(levels.mean()) < 0.1 * result.gap.before
     (left,) = result.with_model("improved.xml", model.learned, model.errors).remaining
     assert left.learned < 0.1 * left.after
+
+
+def test_a_model_that_was_attached_keeps_its_paths_and_joints(tmp_path):
+    """Names in settings of plugins lack the prefix of the elements that they mean."""
+    alone = mujoco.MjSpec.from_string(every_plugin())
+    alone.compile()
+    parent = mujoco.MjSpec()
+    for option in ("timestep", "integrator"):
+        setattr(parent.option, option, getattr(alone.option, option))
+    child = mujoco.MjSpec.from_string(to_xml(alone))
+    parent.attach(child, prefix="left_", frame=parent.worldbody.add_frame())
+    parent.compile()
+    (tmp_path / "robot.xml").write_text(to_xml(parent))
+    machine = Machine(tmp_path / "robot.xml")
+    assert list(machine.carried[0]) == ["left_drive"]
+    assert set(machine.base.joint_of.values()) == {"left_hinge"}
+    assert machine.spring_of("left_hinge") == "left_hinge_spring"

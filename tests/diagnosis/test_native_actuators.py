@@ -13,6 +13,7 @@ from leglab.base.scale import rms
 from leglab.cli.app import app
 from leglab.diagnosis.effects.base import all_effects
 from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.plant.activation import activations
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.replay.starts import measure
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
@@ -104,6 +105,22 @@ def test_a_model_replays_its_own_actuators_with_a_state(kind, tmp_path):
     np.testing.assert_allclose(measured.activation["knee"], activation, atol=0.01)
     # The same servo without a state: 1.2 mrad, for replays take steps of 1 ms.
     assert rms(problem.replay.error(change).values) < 1e-3
+
+
+@pytest.mark.parametrize("early", [0, 1])
+def test_a_slow_filter_begins_settled_and_follows_the_simulation(early):
+    """From the first sample on; with `actearly` the state of one step before gives the force."""
+    lag = servo(dyntype="filter", dynprm=0.5, actearly=bool(early)).replace("True", "true")
+    model = mujoco.MjModel.from_xml_string(model_of(lag.replace("False", "false")))
+    data, command = mujoco.MjData(model), 0.4 + 0.3 * np.sin(0.05 * np.arange(100))
+    data.act[0], states = command[0], []
+    for sent in np.repeat(command, 4):
+        states.append(float(data.act[0]))
+        data.ctrl[0] = sent
+        mujoco.mj_step(model, data)
+    expected = np.array(states)[np.maximum(4 * np.arange(100) - early, 0)]
+    found = activations(model, command[:, None], 4, model.opt.timestep)
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-12)
 
 
 @pytest.mark.slow("a whole diagnosis of what a replay shows in half a second")

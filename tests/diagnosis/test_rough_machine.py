@@ -8,7 +8,9 @@ import pytest
 
 from leglab.diagnosis import improve
 from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
+from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.verdict import diagnose
 from rigs import PENDULUM, Truth
 from rigs.rough_bench import exact_specimen, references
@@ -179,6 +181,12 @@ def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, sai
         offset = model.problem.library.whole(model.hypothesis)[OFFSET]
         assert abs(offset - found.specimen.values[OFFSET]) < 0.1
         assert not model.hypothesis.only(found.named)
+
+
+def test_an_effect_of_all_joints_and_of_one_of_them_is_named_once(ill):
+    judged = copy(ill[1].judged)
+    judged.named = (OFFSET, (OFFSET[0], EVERY))
+    assert Outcome(judged, ill[1].specimen).named == (OFFSET,)
 
 
 def test_no_model_is_written_that_errs_more_where_held_out(ill, unlearned):

@@ -49,6 +49,24 @@ def pendulum(
     return machine(body, actuator, instances, **options)
 
 
+def every_plugin():
+    """A pendulum with every plugin that goes with a native actuator."""
+    knots = "-1 0 1"
+    return pendulum(
+        instance("leglab.spring_damper", "hinge_spring", joint="hinge", k1=28, k3=3),
+        instance("leglab.command_path", "drive_path", actuator="drive", delay=0.01, bias=0.1),
+        instance("leglab.backlash", "hinge_play", joint="hinge", width=0.02, motor_inertia=0.01),
+        instance(
+            "leglab.residual",
+            "hinge_rest",
+            joint="hinge",
+            position_knots=knots,
+            position_coefficients="1 -1 2 -2 1",
+        ),
+        actuator='<motor name="drive" joint="hinge" gear="3"/>',
+    )
+
+
 def slide(*instances, actuator='<motor name="drive" joint="axis"/>', mass=2.0, joint="", **options):
     """A carriage on a horizontal slide."""
     body = f"""<body name="carriage">

@@ -7,7 +7,7 @@ import pytest
 
 from leglab.base.errors import LeglabError
 from leglab.machine import plugin
-from tests.helpers.native_models import pendulum
+from tests.helpers.native_models import every_plugin
 from tests.helpers.plugin_models import (
     FULL,
     Slots,
@@ -248,28 +248,7 @@ def test_a_library_that_does_not_load_is_one_line(monkeypatch, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-DRIVES = '<motor name="drive" joint="hinge" gear="3"/>'
-
-
-def native_xml():
-    """A pendulum with every plugin that goes with a native actuator."""
-    knots = "-1 0 1"
-    return pendulum(
-        instance("leglab.spring_damper", "hinge_spring", joint="hinge", k1=28, k3=3),
-        instance("leglab.command_path", "drive_path", actuator="drive", delay=0.01, bias=0.1),
-        instance("leglab.backlash", "hinge_play", joint="hinge", width=0.02, motor_inertia=0.01),
-        instance(
-            "leglab.residual",
-            "hinge_rest",
-            joint="hinge",
-            position_knots=knots,
-            position_coefficients="1 -1 2 -2 1",
-        ),
-        actuator=DRIVES,
-    )
-
-
-@pytest.mark.parametrize("xml", [rich_xml(), native_xml()], ids=["cylinders", "native"])
+@pytest.mark.parametrize("xml", [rich_xml(), every_plugin()], ids=["cylinders", "native"])
 def test_a_saved_model_attached_twice_moves_as_it_did(xml):
     """Names in settings of plugins mean the elements of their own copy, with any prefix."""
     spec = mujoco.MjSpec.from_string(xml)
