@@ -5,8 +5,10 @@ Fields of a file: docs/reference/data_formats.md.
 
 import io
 import json
+import pickle
 import re
-import warnings
+import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,8 +22,7 @@ from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
 from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import LeftOut, check_notes, first_line, to_json
-from leglab.data.matlab_check import checked
+from leglab.data.files import LeftOut, check_notes, to_json
 from leglab.data.variables import check_lengths, table_of
 
 _VARIABLE = "recording"
@@ -34,6 +35,39 @@ _KEYWORDS = frozenset(
 # scipy writes the time of day here; the same recording shall give the same bytes.
 _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+
+# scipy's reader is compiled and trusts the counts in a file: a broken one can end the process, or
+# fill its memory. So it runs in a process of its own, in the room [bytes] of two variables of the
+# format's largest size and a multiple of the file's: compressed zeros take a thousandth.
+_READER = """
+import os, pickle, sys, warnings
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from scipy.io import loadmat
+try:
+    import resource
+    room = int(sys.argv[2])
+    resource.setrlimit(resource.RLIMIT_AS, (room, room))
+except ImportError:
+    pass  # Windows
+warnings.simplefilter("ignore")  # Doubled variables: the last one counts.
+found = loadmat(sys.argv[1], appendmat=False, simplify_cells=True)
+pickle.dump(found, sys.stdout.buffer, protocol=5)
+"""
+_ROOM, _RATIO = 2**32, 20
+_PATIENCE = 60.0  # s, a hundred times what reading takes, and a second more for each MB
+
+# MATLAB commands that convert objects to readable types; {0} is the variable.
+_DATASET = (
+    "for k = 1:{0}.numElements, e = {0}{{k}}; s.(matlab.lang.makeValidName(e.Name)) = "
+    "struct('time', e.Values.Time, 'data', e.Values.Data); end"
+)
+_WAYS_OUT = {
+    "timeseries": "s.{0} = struct('time', {0}.Time, 'data', {0}.Data)",
+    "table": "s = table2struct({0}, 'ToScalar', true)",
+    "timetable": "s = table2struct(timetable2table({0}), 'ToScalar', true)",
+    "Simulink.SimulationData.Dataset": _DATASET,
+    "Simulink.SimulationOutput": "{0} = {0}.logsout; " + _DATASET,
+}
 
 
 def read_table(
@@ -108,17 +142,24 @@ def _load(path: Path) -> dict[str, Any]:
         told = f"{path}: a MATLAB file of {given}, allowed is {allowed}; in MATLAB: "
         told += f"save('{path.name}', ..., '-v7')"
         raise FileError(told, given=given, allowed=allowed)
-    from scipy.io import loadmat
-
+    room = _ROOM + _RATIO * len(content)
+    command = [sys.executable, "-c", _READER, str(path), str(room)]
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Doubled variables: the last one counts.
-            found = loadmat(io.BytesIO(checked(content)), simplify_cells=True)
-    # Whatever the parser trips over, the cause is the file.
-    except Exception as error:
-        what = "" if "in MATLAB:" in str(error) else "not a complete MATLAB file: "
-        told = f"{path}: {what}{first_line(error)}"
-        raise FileError(told, given=path) from error
+        patience = _PATIENCE + 1e-6 * len(content)
+        ended = subprocess.run(command, capture_output=True, timeout=patience, check=False)
+        found = pickle.loads(ended.stdout) if ended.returncode == 0 else None
+    except subprocess.TimeoutExpired as error:
+        raise FileError(f"{path}: not a MATLAB file: reading it does not end") from error
+    if found is None:
+        why = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        told = f"{path}: not a complete MATLAB file: {why or 'it stops the reader'}"
+        raise FileError(told, given=path)
+    for value in found.values():
+        if type(value).__name__ == "MatlabOpaque":  # an object: its name, system and class
+            name, kind = (value[part].item().decode() for part in ("s0", "s2"))
+            way = _WAYS_OUT.get(kind, _WAYS_OUT["timeseries"]).format(name)
+            told = f"{path}: variable {name!r} is a {kind}, which MATLAB alone reads; in MATLAB: "
+            raise FileError(f"{told}{way}; save('log.mat', '-struct', 's', '-v7')", given=path)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 

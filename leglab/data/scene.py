@@ -7,16 +7,6 @@ import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mesh:
-    """A surface of a link."""
-
-    link: int  #: Index of the link in `Scene.links`
-    vertices: np.ndarray  #: In the frame of the link [m], (v, 3)
-    faces: np.ndarray  #: Indices of the corners of its triangles, (f, 3)
-    color: np.ndarray  #: Red, green, blue and opacity in [0, 1], (4,)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """The links of a machine and their poses over a recording."""
 
@@ -28,4 +18,3 @@ class Scene:
     quaternions: np.ndarray  #: Of the links in the frames of their parents, w x y z, (k, links, 4)
     #: Torque or force of the drives at a joint [N m or N] by joint, (n,) each.
     efforts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    meshes: tuple[Mesh, ...] = ()  #: Surfaces, those that never change among them

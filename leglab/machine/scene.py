@@ -10,7 +10,7 @@ import numpy as np
 
 from leglab.base.errors import ModelError, RecordingError
 from leglab.base.recording import Recording
-from leglab.data.scene import Mesh, Scene
+from leglab.data.scene import Scene
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import held
 from leglab.machine.simulation import Simulation, actuator_moments
@@ -27,7 +27,7 @@ _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
-    """Returns links, poses, meshes and efforts of a model that moves as a recording says.
+    """Returns links, poses and efforts of a model that moves as a recording says.
 
     Joints stand where they were (`<joint>_truth`), else where they were measured
     (`<joint>_position`), joints without either where the model's first keyframe has them. Efforts
@@ -72,7 +72,6 @@ def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
         positions=positions,
         quaternions=quaternions,
         efforts=_efforts(model, recording, torques) if forces else {},
-        meshes=tuple(_meshes(model)),
     )
 
 
@@ -339,13 +338,3 @@ def _stl(vertices: np.ndarray, faces: np.ndarray) -> str:
     triangles["corners"] = corners
     content = bytes(80) + struct.pack("<I", len(faces)) + triangles.tobytes()
     return f"data:model/stl;base64,{base64.b64encode(content).decode()}"
-
-
-def _meshes(model: mujoco.MjModel) -> Iterator[Mesh]:
-    for body in range(model.nbody):
-        for geom in _shown_geoms(model, body):
-            vertices, faces = _surface(model, geom)
-            matrix = np.zeros(9)
-            mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-            placed = vertices @ matrix.reshape(3, 3).T + model.geom_pos[geom]
-            yield Mesh(link=body, vertices=placed, faces=faces, color=_color(model, geom).copy())

@@ -159,7 +159,9 @@ def test_objects_of_matlab_are_refused_with_the_way_out(tmp_path, kind, way):
     path = tmp_path / "log.mat"
     savemat(path, {"time": TIME})
     texts = b"".join(element(1, text.encode()) for text in ("out", "MCOS", kind))
-    opaque = element(6, struct.pack("<2I", 17, 0)) + texts  # As MATLAB writes it.
+    numbers = element(6, struct.pack("<2I", 13, 0)) + element(5, struct.pack("<2i", 1, 1))
+    content = element(14, numbers + element(1, b"") + element(6, struct.pack("<I", 1)))
+    opaque = element(6, struct.pack("<2I", 17, 0)) + texts + content  # as MATLAB writes it
     path.write_bytes(path.read_bytes() + element(14, opaque))
     with pytest.raises(LeglabError, match=f"variable 'out' is a {kind}, .*in MATLAB: {way}"):
         data.read(path)
