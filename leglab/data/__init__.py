@@ -1,6 +1,7 @@
 """Recordings in files: the suffix picks the format, or its name does."""
 
 from collections.abc import Mapping
+from copy import copy
 from pathlib import Path
 from types import ModuleType
 
@@ -147,7 +148,7 @@ def read_tables(
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {
-        name: _usable(table, metadata, _place(path, name), columns, left_out.copy(), timed)
+        name: _usable(table, metadata, _place(path, name), columns, copy(left_out), timed)
         for name, (table, metadata) in found.items()
     }
 
@@ -165,10 +166,9 @@ def _usable(
     timed: bool,
 ) -> tuple[dict, dict]:
     """A table as it was read, with our names, units and time."""
-    is_timed = isinstance(table, Timed)
-    if columns is not None:
-        table = columns.apply(table, source, left_out)
-    given = columns.time if columns is not None and "time" in table else None
+    is_timed, columns = isinstance(table, Timed), columns or ColumnMap()
+    table = columns.apply(table, source, left_out)
+    given = columns.time if "time" in table else None
     table, metadata = time_axis(
         table, metadata, left_out, source=source, given=given, timed=is_timed
     )
@@ -203,13 +203,10 @@ def write(
     """
     path = Path(path)
     module = _module(path, form)
-    if scene is None:
-        module.write(recording, path)
-    elif module is mcap:
-        mcap.write(recording, path, scene)
-    else:
+    if scene is not None and module is not mcap:
         told = f"{path}: {form or format_of(path)} cannot show a machine; allowed: "
         raise FileError(told, given=form, allowed="mcap")
+    module.write(recording, path, *(() if scene is None else (scene,)))
     return path
 
 

@@ -1,7 +1,5 @@
 """Which format a file or folder has: its first bytes say so, else its suffix."""
 
-import zipfile
-from contextlib import suppress
 from pathlib import Path
 
 from leglab.base.errors import FileError
@@ -65,8 +63,8 @@ def form_at(path: Path) -> str:
     head = read_bytes(path, 16)
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
-    if form == "zip":
-        form = _zip_form(path)
+    if form == "zip":  # Of NumPy, unless the suffix is Excel's.
+        form = "excel" if suffixes[-1:] in ([".xlsx"], [".xlsm"]) else None
     elif form == "gzip" and any(SUFFIXES.get(suffix) == "csv" for suffix in suffixes):
         form = "csv"
     elif form == "zstd" and suffixes == [".mcap", ".zstd"]:
@@ -91,11 +89,3 @@ def format_of(path: str | Path) -> str:
         told = f"{path}: suffix {path.suffix!r} is not a known format, allowed: "
         raise FileError(told, given=path.suffix, allowed=SUFFIXES)
     return SUFFIXES[path.suffix.lower()]
-
-
-def _zip_form(path: Path) -> str | None:
-    """The format of a ZIP archive: NumPy's and Excel's are some."""
-    with suppress(zipfile.BadZipFile, OSError), zipfile.ZipFile(path) as archive:
-        if "[Content_Types].xml" in archive.namelist():
-            return "excel"
-    return None

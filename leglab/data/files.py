@@ -19,12 +19,6 @@ class LeftOut(dict[str, str]):
         super().__init__()
         self.partial, self.salvage = partial, salvage
 
-    def copy(self) -> "LeftOut":
-        """Returns another one with the same content."""
-        other = LeftOut(self.partial, salvage=self.salvage)
-        other.update(self)
-        return other
-
     def add(self, column: str, error: LeglabError) -> None:
         """Leaves a column out.
 

@@ -142,6 +142,9 @@ def _load(path: Path) -> dict[str, Any]:
         told = f"{path}: a MATLAB file of {given}, allowed is {allowed}; in MATLAB: "
         told += f"save('{path.name}', ..., '-v7')"
         raise FileError(told, given=given, allowed=allowed)
+    if content[126:128] not in (b"IM", b"MI"):
+        told = f"{path}: not a MATLAB file: the first 128 bytes are not those of version 5"
+        raise FileError(told, given=path)
     room = _ROOM + _RATIO * len(content)
     command = [sys.executable, "-c", _READER, str(path), str(room)]
     try:

@@ -185,11 +185,8 @@ class StoredColumns(Mapping[str, np.ndarray]):
         self.metadata = _metadata(path, text)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        samples, end = np.empty(self._file.metadata.num_rows), 0
         try:
-            for batch in self._file.iter_batches(_GROUP, columns=[name]):
-                start, end = end, end + batch.num_rows
-                samples[start:end] = batch.column(0).to_numpy(zero_copy_only=False)
+            samples = self._file.read([name]).column(0).to_numpy()
         except (pa.ArrowException, OSError) as error:
             told = f"{self._path}: cannot be read: {first_line(error)}"
             raise FileError(told, given=self._path) from error

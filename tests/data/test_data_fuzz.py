@@ -98,13 +98,7 @@ def test_mutated_bags(bag, changes):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "start"),
-    [
-        ("mcap", b"\x89MCAP0\r\n"),
-        ("csv", b""),
-        ("mat", b""),
-        ("mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
-    ],
+    ("suffix", "start"), [("mcap", b"\x89MCAP0\r\n"), ("csv", b""), ("mat", b"")]
 )
 @settings(max_examples=60, deadline=None)
 @given(content=st.binary(max_size=300))

@@ -72,7 +72,7 @@ def example(rows=200):
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "mat", "npz"])
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(drawn=st.data())
 def test_every_bit_survives(suffix, drawn, tmp_path_factory):
     recording = drawn.draw(recordings(metadata=st.just({}) if suffix == "npz" else METADATA))

@@ -105,7 +105,7 @@ def whole_file(path, compressed):
 def test_a_truncated_file_is_refused(tmp_path, compressed):
     whole = whole_file(tmp_path / "whole.mat", compressed)
     path = tmp_path / "cut.mat"
-    for length in [0, 1, 127, 130, len(whole) // 2, len(whole) - 2]:
+    for length in [0, 127, 130, len(whole) - 2]:
         path.write_bytes(whole[:length])
         read_or_refuse(path)
 
@@ -118,7 +118,7 @@ def test_a_file_that_ends_the_reader_is_refused(tmp_path):
         data.read(path)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(changes=mutations)
 def test_mutated_files(tmp_path_factory, changes):
     path = tmp_path_factory.getbasetemp() / "mutated.mat"
