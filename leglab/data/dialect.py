@@ -74,7 +74,7 @@ def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
     """
     end = len(text) if len(text) <= _HEAD else max(text.rfind("\n", 0, _HEAD), 0)
     lines = [line.rstrip("\r") for line in text[:end].split("\n")[settings.skip :]]
-    filled = [line for line in lines if line.strip()]
+    filled = [line for line in lines if _COMMENT.sub("", line, count=1).strip()]
     filled = [line for line in filled if not _is_comment(line)] or [
         _COMMENT.sub("", line, count=1) for line in filled[-1:]
     ]

@@ -102,6 +102,7 @@ def test_mutated_bags(bag, changes):
 )
 @settings(max_examples=60, deadline=None)
 @given(content=st.binary(max_size=300))
+@example(content=b"#")
 def test_any_bytes(tmp_path_factory, suffix, start, content):
     path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
     path.write_bytes(start + content)
