@@ -16,7 +16,7 @@ from leglab.data.checks import MAP_HINT, Finding, inspect, to_recording
 from leglab.data.clock import Timed, time_axis
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.contents import form_at, form_of_folder, format_of
-from leglab.data.files import LeftOut
+from leglab.data.files import LeftOut, first_line
 from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.scene import Scene
 from leglab.data.summary import Summary, summarise
@@ -145,6 +145,10 @@ def read_tables(
             found = {"": _MODULES[form].read_table(path, left_out, columns)}
     except LeglabError as error:
         raise error.at(path) from error
+    # Whatever the libraries trip over, the cause is the file.
+    except Exception as error:
+        told = f"{path}: not a complete {path.suffix or form} file: {first_line(error)}"
+        raise FileError(told, given=path) from error
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {

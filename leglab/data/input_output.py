@@ -32,12 +32,14 @@ def to_input_output(
     except ImportError as error:
         told = "the package nonlinear_benchmarks is missing: pip install nonlinear-benchmarks"
         raise LeglabError(told) from error
-    return Input_output_data(
-        u=_stacked(recording, inputs, "inputs"),
-        y=_stacked(recording, outputs, "outputs"),
-        sampling_time=recording.sampling_period,
-        name=name,
-    )
+    stacked = []
+    for what, names in (("inputs", inputs), ("outputs", outputs)):
+        if isinstance(names, str) or not names:
+            told = f"{what} is {names!r}, allowed is "
+            raise RecordingError(told, given=names, allowed="a list of one or more columns")
+        stacked.append(np.stack([recording[column] for column in names], axis=-1))
+    u, y = (samples[:, 0] if samples.shape[1] == 1 else samples for samples in stacked)
+    return Input_output_data(u, y, sampling_time=recording.sampling_period, name=name)
 
 
 def from_input_output(
@@ -56,34 +58,20 @@ def from_input_output(
         metadata.
 
     Raises:
-        LeglabError: The sampling time is missing, or the numbers of names and columns differ.
+        LeglabError: The sampling time is missing or not positive, or names do not fit the columns.
     """
-    period = data.sampling_time
-    if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
-        told = f"sampling_time is {period!r}, allowed is "
-        raise RecordingError(told, given=period, allowed="a positive number of seconds")
-    columns = _split(data.u, inputs, "u", "inputs") | _split(data.y, outputs, "y", "outputs")
-    if len(columns) < len(inputs) + len(outputs):
-        told = f"columns {', '.join(map(repr, (*inputs, *outputs)))} are not all different"
-        raise RecordingError(told, given=(*inputs, *outputs))
+    if data.sampling_time is None:
+        told = "sampling_time is None, allowed is "
+        raise RecordingError(told, allowed="a positive number of seconds")
+    columns: dict[str, np.ndarray] = {}
+    for field, names in (("u", inputs), ("y", outputs)):
+        samples = np.reshape(getattr(data, field), (len(data), -1))
+        if not samples.shape[1] == len(names) == len({*names} - columns.keys()):
+            told = f"{field} has {samples.shape[1]} columns, their names are {names!r}; allowed: "
+            raise RecordingError(told, given=names, allowed="one name a column, all different")
+        columns |= zip(names, samples.T, strict=True)
     metadata: dict[str, Any] = {"name": str(data.name)} if data.name else {}
     window = data.state_initialization_window_length
     metadata |= {} if window is None else {"state_initialization_window_length": int(window)}
-    time = start + np.arange(len(data.y)) * float(period)
+    time = start + np.arange(len(data)) * float(data.sampling_time)
     return Recording(time=time, columns=columns, metadata=metadata)
-
-
-def _stacked(recording: Recording, names: Sequence[str], what: str) -> np.ndarray:
-    if isinstance(names, str) or not names:
-        told = f"{what} is {names!r}, allowed is "
-        raise RecordingError(told, given=names, allowed="a list of one or more columns")
-    columns = [np.array(recording[name]) for name in names]
-    return columns[0] if len(columns) == 1 else np.column_stack(columns)
-
-
-def _split(array: Any, names: Sequence[str], field: str, what: str) -> dict[str, np.ndarray]:
-    columns = np.asarray(array).T if np.ndim(array) != 1 else np.asarray(array)[None]
-    if isinstance(names, str) or columns.ndim != 2 or len(columns) != len(names):
-        told = f"{field} has shape {np.shape(array)}, {what} is {names!r}; allowed: "
-        raise RecordingError(told, given=names, allowed="one name a column")
-    return dict(zip(names, columns, strict=True))

@@ -8,23 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leglab.base.errors import FileError, LeglabError, RecordingError
+from leglab.base.errors import RecordingError
 from leglab.base.output import write_atomically
 from leglab.base.recording import Recording
 from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import LeftOut, first_line
-from leglab.data.variables import table_of
+from leglab.data.files import LeftOut
+from leglab.data.variables import elements, table_of
 
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
 
-# End of a column's name here, of a signal's name there, and the signal's type.
-_ENDINGS = (
-    ("_position", "_qpos", "MjStateQPos"),
-    ("_velocity", "_qvel", "MjStateQVel"),
-    ("_command", "_ctrl", "MjCtrl"),
-)
+# End of a column's name here: of a signal's name there, and the signal's type.
+_SIGNALS = {
+    "position": ("qpos", "MjStateQPos"),
+    "velocity": ("qvel", "MjStateQVel"),
+    "command": ("ctrl", "MjCtrl"),
+}
+_QUANTITIES = {signal: quantity for quantity, signal in _SIGNALS.items()}
 
 
 def to_time_series(recording: Recording) -> "TimeSeries":
@@ -35,17 +36,20 @@ def to_time_series(recording: Recording) -> "TimeSeries":
     Raises:
         LeglabError: Two columns get one signal name.
     """
-    series, types = _classes()
+    # `mujoco.sysid` shows the class only if all of its own optional packages are there.
+    from mujoco.sysid._src.timeseries import SignalType, TimeSeries
+
     mapping: dict[str, Any] = {}
     for index, column in enumerate(recording.columns):
-        signal, kind = _signal_of(column)
+        owner, _, quantity = column.rpartition("_")
+        end, kind = _SIGNALS.get(owner and quantity, (quantity, "CustomObs"))
+        signal = column.removesuffix(quantity) + end
         if signal in mapping:
             told = f"column {column!r} and another one both become signal {signal!r} of "
             raise RecordingError(f"{told}mujoco.sysid", given=column)
-        mapping[signal] = (types[kind], np.array([index]))
-    empty = np.empty((len(recording), 0))
-    data = np.column_stack([empty, *recording.columns.values()])
-    return series(times=np.array(recording.time), data=data, signal_mapping=mapping)
+        mapping[signal] = (SignalType[kind], np.array([index]))
+    data = np.column_stack([np.empty((len(recording), 0)), *recording.columns.values()])
+    return TimeSeries(times=np.array(recording.time), data=data, signal_mapping=mapping)
 
 
 def from_time_series(series: "TimeSeries") -> Recording:
@@ -71,19 +75,14 @@ def read_table(
     """Reads a file of `TimeSeries.save_to_disk`, or the arrays of another, see `variables`.
 
     Raises:
-        LeglabError: The file is truncated, an array holds Python objects, or lengths differ.
+        LeglabError: An array holds Python objects, or lengths differ.
     """
-    try:
-        arrays = _arrays(path, left_out)
-        if not {"times", "data"} <= arrays.keys():
-            return table_of(arrays, left_out, columns)
-        return Timed(_table_of(_classes()[0].load_from_disk(path))), {}
-    except LeglabError:
-        raise
-    # A foreign archive can fail anywhere in the loaders; the cause is the file.
-    except Exception as error:
-        told = f"{path}: not a complete .npz file: {first_line(error)}"
-        raise FileError(told, given=path) from error
+    from mujoco.sysid._src.timeseries import TimeSeries
+
+    arrays = _arrays(path, left_out)
+    if not {"times", "data"} <= arrays.keys():
+        return table_of(arrays, left_out, columns)
+    return Timed(_table_of(TimeSeries.load_from_disk(path))), {}
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -114,47 +113,23 @@ def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
     return found
 
 
-def _classes() -> tuple[Any, Any]:
-    # `mujoco.sysid` shows the class only if all of its own optional packages are there.
-    from mujoco.sysid._src.timeseries import SignalType, TimeSeries
-
-    return TimeSeries, SignalType
-
-
-def _signal_of(column: str) -> tuple[str, str]:
-    for ours, theirs, kind in _ENDINGS:
-        if column.endswith(ours) and column != ours:
-            return column.removesuffix(ours) + theirs, kind
-    return column, "CustomObs"
-
-
-def _column_of(signal: str, kind: str) -> str:
-    for ours, theirs, its_kind in _ENDINGS:
-        if kind == its_kind and signal.endswith(theirs):
-            return signal.removesuffix(theirs) + ours
-    return signal
-
-
 def _table_of(series: Any) -> dict[str, np.ndarray]:
-    data = np.asarray(series.data)
-    data = data[:, None] if data.ndim == 1 else data
-    if data.ndim != 2 or data.dtype.kind not in "fiub" or series.times.dtype.kind not in "fiub":
-        told = f"a time series of shape {data.shape} and type {data.dtype}; allowed: "
-        raise RecordingError(told, given=data.shape, allowed="real, (n, m)")
-    table = {"time": series.times.astype(np.float64)}
-    mapping = series.signal_mapping
-    signals = [("signal", "CustomObs", np.arange(data.shape[1]))]
-    if mapping is not None:
-        signals = [(name, kind.name, np.atleast_1d(i)) for name, (kind, i) in mapping.items()]
+    # Integers become floats, anything but numbers is refused.
+    time = series.times.astype(np.float64, casting="same_kind")
+    data = series.data.astype(np.float64, casting="same_kind").reshape(time.size, -1)
+    table, width, mapping = {"time": time}, data.shape[1], series.signal_mapping
+    signals = [(name, kind.name, np.ravel(i)) for name, (kind, i) in (mapping or {}).items()]
+    if mapping is None:
+        signals = [(f"signal[{i}]", "CustomObs", np.array([i])) for i in range(width)]
     for name, kind, indices in signals:
-        column = _column_of(name, kind)
-        for i, index in enumerate(indices.tolist()):
-            if not 0 <= index < data.shape[1]:
-                told = f"signal {name!r} is in column {index} of {data.shape[1]}"
-                raise RecordingError(told, given=name)
-            key = column if len(indices) == 1 and mapping is not None else f"{column}[{i}]"
+        if outside := [i for i in indices.tolist() if not 0 <= i < width]:
+            told = f"signal {name!r} is in column {outside[0]} of {width}"
+            raise RecordingError(told, given=name)
+        owner, _, end = name.rpartition("_")
+        column = name.removesuffix(end) + _QUANTITIES.get((owner and end, kind), end)
+        for key, samples in elements(column, data[:, indices]):
             if not key or key in table:
                 told = f"signal {name!r} gives the column {key!r}, which is taken"
                 raise RecordingError(told, given=name)
-            table[key] = data[:, index].astype(np.float64)
+            table[key] = samples
     return table

@@ -115,10 +115,11 @@ def _split(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.n
         raise RecordingError(told, given=name, allowed="numbers, one row a time")
     if values.shape[0] != rows or (values.ndim > 2 and values.shape[-1] == rows):
         values = np.moveaxis(values, -1, 0)  # Simulink puts time last where samples are matrices.
-    yield from _elements(name, values.astype(np.float64))
+    yield from elements(name, values.astype(np.float64))
 
 
-def _elements(name: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def elements(name: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields names and columns of samples, (n, ...): of several numbers a row by their place."""
     flat = rows.reshape(len(rows), -1)
     for index, column in enumerate(flat.T):
         yield (name if flat.shape[1] == 1 else f"{name}[{index}]"), column
@@ -129,7 +130,7 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
     table: dict[str, np.ndarray] = {}
     for name, array in samples.items():
         lies = len(array) != rows and array.shape[-1] == rows
-        for key, column in _elements(name, array.T if lies else array):
+        for key, column in elements(name, array.T if lies else array):
             if key in table:
                 left_out.add(key, RecordingError(f"two variables give column {key!r}", given=key))
             table[key] = column

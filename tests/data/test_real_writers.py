@@ -143,6 +143,12 @@ def test_series_of_several_clocks_come_onto_the_fastest_one(tmp_path):
     assert "60 samples by its own time, last value held on the 300 stamps of" in note
 
 
+def test_a_struct_that_no_writer_makes_is_refused_with_a_line(tmp_path):
+    savemat(tmp_path / "log.mat", {"q": {"time": TIME, "signals": 5.0}})
+    with pytest.raises(LeglabError, match=r"log.mat: not a complete .mat file: "):
+        data.read(tmp_path / "log.mat")
+
+
 def element(kind, content):
     return struct.pack("<2I", kind, len(content)) + content + b"\0" * (-len(content) % 8)
 
