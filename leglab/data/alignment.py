@@ -54,41 +54,34 @@ def on_clock(
     Raises:
         RecordingError: Stamps go backwards, or a column of the map shares no time with the clock.
     """
-    table, notes = dict(clock.columns), []
-    for one in series:
-        for name in one.columns:
-            hold = columns.name_of(name).endswith("_command")
-            apart = f"{name!r} covers {one.span}, {clock.topic!r} covers {clock.span}"
-            try:
-                if not _overlaps(one, clock.stamps, hold=hold):
-                    notes.append(f"left out, no time in common: {apart}")
-                    if name in columns.rules:
-                        by_header = "header" in (one.stamped_by, clock.stamped_by)
-                        way = f'; try stamps = "log" in {columns.source}' if by_header else ""
-                        raise RecordingError(f"column {apart}{way}", given=name)
-                    continue
-                if name in table:
-                    both = f"{one.topic!r} and another one both give column {name!r}"
-                    raise RecordingError(both, given=name)
-                table[name] = _aligned(one, name, clock.stamps, hold=hold)
-            except LeglabError as error:
-                left_out.add(name, error)
+    table, notes, rows = dict(clock.columns), [], clock.stamps
+    for one, name in ((each, name) for each in series for name in each.columns):
+        hold = columns.name_of(name).endswith("_command")
+        first, last = one.stamps.min(), one.stamps.max()
+        try:
+            if not rows.size or first > rows.max() or (last < rows.min() and not hold):
+                apart = f"{name!r} covers {one.span}, {clock.topic!r} covers {clock.span}"
+                notes.append(f"left out, no time in common: {apart}")
+                if name in columns.rules:
+                    by_header = "header" in (one.stamped_by, clock.stamped_by)
+                    way = f'; try stamps = "log" in {columns.source}' if by_header else ""
+                    raise RecordingError(f"column {apart}{way}", given=name)
                 continue
-            if not np.array_equal(one.stamps, clock.stamps):
-                how = "last value held" if hold else "linear"
-                notes.append(
-                    f"{name}: {one.stamps.size} samples by {one.stamped_by} time, {how} on the "
-                    f"{clock.stamps.size} stamps of {clock.topic}; "
-                    f"{np.isnan(table[name]).sum()} rows without a value"
-                )
+            if name in table:
+                both = f"{one.topic!r} and another one both give column {name!r}"
+                raise RecordingError(both, given=name)
+            table[name] = _aligned(one, name, rows, hold=hold)
+        except LeglabError as error:
+            left_out.add(name, error)
+            continue
+        if not np.array_equal(one.stamps, rows):
+            how = "last value held" if hold else "linear"
+            notes.append(
+                f"{name}: {one.stamps.size} samples by {one.stamped_by} time, {how} on the "
+                f"{rows.size} stamps of {clock.topic}; "
+                f"{np.isnan(table[name]).sum()} rows without a value"
+            )
     return {name: samples for name, samples in table.items() if name not in left_out}, notes
-
-
-def _overlaps(series: TopicSeries, clock: np.ndarray, *, hold: bool) -> bool:
-    """Returns whether any row of the clock gets a value."""
-    if not series.stamps.size or not clock.size or series.stamps.min() > clock.max():
-        return False
-    return hold or bool(series.stamps.max() >= clock.min())
 
 
 def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
@@ -104,22 +97,16 @@ def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -
     if (interval < 0).any():
         row = int(np.argmax(interval < 0)) + 1
         told = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
-        told += f"comes after {stamps[row - 1]} ns; allowed: "
-        allowed = "stamps that do not go backwards"
-        raise RecordingError(told, given=int(stamps[row]), allowed=allowed)
+        told += f"comes after {stamps[row - 1]} ns: stamps must not go backwards"
+        raise RecordingError(told, given=int(stamps[row]))
     latest = np.append(interval > 0, True)  # Of several messages at one time the last one counts.
     stamps, values = stamps[latest], values[latest]
     before = np.searchsorted(stamps, clock, side="right") - 1
     if hold:
-        return np.where(before >= 0, values[np.maximum(before, 0)], np.nan)
-    after = np.minimum(before + 1, stamps.size - 1)
-    start = np.maximum(before, 0)
-    # Differences of integers: nanoseconds since 1970 do not fit into a float64.
-    width = stamps[after] - stamps[start]
-    share = (clock - stamps[start]) / np.maximum(width, 1)
-    with np.errstate(invalid="ignore", over="ignore"):
-        between = values[start] + share * (values[after] - values[start])
-    usual = np.median(np.diff(stamps)) if stamps.size > 1 else 0
-    known = (before >= 0) & (clock <= stamps[-1]) & (width <= _GAP * usual)
-    on_stamp = clock == stamps[start]
-    return np.where(on_stamp, values[start], np.where(known, between, np.nan))
+        return np.where(before >= 0, values[before], np.nan)
+    # Nanoseconds since 1970 do not fit into a float64, those since the first message do.
+    drawn = np.interp(clock - stamps[0], stamps - stamps[0], values, left=np.nan, right=np.nan)
+    width = np.diff(stamps, append=stamps[-1])
+    usual = np.median(width[:-1]) if stamps.size > 1 else 0
+    in_gap = (width[before] > _GAP * usual) & (clock != stamps[before])
+    return np.where(in_gap, np.nan, drawn)

@@ -39,27 +39,24 @@ def table_of(
     structs = [value for value in variables.values() if isinstance(value, dict)]
     if len(variables) == len(structs) == 1 and not _is_series(structs[0]):
         variables = structs[0]
-    series = {n: _series(n, v) for n, v in variables.items() if _is_series(v)}
+    series = [one for n, v in variables.items() if _is_series(v) for one in _signals(n, v)]
     samples = {n: np.asarray(v) for n, v in variables.items() if _is_samples(v)}
-    others = sorted(variables.keys() - series.keys() - samples.keys())
-    metadata: dict[str, Any] = {"left_out": others} if others else {}
+    others = {n for n, v in variables.items() if not _is_series(v)} - samples.keys()
+    notes: list[str] = []
     if not series:
         table = _vectors(samples, left_out)
         check_lengths(table, left_out)
-        return table, metadata
-    time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
-    beside = {n: x for n, x in samples.items() if time.size and time.size in x.shape}
-    series |= {n: (time, dict(_split(n, x, time.size))) for n, x in beside.items()}
-    if rest := samples.keys() - beside.keys():
-        metadata["left_out"] = sorted((*others, *rest))
-    topics = [
-        TopicSeries(name, np.rint(own * 1e9).astype(np.int64), found)
-        for name, (own, found) in series.items()
-    ]
-    clock = max(topics, key=lambda topic: topic.stamps.size)
-    clock = replace(clock, columns={"time": series[clock.topic][0]})
-    table, notes = on_clock(topics, clock, columns or ColumnMap(), left_out)
-    return Timed(table), metadata | ({"alignment": notes} if notes else {})
+    else:
+        time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
+        beside = {n: x for n, x in samples.items() if time.size in x.shape}
+        series += [(n, time, dict(_split(n, x, time.size))) for n, x in beside.items()]
+        others |= samples.keys() - beside.keys()
+        topics = [TopicSeries(n, np.rint(t * 1e9).astype(np.int64), x) for n, t, x in series]
+        most = int(np.argmax([topic.stamps.size for topic in topics]))
+        clock = replace(topics[most], columns={"time": series[most][1]})
+        table, notes = on_clock(topics, clock, columns or ColumnMap(), left_out)
+    metadata = {"left_out": sorted(others), "alignment": notes}
+    return Timed(table) if series else table, {key: told for key, told in metadata.items() if told}
 
 
 def check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
@@ -68,44 +65,36 @@ def check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
     Raises:
         RecordingError: There are some, and nothing may be left out or no `time` decides.
     """
-    for name in list(table) if left_out.partial and "time" in table else ():
-        rows, wanted = len(table[name]), len(table["time"])
-        if rows != wanted:
-            why = f"column {name!r} has {rows} samples, 'time' has {wanted}"
-            left_out.add(name, RecordingError(why, given=name))
-            del table[name]
-    lengths = {name: len(column) for name, column in table.items()}
-    if len(set(lengths.values())) > 1:
-        found = ", ".join(f"{name!r} {length}" for name, length in lengths.items())
-        raise RecordingError(f"vectors have different lengths: {found}", given=lengths)
+    first = "time" if "time" in table else next(iter(table), "")
+    for name in [name for name in table if len(table[name]) != len(table[first])]:
+        found = f"{first!r} {len(table[first])}, {name!r} {len(table[name])}"
+        error = RecordingError(f"vectors have different lengths: {found}", given=name)
+        if first != "time":
+            raise error
+        left_out.add(name, error)
+        del table[name]
 
 
 def _is_series(value: Any) -> bool:
-    if not isinstance(value, Mapping) or not any(_is_samples(value.get(t)) for t in _TIMES):
-        return False
-    return "signals" in value or any(v in value for v in _VALUES)
+    timed = isinstance(value, Mapping) and any(_is_samples(value.get(t)) for t in _TIMES)
+    return timed and not {"signals", *_VALUES}.isdisjoint(value)
 
 
-def _series(name: str, value: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Time [s] and columns of a struct."""
+def _signals(
+    name: str, value: Mapping[str, Any]
+) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
+    """Yields name, time [s] and columns of each signal of a struct."""
     time = np.ravel(next(value[t] for t in _TIMES if t in value)).astype(np.float64)
     if not np.isfinite(time).all():
         row = int(np.argmin(np.isfinite(time)))
         raise RecordingError(f"{name!r}, row {row}: {time[row]} is not a finite time", given=name)
-    signals = value.get("signals", value)
-    signals = [signals] if isinstance(signals, Mapping) else list(signals)
-    found: dict[str, np.ndarray] = {}
+    signals = np.atleast_1d(value.get("signals", value))
     for index, signal in enumerate(signals):
-        owner = name
-        if len(signals) > 1:
-            label = signal.get("label")
-            owner = f"{name}/{label}" if isinstance(label, str) and label else f"{name}[{index}]"
+        label = signal.get("label")
+        place = f"/{label}" if isinstance(label, str) and label else f"[{index}]"
+        owner = name + place * (len(signals) > 1)
         values = next((signal[v] for v in _VALUES if v in signal), None)
-        for key, column in _split(owner, np.asarray(values), time.size):
-            if key in found:
-                raise RecordingError(f"two signals of {name!r} are called {key!r}", given=key)
-            found[key] = column
-    return time, found
+        yield owner, time, dict(_split(owner, np.asarray(values), time.size))
 
 
 def _split(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -134,9 +123,7 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
             if key in table:
                 left_out.add(key, RecordingError(f"two variables give column {key!r}", given=key))
             table[key] = column
-    for key in left_out:
-        table.pop(key, None)
-    return table
+    return {key: column for key, column in table.items() if key not in left_out}
 
 
 def _is_samples(value: Any) -> bool:
