@@ -20,8 +20,7 @@ class TopicSeries:
 
     topic: str  #: The topic, or the variable
     stamps: np.ndarray  #: Time of each message [ns]. Shape (m,), int64.
-    #: Numbers by column name, NaN where a message has none. Each of shape (m,).
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, np.ndarray]  #: By name, (m,) each; NaN where a message has none
     stamped_by: str = "its own"  #: "header" or "log" for a topic
 
     @property
@@ -71,16 +70,13 @@ def on_clock(
                 both = f"{one.topic!r} and another one both give column {name!r}"
                 raise RecordingError(both, given=name)
             table[name] = _aligned(one, name, rows, hold=hold)
+            if not np.array_equal(one.stamps, rows):
+                how = "last value held" if hold else "linear"
+                taken = f"{one.stamps.size} samples by {one.stamped_by} time, {how} on the "
+                lacking = f"{np.isnan(table[name]).sum()} rows without a value"
+                notes.append(f"{name}: {taken}{rows.size} stamps of {clock.topic}; {lacking}")
         except LeglabError as error:
             left_out.add(name, error)
-            continue
-        if not np.array_equal(one.stamps, rows):
-            how = "last value held" if hold else "linear"
-            notes.append(
-                f"{name}: {one.stamps.size} samples by {one.stamped_by} time, {how} on the "
-                f"{rows.size} stamps of {clock.topic}; "
-                f"{np.isnan(table[name]).sum()} rows without a value"
-            )
     return {name: samples for name, samples in table.items() if name not in left_out}, notes
 
 

@@ -61,8 +61,7 @@ def from_input_output(
         LeglabError: The sampling time is missing or not positive, or names do not fit the columns.
     """
     if data.sampling_time is None:
-        told = "sampling_time is None, allowed is "
-        raise RecordingError(told, allowed="a positive number of seconds")
+        raise RecordingError("sampling_time is None, allowed is a positive number of seconds")
     columns: dict[str, np.ndarray] = {}
     for field, names in (("u", inputs), ("y", outputs)):
         samples = np.reshape(getattr(data, field), (len(data), -1))

@@ -34,8 +34,7 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
     features = _features(path)
     files = sorted(path.glob("data/*/*.parquet")) if path.is_dir() else [path]
     if not files:
-        told = f"{path}: a dataset of LeRobot without data; allowed: "
-        raise FileError(told, given=path, allowed="files data/chunk-*/*.parquet")
+        raise FileError("a dataset of LeRobot without files data/chunk-*/*.parquet", given=path)
     pictures = frozenset(name for name, f in features.items() if f.get("dtype") in _PICTURES)
     found: dict[int, dict[str, np.ndarray]] = {}
     for file in files:
@@ -53,7 +52,7 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
 
 def is_dataset(path: Path) -> bool:
     """Returns whether a Parquet file is of a dataset, by its folder or by its columns."""
-    if _root(path) is not None:
+    if _description(path).is_file():
         return True
     try:
         return {"episode_index", "frame_index", "timestamp"} <= set(pq.read_schema(path).names)
@@ -61,24 +60,19 @@ def is_dataset(path: Path) -> bool:
         return False
 
 
-def _root(path: Path) -> Path | None:
-    """The folder of the dataset that a file of its folder `data` belongs to."""
-    above = path.resolve().parents
-    if len(above) > 2 and above[1].name == "data" and (above[2] / "meta/info.json").is_file():
-        return above[2]
-    return None
+def _description(path: Path) -> Path:
+    """Where a dataset is described of which this is the folder, or a file of its folder `data`."""
+    return (path if path.is_dir() else path.resolve().parent.parent.parent) / "meta/info.json"
 
 
 def _features(path: Path) -> dict[str, dict[str, Any]]:
-    root = path if path.is_dir() else _root(path)
-    if root is None:
+    place = _description(path)
+    if not place.is_file():
         return {}
-    place = root / "meta" / "info.json"
     info = read_json(place)
     features = info.get("features") if isinstance(info, dict) else None
     if not isinstance(features, dict) or not all(isinstance(f, dict) for f in features.values()):
-        told = f"{place}: no description of a dataset of LeRobot; allowed: "
-        raise FileError(told, given=place, allowed="an object with 'features'")
+        raise FileError(f"{place}: describes no dataset of LeRobot: no object 'features'")
     return features
 
 
@@ -86,10 +80,8 @@ def _names(given: Any) -> list[str]:
     """Names of elements: a list, lists by group as {"motors": [...]}, or places by name."""
     if isinstance(given, dict) and all(isinstance(place, int) for place in given.values()):
         return sorted(given, key=lambda name: given[name])
-    if isinstance(given, dict | list):
-        parts = given.values() if isinstance(given, dict) else given
-        return [name for part in parts for name in _names(part)]
-    return [] if given is None else [str(given)]
+    parts = given.values() if isinstance(given, dict) else [given or ()]
+    return [str(name) for part in parts for name in part]
 
 
 def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:

@@ -17,13 +17,8 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # Of messages that hold several columns of one joint.
 OWN_PACKAGE = "leglab_msgs/msg/"
 
-# The field of messages that hold one number.
-_SCALARS = {
-    FLOAT64: "data",
-    "std_msgs/msg/Float32": "data",
-    FLUID_PRESSURE: "fluid_pressure",
-    TEMPERATURE: "temperature",
-}
+# The field of messages that hold one number or an array of them, if not `data`.
+_FIELDS = {FLUID_PRESSURE: "fluid_pressure", TEMPERATURE: "temperature"}
 # Messages that are fields of others, each before those that are its own fields.
 _WITHIN = {
     "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
@@ -48,7 +43,7 @@ def _whole(fields: str) -> str:
 
 
 _STAMPED = "std_msgs/Header header\n"
-_FIELDS = {
+_MESSAGES = {
     JOINT_STATE: f"{_STAMPED}string[] name\nfloat64[] position\nfloat64[] velocity\n"
     "float64[] effort\n",
     STRING: "string data\n",
@@ -60,39 +55,20 @@ _FIELDS = {
     "std_msgs/msg/Float64MultiArray": "std_msgs/MultiArrayLayout layout\nfloat64[] data\n",
     "std_msgs/msg/Float32MultiArray": "std_msgs/MultiArrayLayout layout\nfloat32[] data\n",
 }
-DEFINITIONS = {kind: _whole(fields) for kind, fields in _FIELDS.items()}
+DEFINITIONS = {kind: _whole(fields) for kind, fields in _MESSAGES.items()}
 """Of the messages that are written, and of those that older bags do not define."""
-
-_ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
+_SUPPORTED = DEFINITIONS.keys() - {STRING, TRANSFORMS}
 
 
 def supported(kind: str) -> bool:
     """Returns whether messages of a type hold numbers that `numbers` returns."""
-    return kind in (JOINT_STATE, *_SCALARS, *_ARRAYS) or kind.startswith(OWN_PACKAGE)
+    return kind in _SUPPORTED or kind.startswith(OWN_PACKAGE)
 
 
 def own_definition(fields: Mapping[str, str]) -> str:
     """Returns the definition of a message of ours; its fields have units, "" for unknown ones."""
     lines = (f"float64 {name}" + f"  # {unit}" * bool(unit) for name, unit in fields.items())
     return _whole(_STAMPED + "".join(f"{line}\n" for line in lines))
-
-
-def transforms_message(
-    stamp: int, frames: list[tuple[str, str]], positions: list, quaternions: list
-) -> dict[str, Any]:
-    """Returns a message that places frames, parent and child of each, at a time [ns].
-
-    Positions are x, y, z [m], quaternions w, x, y, z.
-    """
-    placed = []
-    for (parent, child), at, turn in zip(frames, positions, quaternions, strict=True):
-        pose = {
-            "translation": dict(zip("xyz", at, strict=True)),
-            "rotation": dict(zip("wxyz", turn, strict=True)),
-        }
-        begin = {"header": {**header(stamp), "frame_id": parent}, "child_frame_id": child}
-        placed.append({**begin, "transform": pose})
-    return {"transforms": placed}
 
 
 def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, float]:
@@ -105,15 +81,26 @@ def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, fl
         ValueError: The fields do not fit together.
     """
     owner = topic.removeprefix("/")
-    if kind == JOINT_STATE:
-        return _joint_numbers(message, "" if is_clock else f"{owner}/", "_" if is_clock else "/")
     if kind.startswith(OWN_PACKAGE):
         joint = owner.rpartition("/")[0]
         fields = (field for field in message.__slots__ if field != "header")
         return {f"{joint}_{field}": float(getattr(message, field)) for field in fields}
-    if kind in _ARRAYS:
+    if kind.endswith("Array"):
         return {f"{owner}[{i}]": float(value) for i, value in enumerate(message.data)}
-    return {owner: float(getattr(message, _SCALARS[kind]))}
+    if kind != JOINT_STATE:
+        return {owner: float(getattr(message, _FIELDS.get(kind, "data")))}
+    names = [joint if is_clock else f"{owner}/{joint}" for joint in message.name]
+    if len(set(names)) < len(names):
+        raise ValueError(f"joints {message.name} are not all different")
+    found: dict[str, float] = {}
+    for field in ("position", "velocity", "effort"):
+        values = getattr(message, field)
+        # The definition allows an empty array for what is not measured.
+        if len(values) not in (0, len(names)):
+            raise ValueError(f"{len(values)} values of {field} for {len(names)} joints")
+        ends = f"_{field}" if is_clock else f"/{field}"
+        found |= {name + ends: float(x) for name, x in zip(names, values, strict=False)}
+    return found
 
 
 def scalar(column: str) -> tuple[str, str]:
@@ -121,31 +108,10 @@ def scalar(column: str) -> tuple[str, str]:
     kind = TEMPERATURE if column.endswith("_temperature") else FLOAT64
     if column.endswith(("_pressure", "_pressure_a", "_pressure_b")):
         kind = FLUID_PRESSURE
-    return kind, _SCALARS[kind]
+    return kind, _FIELDS.get(kind, "data")
 
 
 def header(stamp: int) -> dict[str, Any]:
     """Returns a header of a time [ns]."""
     second, nanosecond = divmod(stamp, 10**9)
     return {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""}
-
-
-def header_stamp(message: Any) -> int | None:
-    """Returns the stamp in a message's header [ns], None without a header."""
-    header = getattr(message, "header", None)
-    return None if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
-
-
-def _joint_numbers(message: Any, prefix: str, separator: str) -> dict[str, float]:
-    names = list(message.name)
-    if len(set(names)) < len(names):
-        raise ValueError(f"joints {names} are not all different")
-    found = {}
-    for field in ("position", "velocity", "effort"):
-        values = getattr(message, field)
-        # The definition allows an empty array for what is not measured.
-        if len(values) not in (0, len(names)):
-            raise ValueError(f"{len(values)} values of {field} for {len(names)} joints")
-        for joint, value in zip(names, values, strict=False):
-            found[f"{prefix}{joint}{separator}{field}"] = float(value)
-    return found

@@ -45,8 +45,8 @@ def to_time_series(recording: Recording) -> "TimeSeries":
         end, kind = _SIGNALS.get(owner and quantity, (quantity, "CustomObs"))
         signal = column.removesuffix(quantity) + end
         if signal in mapping:
-            told = f"column {column!r} and another one both become signal {signal!r} of "
-            raise RecordingError(f"{told}mujoco.sysid", given=column)
+            told = f"two columns become the signal {signal!r}, {column!r} among them"
+            raise RecordingError(told, given=column)
         mapping[signal] = (SignalType[kind], np.array([index]))
     data = np.column_stack([np.empty((len(recording), 0)), *recording.columns.values()])
     return TimeSeries(times=np.array(recording.time), data=data, signal_mapping=mapping)
@@ -123,11 +123,10 @@ def _table_of(series: Any) -> dict[str, np.ndarray]:
         signals = [(f"signal[{i}]", "CustomObs", np.array([i])) for i in range(width)]
     for name, kind, indices in signals:
         if outside := [i for i in indices.tolist() if not 0 <= i < width]:
-            told = f"signal {name!r} is in column {outside[0]} of {width}"
-            raise RecordingError(told, given=name)
+            raise RecordingError(f"signal {name!r}: column {outside[0]} of {width}", given=name)
         owner, _, end = name.rpartition("_")
         column = name.removesuffix(end) + _QUANTITIES.get((owner and end, kind), end)
-        for key, samples in elements(column, data[:, indices]):
+        for key, samples in elements(column, data[:, indices], time.size):
             if not key or key in table:
                 told = f"signal {name!r} gives the column {key!r}, which is taken"
                 raise RecordingError(told, given=name)

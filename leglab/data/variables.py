@@ -45,11 +45,10 @@ def table_of(
     notes: list[str] = []
     if not series:
         table = _vectors(samples, left_out)
-        check_lengths(table, left_out)
     else:
         time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
         beside = {n: x for n, x in samples.items() if time.size in x.shape}
-        series += [(n, time, dict(_split(n, x, time.size))) for n, x in beside.items()]
+        series += [(n, time, dict(elements(n, x, time.size))) for n, x in beside.items()]
         others |= samples.keys() - beside.keys()
         topics = [TopicSeries(n, np.rint(t * 1e9).astype(np.int64), x) for n, t, x in series]
         most = int(np.argmax([topic.stamps.size for topic in topics]))
@@ -93,23 +92,18 @@ def _signals(
         label = signal.get("label")
         place = f"/{label}" if isinstance(label, str) and label else f"[{index}]"
         owner = name + place * (len(signals) > 1)
-        values = next((signal[v] for v in _VALUES if v in signal), None)
-        yield owner, time, dict(_split(owner, np.asarray(values), time.size))
+        values = np.asarray(next((signal[v] for v in _VALUES if v in signal), None))
+        if values.dtype.kind not in "fiub" or time.size not in values.shape[:1] + values.shape[-1:]:
+            told = f"{owner!r}: values of shape {values.shape} for {time.size} times; allowed: "
+            raise RecordingError(told, given=owner, allowed="numbers, one row a time")
+        yield owner, time, dict(elements(owner, values, time.size))
 
 
-def _split(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields the elements of samples, of which the first or the last axis is time."""
-    if values.dtype.kind not in "fiub" or rows not in (values.shape[:1] + values.shape[-1:]):
-        told = f"{name!r}: values of shape {values.shape} for {rows} times; allowed: "
-        raise RecordingError(told, given=name, allowed="numbers, one row a time")
-    if values.shape[0] != rows or (values.ndim > 2 and values.shape[-1] == rows):
+def elements(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields names and columns of samples, whose first or last axis is time and has the rows."""
+    if values.shape[-1] == rows and (values.shape[0] != rows or values.ndim > 2):
         values = np.moveaxis(values, -1, 0)  # Simulink puts time last where samples are matrices.
-    yield from elements(name, values.astype(np.float64))
-
-
-def elements(name: str, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields names and columns of samples, (n, ...): of several numbers a row by their place."""
-    flat = rows.reshape(len(rows), -1)
+    flat = values.reshape(len(values), -1)
     for index, column in enumerate(flat.T):
         yield (name if flat.shape[1] == 1 else f"{name}[{index}]"), column
 
@@ -118,12 +112,13 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
     rows = max((len(array) for array in samples.values()), default=0)
     table: dict[str, np.ndarray] = {}
     for name, array in samples.items():
-        lies = len(array) != rows and array.shape[-1] == rows
-        for key, column in elements(name, array.T if lies else array):
+        for key, column in elements(name, array, rows):
             if key in table:
                 left_out.add(key, RecordingError(f"two variables give column {key!r}", given=key))
             table[key] = column
-    return {key: column for key, column in table.items() if key not in left_out}
+    table = {key: column for key, column in table.items() if key not in left_out}
+    check_lengths(table, left_out)
+    return table
 
 
 def _is_samples(value: Any) -> bool:

@@ -16,6 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from mcap_ros2.writer import Writer as RosWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
@@ -23,7 +24,9 @@ from scipy.io import savemat
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.data.ros_messages import DEFINITIONS, FLOAT64, JOINT_STATE
 from tests.cli.test_cli import leglab
+from tests.data.test_mcap import joints
 
 RATE, ROWS = 50, 300
 TIME = np.arange(ROWS) / RATE
@@ -265,6 +268,18 @@ def test_a_split_bag_is_one_recording_and_a_lost_part_is_said(tmp_path):
     found = data.read(folder, salvage=True)
     assert len(found) == 200
     assert "no bag_1.mcap" in found.metadata["salvaged"][0]
+
+
+def test_the_parts_of_a_bag_count_their_types_each_anew(tmp_path):
+    for part, kinds in enumerate(((JOINT_STATE, FLOAT64), (FLOAT64, JOINT_STATE))):
+        with (tmp_path / f"bag_{part}.mcap").open("wb") as stream, RosWriter(stream) as writer:
+            schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in kinds}
+            message = joints(part + 1, position=[part])
+            writer.write_message("/joint_states", schemas[JOINT_STATE], message, part + 1)
+            writer.write_message("/u", schemas[FLOAT64], {"data": 5.0 + part}, part + 1)
+    found = data.read(tmp_path)
+    assert found["knee_position"].tolist() == [0, 1]
+    assert found["u"].tolist() == [5, 6]
 
 
 def chunked(path):
