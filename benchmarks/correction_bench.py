@@ -14,9 +14,9 @@ from joblib import Parallel, delayed
 
 from benchmarks import results
 from benchmarks.specimens import window_rms
-from leglab.base.fault_names import UNKNOWN as UNNAMED
-from leglab.base.fault_names import FaultEvent
-from leglab.runs.fault_simulation import kind
+from leglab.causes.fault_names import UNKNOWN as UNNAMED
+from leglab.causes.fault_names import FaultEvent
+from leglab.causes.table import kind_of
 from leglab.runs.metrics import sliding_rms
 from rigs.closed_loop import bench_loop, bench_settings
 from rigs.rough_bench import RoughBench, exact_specimen, specimen
@@ -80,7 +80,7 @@ def judged(case: tuple[str, str, bool, int]) -> dict[str, Any]:
     fault, become = KNOWN.get(change) or ("", UNKNOWN.get(change))
     plans: dict[str, dict[str, Any]] = {BEFORE: {}, BANK: {}}
     if fault:
-        plans[WITHOUT] = {"left_out": list(kind(fault))}
+        plans[WITHOUT] = {"left_out": list(kind_of(fault))}
     found: dict[str, Any] = {"change": change, "reference": reference, "rough": rough}
     any_two = {}
     for label, config in plans.items():

@@ -15,11 +15,11 @@ from typing import Any
 from benchmarks import results
 from benchmarks.specimens import specimen, window_rms
 from leglab import RunSettings
-from leglab.base.fault_names import FaultTrend
 from leglab.base.scenario import ParameterChange, Scenario, get_scenario
+from leglab.causes.fault_names import FaultTrend
+from leglab.causes.table import CAUSES
 from leglab.control.feedforward.health import HealthMonitor
 from leglab.machine.simulation import Simulation
-from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop
 
 BANK, START, RAMP = "bsnn_arx_bank", 40.0, 600.0  # s
@@ -111,7 +111,7 @@ def _judged(last: FaultTrend, scenario: str, element: str | None, rate: float) -
 
 def _healthy(scenario: str) -> float:
     """Severity that changes nothing."""
-    return FAULTS[scenario][0].healthy
+    return CAUSES[scenario].healthy_magnitude()
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -1,9 +1,9 @@
 """Gain of naming a fault before learning it.
 
 Walking leg, specimens of tolerance 0.1, one fault each, of all cylinders or of one; its size is
-drawn between the bank's smallest and largest, its time within a stride, the machine, the phase of
-the motion and the noise by the seed. `bsnn_arx_bank` stands beside `bsnn_arx`, and beside itself
-with the fault's kind left out of its bank. `frozen`, which learns nothing from the change on, is
+drawn up to beyond the bank's largest, its time within a stride, the machine, the phase of the
+motion and the noise by the seed. `bsnn_arx_bank` stands beside `bsnn_arx`, and beside itself with
+the fault's kind left out of its bank. `frozen`, which learns nothing from the change on, is
 what errors are measured against. The seeds are of no run that a setting was chosen by.
 """
 
@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
-from benchmarks.specimens import changed_at, specimen, window_rms
+from benchmarks.specimens import KINDS, changed_at, drawn_size, specimen, window_rms
 from leglab import RunSettings
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import ALL, UNKNOWN, FaultEvent
-from leglab.base.scenario import scenario_per_joint
+from leglab.causes.fault_names import ALL, UNKNOWN, FaultEvent
+from leglab.causes.table import CAUSES, kind_of
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_simulation import FAULTS, kind
 from leglab.runs.loop import Loop
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.preparation import Preparation
@@ -35,7 +34,6 @@ BESIDES = 1.0  # s after the change, from which on an onset is of nothing that h
 
 STATIC, FROZEN = "static_feedforward", "frozen"
 BEFORE, BANK, WITHOUT = "bsnn_arx", "bsnn_arx_bank", "kind left out"
-KINDS = [(fault, side) for fault, sides in FAULTS.items() for side in sides]
 # Asked of the medians, by window; and of t90, median and worst [s].
 ASKED = {(0.3, 0.6): 0.18, (1.2, 2.4): 0.08}
 ASKED_T90 = (0.8, 2.5)
@@ -67,15 +65,15 @@ def cases(seeds: range) -> Iterator[tuple[int, str, str, float, float]]:
     """Seed, fault, element, size and time of the change [s] of every case."""
     joints = Preparation(RunSettings(scenario="nominal")).nominal.joints
     for seed in seeds:
-        for number, (fault, side) in enumerate(KINDS):
+        for number, (cause, side) in enumerate(KINDS):
             rng = np.random.default_rng([seed, number])
             for alone in (False, True):
                 share, time, place = rng.random(3).tolist()
-                if alone and not scenario_per_joint(fault):
+                if alone and not cause.per_joint:
                     continue
-                size = side.sizes[0] + share * (side.sizes[-1] - side.sizes[0])
+                size = drawn_size(cause, side, share)
                 element = joints[int(place * len(joints))] if alone else ALL
-                yield seed, fault, element, size, round(CHANGE + STRIDE * time, 3)
+                yield seed, cause.name, element, size, round(CHANGE + STRIDE * time, 3)
 
 
 def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
@@ -87,7 +85,7 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
         FROZEN: (FROZEN, {"stop_time": change}),
         BEFORE: (BEFORE, {}),
         BANK: (BANK, {}),
-        WITHOUT: (BANK, {"left_out": list(kind(fault))}),
+        WITHOUT: (BANK, {"left_out": list(kind_of(fault))}),
     }
     base = calibrated = twin = None
     for label, (controller, config) in plans.items():
@@ -238,8 +236,8 @@ def measure_elsewhere(options: argparse.Namespace) -> dict[str, Any]:
     tasks = [(label, *fault, seed) for label in labels for fault in TRIED for seed in seeds]
     Loop(RunSettings(scenario="nominal", controller=BANK))
     keep = {"folder": options.keep, "jobs": options.jobs}
-    back = [(*fault, side.healthy, seed) for fault in CARRIED for side in FAULTS[fault[0]][:1]
-            for seed in seeds]  # fmt: skip
+    healthy = {fault: CAUSES[fault].healthy_magnitude() for fault, _ in CARRIED}
+    back = [(*fault, healthy[fault[0]], seed) for fault in CARRIED for seed in seeds]
     return {
         "back": results.resumed(back_again, back, **keep),
         "elsewhere": results.resumed(elsewhere, tasks, **keep),

@@ -271,13 +271,14 @@ def bank_of(parameters: int) -> FaultBank:
     """A bank of the leg's dimensions: all faults, elements and sizes, with made-up shifts."""
     rng = np.random.default_rng(1)
     curves = []
-    for fault, element, faults in cases(tuple(f"joint_{j}" for j in range(JOINTS))):
-        sizes = np.array([faults.healthy, *faults.sizes])
+    for cause, element, side in cases(tuple(f"joint_{j}" for j in range(JOINTS))):
+        healthy = cause.healthy_magnitude()
+        sizes = np.array([healthy, *cause.magnitudes(side.bank, healthy)])
         shifts = 0.05 * rng.standard_normal((len(sizes), JOINTS, parameters)).astype(np.float32)
         shifts[0] = 0.0
         shifts = shifts.astype(float)
         curves.append(
-            FaultCurve(fault=fault, element=element, meaning="", sizes=sizes, shifts=shifts)
+            FaultCurve(fault=cause.name, element=element, meaning="", sizes=sizes, shifts=shifts)
         )
     return FaultBank(curves=tuple(curves))
 

@@ -1,9 +1,9 @@
 """Purpose of the slow map beside the learned one.
 
-Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, of the bank's largest size
-and of one drawn below it. `bsnn_arx` stands beside itself without the slow map. Over any two
-seconds from 7 s on its error is compared with that of `static_feedforward`, and after the change
-with that of `frozen`.
+Walking leg, specimens of tolerance 0.1, one fault each of all cylinders, of the benchmarks'
+largest size and of one drawn below it. `bsnn_arx` stands beside itself without the slow map. Over
+any two seconds from 7 s on its error is compared with that of `static_feedforward`, and after the
+change with that of `frozen`.
 """
 
 import argparse
@@ -13,13 +13,14 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.live_names import t90_cells
-from benchmarks.specimens import first_change, run_specimen
+from benchmarks.specimens import KINDS, drawn_size, first_change, run_specimen
 from leglab.base.scale import rms
+from leglab.causes.table import CAUSES
 from leglab.runs.clock import adaptation
-from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.metrics import sliding_rms
 from leglab.studies.adaptation import SAFE_FROM
 
+FAULTS = tuple(dict.fromkeys(cause.name for cause, _ in KINDS))
 FIRST_SEED = 6000  # of no run that a setting was chosen by
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.4, 4.8), (4.8, 7.2))  # after, s
 WITHOUT, WITH = "without", "with"
@@ -65,11 +66,12 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """All cases."""
     cases = []
     for seed in range(FIRST_SEED, FIRST_SEED + options.specimens):
-        for number, (fault, sides) in enumerate(FAULTS.items()):
+        for number, fault in enumerate(FAULTS):
             rng = np.random.default_rng([seed, number])
-            side = sides[int(rng.integers(len(sides)))]
-            drawn = side.sizes[0] + rng.random() * (side.sizes[-1] - side.sizes[0])
-            cases += [(fault, side.sizes[-1], seed), (fault, float(drawn), seed)]
+            cause = CAUSES[fault]
+            side = cause.sides[int(rng.integers(len(cause.sides)))]
+            for share in (1.0, rng.random()):
+                cases.append((fault, float(drawn_size(cause, side, share)), seed))
     return [judged(case) for case in cases]
 
 

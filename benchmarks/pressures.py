@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks import live_names, results
 from benchmarks.specimens import window_rms
 from leglab import RunSettings
-from leglab.base.fault_names import ALL
 from leglab.base.scale import rms
 from leglab.base.scenario import Scenario, get_scenario
+from leglab.causes.fault_names import ALL
 from leglab.runs.clock import adaptation
 from leglab.runs.history import History
 from leglab.runs.loop import Loop

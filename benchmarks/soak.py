@@ -20,16 +20,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
-from benchmarks.specimens import specimen
-from leglab.base.fault_names import ALL
-from leglab.base.scenario import Scenario, get_scenario, scenario_per_joint
+from benchmarks.specimens import KINDS, drawn_size, specimen
+from leglab.base.scenario import Scenario, get_scenario
+from leglab.causes.fault_names import ALL
 from leglab.machine.plugin import headless
-from leglab.runs.fault_simulation import FAULTS
 from leglab.runs.loop import Loop
 
 STATE, STRIDE = 30.0, 1.2  # how long the machine stays as it is, and a stride [s]
 STRIDES = 4  # at the end of a state, over which its error is taken
-KINDS = [(fault, side) for fault, sides in FAULTS.items() for side in sides]
 # Of what must hold: growth of memory from the second minute on [MB], error after a repair over that
 # before the first fault, share of faults whose name stands at the end of their state.
 MOST_GROWTH, MOST_ERROR, LEAST_NAMED = 8.0, 2.0, 0.7
@@ -45,15 +43,15 @@ def memory() -> float:
 
 def fault_at(now: float, joints: tuple[str, ...], rng: np.random.Generator) -> tuple[Scenario, str]:
     """Draws a fault that begins now, and its element."""
-    fault, side = KINDS[int(rng.integers(len(KINDS)))]
+    cause, side = KINDS[int(rng.integers(len(KINDS)))]
     share, alone, place = rng.random(3).tolist()
-    size = side.sizes[0] + share * (side.sizes[-1] - side.sizes[0])
-    joint = joints[int(place * len(joints))] if alone < 0.5 and scenario_per_joint(fault) else None
-    whole = get_scenario(fault, duration=60.0, severity=size, element=joint)
+    size = drawn_size(cause, side, share)
+    joint = joints[int(place * len(joints))] if alone < 0.5 and cause.per_joint else None
+    whole = get_scenario(cause.name, duration=60.0, severity=size, element=joint)
     changes = tuple(replace(change, start=now) for change in whole.changes)
     # Of one joint that there is, a bank says "all".
     element = joint if joint and len(joints) > 1 else ALL
-    return Scenario(name=fault, duration=now + STATE, changes=changes), element
+    return Scenario(name=cause.name, duration=now + STATE, changes=changes), element
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

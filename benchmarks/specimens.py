@@ -8,12 +8,24 @@ import numpy as np
 from leglab import Run, RunSettings, run_scenario
 from leglab.base.scale import rms
 from leglab.base.scenario import Scenario, get_scenario
+from leglab.causes.record import Cause, Side
+from leglab.causes.table import CAUSES
 
 # Standard deviation of the logarithm of every parameter about the drawing.
 TOLERANCE = 0.1
 
 # Seeds of tables whose point is not the scatter.
 FEW = range(3)
+
+# Scenarios of which the bank of faults has a curve, with each side of their healthy magnitude.
+KINDS = [(c, side) for c in CAUSES.values() if c.summary for side in c.sides if side.bank]
+
+
+def drawn_size(cause: Cause, side: Side, share: float) -> float:
+    """Magnitude from the smallest (share 0) to the largest (1) of benchmarks, beyond the bank's."""
+    healthy = cause.healthy_magnitude()
+    small, *_, large = cause.magnitudes(side.benchmark, healthy)
+    return small + share * (large - small)
 
 
 def specimen(seed: int, **settings: Any) -> RunSettings:

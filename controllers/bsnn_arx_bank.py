@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.errors import ModelError
-from leglab.base.fault_names import FaultEvent, FaultTrend
+from leglab.causes.fault_names import FaultEvent, FaultTrend
 from leglab.control import ControllerSetup, Measurement, register_controller
 from leglab.control.feedforward.fault_monitor import (
     FaultMonitor,

@@ -95,7 +95,7 @@ Made by `python docs/_tools/make_scenarios.py`.
 
 ![clip of the walking leg with static_feedforward and with bsnn_arx]({picture}.webp)
 
-{LOOK_AT[name]}
+{LOOK_AT.get(name, "")}
 
 ![error of both controllers over the run{when}]({picture}_error.webp)
 

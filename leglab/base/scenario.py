@@ -12,6 +12,9 @@ from leglab.base.registry import Registry
 
 _KINDS = ("scale", "set")
 
+# Values of a parameter in a model, of the elements that a scenario changes; empty without any.
+Healthy = Callable[[str], tuple[float, ...]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterChange:
@@ -117,11 +120,13 @@ class Options:
         duration: Duration of the run [s].
         severity: Size of the change, in the unit that the scenario declares; NaN without one.
         ramp_duration: How long the change takes [s]; 0 is a step.
+        healthy: Values of the model's parameters; None without a model.
     """
 
     duration: float
     severity: float
-    ramp_duration: float
+    ramp_duration: float = 0.0
+    healthy: Healthy | None = None
 
     @property
     def half(self) -> float:
@@ -274,8 +279,12 @@ class _Entry(NamedTuple):
     duration: float
     reference: str
     reference_config: Mapping[str, Any]
-    severity: Severity | None
+    severity: Severity | Callable[[Healthy | None], Severity] | None
     per_joint: bool
+
+    def severity_in(self, healthy: Healthy | None) -> Severity | None:
+        """Sizes that the change may have on a machine."""
+        return self.severity(healthy) if callable(self.severity) else self.severity
 
 
 SCENARIOS: Registry[_Entry] = Registry("scenario")
@@ -288,7 +297,7 @@ def register_scenario(
     duration: float = 20.0,
     reference: str = "walking_stride",
     reference_config: Mapping[str, Any] | None = None,
-    severity: Severity | None = None,
+    severity: Severity | Callable[[Healthy | None], Severity] | None = None,
     per_joint: bool = False,
 ) -> Callable[[Builder], Builder]:
     """Registers the decorated builder of changes under a name.
@@ -299,7 +308,8 @@ def register_scenario(
         duration: Default duration [s].
         reference: Default reference trajectory.
         reference_config: Settings of that trajectory; None for its own.
-        severity: Sizes that the change can have; None where there is nothing to choose.
+        severity: Sizes that the change can have, or a function of the model's values that makes
+            them; None where there is nothing to choose.
         per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone; oil
             and supply are common to all.
     """
@@ -320,6 +330,7 @@ def get_scenario(
     severity: float | None = None,
     ramp_duration: float = 0.0,
     element: str | None = None,
+    healthy: Healthy | None = None,
 ) -> Scenario:
     """Builds a scenario.
 
@@ -330,6 +341,8 @@ def get_scenario(
         ramp_duration: How long the change takes [s]; 0 is a step.
         element: Joint whose cylinder, spring and encoder change alone; None for all that the
             scenario changes.
+        healthy: Values of the parameters of the machine that it is for; None for the plugins'
+            defaults, which the shipped models have.
 
     Raises:
         SettingsError: The name is not known, or an option is not allowed for this scenario.
@@ -342,7 +355,7 @@ def get_scenario(
             given=name,
             allowed=(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint),
         )
-    chosen = _choose_severity(name, entry.severity, severity)
+    chosen = _choose_severity(name, entry.severity_in(healthy), severity)
     scenario = Scenario(  # Refuses a bad duration before changes are built upon it.
         name=name,
         summary=entry.summary,
@@ -355,15 +368,21 @@ def get_scenario(
         duration=scenario.duration,
         severity=math.nan if chosen is None else chosen,
         ramp_duration=ramp_duration,
+        healthy=healthy,
     )
     changes = entry.build(options)
     if element is not None:
-        own = joint_pattern(element)
-        changes = tuple(replace(change, element=own, fallback=False) for change in changes)
+        changes = of_joint(changes, element)
     if ramp_duration and not changes:
         told = f"scenario {name!r} changes nothing, so it has no ramp_duration"
         raise SettingsError(told, given=ramp_duration)
     return replace(scenario, changes=changes)
+
+
+def of_joint(changes: tuple[ParameterChange, ...], joint: str) -> tuple[ParameterChange, ...]:
+    """The same changes of the elements of one joint alone."""
+    own = joint_pattern(joint)
+    return tuple(replace(change, element=own, fallback=False) for change in changes)
 
 
 def joint_pattern(joint: str) -> str:
@@ -381,9 +400,14 @@ def scenario_summary(name: str) -> str:
     return SCENARIOS.get(name).summary
 
 
-def scenario_severity(name: str) -> Severity | None:
-    """Returns the sizes that a scenario's change may have; None where it has one alone."""
-    return SCENARIOS.get(name).severity
+def scenario_severity(name: str, healthy: Healthy | None = None) -> Severity | None:
+    """Returns the sizes that a scenario's change may have; None where it has one alone.
+
+    Args:
+        name: Of the scenario.
+        healthy: As in `get_scenario`.
+    """
+    return SCENARIOS.get(name).severity_in(healthy)
 
 
 def scenario_per_joint(name: str) -> bool:

@@ -8,8 +8,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base import plugins
-from leglab.base.causes import CAUSES
-from leglab.cli.details import registries, show_details
+from leglab.base.scenario import scenario_severity
+from leglab.causes.table import CAUSES
+from leglab.cli.details import model_values, registries, show_details
 from leglab.cli.options import Json, Load
 from leglab.cli.terminal import errors, print_json, print_table
 
@@ -17,20 +18,32 @@ Markdown = Annotated[bool, typer.Option(help="Print Markdown, as in docs/.")]
 
 
 _CAUSE_HEAD = ("scenario, live name", "effect of a diagnosis", "attributes", "size")
+_SIZE_HEAD = ("healthy", "bank of faults", "benchmarks")
 _SCENARIO_HEAD = " size (`--severity`): default | one joint alone: `--element` |"
 
 
 def list_names(
     name: Annotated[
         str | None,
-        typer.Argument(help="Scenario, controller, reference, model or effect; default: all."),
+        typer.Argument(
+            help='Scenario, controller, reference, model or effect, or "causes"; default: all.'
+        ),
     ] = None,
-    model: Annotated[str, typer.Option(help="Machine on which an effect is shown.")] = "leg",
+    model: Annotated[
+        str, typer.Option(help="Machine on which causes, a scenario or an effect are shown.")
+    ] = "leg",
     as_json: Json = False,
     markdown: Markdown = False,
     load: Load = None,
 ) -> None:
     """Shows what there is; of a NAME its settings, with defaults and units."""
+    if name == "causes":
+        rows = cause_rows(model)
+        if as_json:
+            print_json({"causes": rows})
+        else:
+            _show_causes(rows, magnitudes=True)
+        return
     if name is not None:
         show_details(name, model, as_json=as_json)
         return
@@ -41,7 +54,7 @@ def list_names(
     for failure in plugins.failures():
         errors.print(f"[yellow]warning:[/yellow] {escape(failure)}")
     if as_json:
-        print_json({**groups, "causes": [vars(cause) for cause in CAUSES]})
+        print_json({**groups, "causes": cause_rows()})
         return
     for title, entries in groups.items():
         table = Table(title=title, title_justify="left", box=None, show_header=False)
@@ -49,10 +62,39 @@ def list_names(
             alone = " [dim](--element)[/dim]" if title == "scenarios" and _per_joint(name) else ""
             table.add_row(f"  [bold]{name}[/bold]", summary + alone)
         print_table(table)
+    _show_causes(cause_rows(), magnitudes=False)
+
+
+def cause_rows(model: str | None = None) -> list[dict[str, str]]:
+    """Returns a row a cause: its names, what it changes, and its magnitudes.
+
+    Args:
+        model: Whose healthy magnitudes count; None for the plugins' defaults.
+    """
+    rows, values = [], model_values(model) if model else None
+    for cause in CAUSES.values():
+        healthy = cause.healthy_magnitude(values)
+        sizes = {
+            kind: "; ".join(
+                " ".join(f"{size:g}" for size in cause.magnitudes(getattr(side, kind), healthy))
+                for side in cause.sides
+            )
+            for kind in ("bank", "benchmark")
+        }
+        names = {"live": cause.name, "effect": cause.effect}
+        what = {"attributes": ", ".join(cause.parameters), "size": cause.meaning}
+        rows.append({**names, **what, "healthy": f"{healthy:g}", **sizes})
+    return rows
+
+
+def _show_causes(rows: list[dict[str, str]], *, magnitudes: bool) -> None:
     table = Table(*_CAUSE_HEAD, title="causes", title_justify="left", box=None)
-    for cause in CAUSES:
-        live, *others = vars(cause).values()
-        table.add_row(f"  [bold]{live}[/bold]", *map(escape, others))
+    for row in rows:
+        live, effect, attributes, size, *found = row.values()
+        if magnitudes:
+            told = zip(_SIZE_HEAD, found, strict=True)
+            size += "".join(f"\n  {kind}: {sizes}" for kind, sizes in told if sizes)
+        table.add_row(f"  [bold]{live}[/bold]", *map(escape, (effect, attributes, size)))
     print_table(table)
 
 
@@ -95,7 +137,7 @@ def summaries() -> dict[str, dict[str, str]]:
 
 def severity_text(scenario: str) -> str:
     """Returns the meaning and default of a scenario's size; empty without one."""
-    severity = registries()["scenario"].get(scenario).severity
+    severity = scenario_severity(scenario)
     return f"{severity.meaning}: {severity.default:g}" if severity else ""
 
 
@@ -119,14 +161,18 @@ def catalogue_page() -> str:
             row = f"| `{name}` | {summary} |"
             alone = "yes" if scenarios and _per_joint(name) else ""
             lines.append(row + (f" {severity_text(name)} | {alone} |" if scenarios else ""))
-    lines += ["", "## Causes", "", "| " + " | ".join(_CAUSE_HEAD) + " |", "|---|---|---|---|"]
-    lines += [
-        f"| `{c.live}` | {_code(c.effect)} | {_code(c.attributes)} | {c.size} |" for c in CAUSES
-    ]
+    lines += ["", "## Causes", "", _line([*_CAUSE_HEAD, *_SIZE_HEAD]), "|---" * 7 + "|"]
+    for cause in cause_rows():
+        live, effect, attributes, *others = cause.values()
+        lines.append(_line([f"`{live}`", _code(effect), _code(attributes), *others]))
     return "\n".join(lines) + "\n"
+
+
+def _line(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
 
 
 def _code(names: str) -> str:
     """Names in a sentence as code."""
-    words = re.split(r"( and | or |, )", names)
+    words = re.split(r"( and |, )", names) if names else []
     return "".join(w if i % 2 or " " in w else f"`{w}`" for i, w in enumerate(words))

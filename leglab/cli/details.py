@@ -1,15 +1,20 @@
 """`leglab list NAME`: one scenario, controller, reference, model or effect with its settings."""
 
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from leglab.base.causes import CAUSES
 from leglab.base.errors import SettingsError
 from leglab.base.registry import Registry
 from leglab.base.settings import documented_settings
+from leglab.causes.table import CAUSES
 from leglab.cli.options import names_of
 from leglab.cli.terminal import output, plain_table, print_json, print_wide, tell
+
+if TYPE_CHECKING:
+    from leglab.base.scenario import Healthy
+    from leglab.machine.simulation import Simulation
 
 
 def show_details(name: str, model: str, *, as_json: bool) -> None:
@@ -17,7 +22,7 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
 
     Args:
         name: To look for.
-        model: Machine on which an effect is shown.
+        model: Machine on which a scenario or an effect is shown.
         as_json: Whether to print JSON.
 
     Raises:
@@ -27,7 +32,7 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
     for kind, registry in registries().items():
         known.update(registry.names())
         if name in registry.names():
-            found[kind] = _DETAILS[kind](kind, name, registry.get(name))
+            found[kind] = _DETAILS[kind](kind, name, registry.get(name), model)
     if name in names_of("effects"):
         found["effect"] = _effect(name, model)
     if not found:
@@ -58,10 +63,29 @@ def registries() -> dict[str, Registry[Any]]:
     }
 
 
-def _scenario(_: str, name: str, entry: Any) -> dict[str, Any]:
-    from leglab.base.scenario import get_scenario
+def model_values(model: str) -> "Healthy":
+    """Returns a function that gives the values of a parameter in a model."""
 
-    scenario, severity = get_scenario(name), entry.severity
+    def values(parameter: str) -> tuple[float, ...]:
+        from leglab.machine.changes import healthy_values
+
+        return healthy_values(_machine(model), parameter)
+
+    return values
+
+
+@cache
+def _machine(model: str) -> "Simulation":
+    from leglab.machine.simulation import Simulation, load_model
+
+    return Simulation(load_model(model, visual=False))
+
+
+def _scenario(_: str, name: str, entry: Any, model: str) -> dict[str, Any]:
+    from leglab.base.scenario import get_scenario, scenario_severity
+
+    values = model_values(model)
+    scenario, severity = get_scenario(name, healthy=values), scenario_severity(name, values)
     options = [f"--duration {scenario.duration:g} [s]", f"--reference {scenario.reference}"]
     if severity:
         bounds = f"{severity.lowest:g} to {severity.highest:g}"
@@ -79,12 +103,12 @@ def _scenario(_: str, name: str, entry: Any) -> dict[str, Any]:
         }
         for change in scenario.changes
     ]
-    effects = [cause.effect for cause in CAUSES if cause.live == name]
+    effects = [CAUSES[name].effect] if name in CAUSES and CAUSES[name].effect else []
     told = {"summary": scenario.summary, "options": options}
     return {**told, "effects": effects, "rows": changes}
 
 
-def _settings(section: str, _: str, entry: Any) -> dict[str, Any]:
+def _settings(section: str, _: str, entry: Any, model: str) -> dict[str, Any]:
     rows = [
         {
             "setting": setting.name,
@@ -99,10 +123,8 @@ def _settings(section: str, _: str, entry: Any) -> dict[str, Any]:
     return {"summary": entry.summary, "options": [told], "rows": rows}
 
 
-def _model(_: str, name: str, entry: Any) -> dict[str, Any]:
-    from leglab.machine.simulation import Simulation, load_model
-
-    machine = Simulation(load_model(name, visual=False))
+def _model(_: str, name: str, entry: Any, __: str) -> dict[str, Any]:
+    machine = _machine(name)
     rows = []
     for i, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
         low, high = machine.joint_range()[i]
@@ -120,7 +142,7 @@ def _model(_: str, name: str, entry: Any) -> dict[str, Any]:
     return {"summary": entry.summary, "options": options, "rows": rows}
 
 
-# Describes an entry, given kind, name and entry.
+# Describes an entry, given kind, name, entry and the machine on which it is shown.
 _DETAILS = {"scenario": _scenario, "controller": _settings, "reference": _settings, "model": _model}
 
 
@@ -143,13 +165,13 @@ def _effect(name: str, model: str) -> dict[str, Any]:
         for p in (effect.parameters(machine, elements[0]) if elements else ())
     ]
     where = f"on {elements[0]} of {model}" if elements else f"{model} has nothing it can sit on"
-    live = [cause.live for cause in CAUSES if name in cause.effect.replace(" and ", " ").split()]
+    live = [cause.name for cause in CAUSES.values() if name in cause.effect.split(" and ")]
     return {
         "summary": " ".join(effect.physics.split()),
         "options": [
             f"source: {' '.join(effect.source.split())}",
             f"shown by: {effect.excitation}",
-            *([f"as a scenario: {', '.join(live)}"] if live else []),
+            *([f"scenario or live name: {', '.join(live)}"] if live else []),
             where,
         ],
         "rows": rows,

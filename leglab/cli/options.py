@@ -1,8 +1,8 @@
 """Options that several commands share, and the names that they take.
 
 Names for shell completion and help are found without importing what they name: scenarios and
-controllers are called like their files, models like their MJCF; the others are listed. A test
-compares all of them with the registries.
+effects stand in the table of causes, scenarios and controllers are called like their files, models
+like their MJCF; the others are listed. A test compares all of them with the registries.
 """
 
 import os
@@ -123,17 +123,15 @@ RECORDINGS = (".parquet", ".csv", ".txt", ".tsv", ".log", ".dat", ".mcap", ".mat
 
 _PACKAGE = Path(__file__).parent.parent
 _FILES = {"scenarios": "*.py", "controllers": "*.py", "models": "*.xml"}
-# Several classes may stand behind one name, and loading them takes MuJoCo: so they are listed.
+# Several classes may stand behind one name, and loading them takes MuJoCo: those that no cause
+# names are listed.
 _EFFECTS = (
     "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt", "cogging",
     "command_bandwidth", "command_bias", "command_deadband", "command_delay", "command_hysteresis",
-    "coulomb_friction", "encoder_offset", "encoder_scale", "entrained_air", "external_leakage",
-    "force_offset", "internal_leakage", "joint_flexibility", "load_dependent_friction",
-    "oil_viscosity", "payload", "pressure_dependent_friction", "pressure_sensor_offset",
-    "pressure_sensor_scale", "quadratic_damping", "sensor_delay", "spring_hardening",
-    "spring_offset", "spring_stiffness", "stiction", "supply_droop", "supply_pressure",
-    "valve_bandwidth", "valve_bias", "valve_deadband", "valve_gain", "valve_gain_asymmetry",
-    "valve_hysteresis", "valve_null_leakage", "viscous_friction",
+    "encoder_scale", "force_offset", "joint_flexibility", "load_dependent_friction",
+    "pressure_dependent_friction", "pressure_sensor_offset", "pressure_sensor_scale",
+    "quadratic_damping", "sensor_delay", "spring_hardening", "spring_offset", "valve_gain",
+    "valve_gain_asymmetry", "valve_null_leakage",
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,
@@ -209,6 +207,10 @@ def names_of(kind: str) -> tuple[str, ...]:
         found = set(_LISTED[kind])
     else:
         found = {path.stem for path in (_PACKAGE / kind).glob(_FILES[kind])}
+    if kind in ("scenarios", "effects"):
+        from leglab.causes.table import names
+
+        found.update(names(kind))
     found.update(plugins.entry_points(kind))
     return tuple(sorted(name for name in found if not name.startswith("_")))
 

@@ -1,8 +1,9 @@
 """Changes of a machine: a scenario's over time, loads on its bodies, one specimen's tolerances."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from glob import escape
+from types import MappingProxyType
 from typing import Protocol
 
 import mujoco
@@ -193,6 +194,30 @@ def _own(pattern: str, joints: Sequence[str]) -> str:
             excluded = "".join(f",!{other},!{other}_*" for other in others)
             return pattern + excluded
     return pattern
+
+
+def healthy_values(
+    simulation: Simulation,
+    parameter: str,
+    joint: str | None = None,
+    placed: Mapping[tuple[str, str], float] = MappingProxyType({}),
+) -> tuple[float, ...]:
+    """Reads a parameter of a machine.
+
+    Args:
+        simulation: The machine, unchanged.
+        parameter: Name of the parameter.
+        joint: Whose elements count; None for all that have the parameter.
+        placed: Values by element and name that take the place of the machine's.
+    """
+    pattern = _own("*" if joint is None else joint_pattern(joint), simulation.joints)
+    where = ParameterChange(parameter=parameter, element=pattern, value=1.0, start=0.0)
+    having = (e for e in simulation.elements if simulation.has(e, parameter))
+    return tuple(
+        placed.get((e, parameter), simulation.parameter(e, parameter))
+        for e in having
+        if where.applies_to(e)
+    )
 
 
 def _able(simulation: Simulation, parameter: str) -> list[str]:

@@ -5,8 +5,8 @@ A machine of its own runs, never that of the run: what happens to that one canno
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,10 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import ALL
-from leglab.base.scenario import (
-    ParameterChange,
-    Scenario,
-    get_scenario,
-    joint_pattern,
-    scenario_per_joint,
-    scenario_severity,
-)
+from leglab.base.scenario import Healthy, Options, ParameterChange, Scenario, of_joint
+from leglab.causes.fault_names import ALL
+from leglab.causes.record import Cause, Side
+from leglab.causes.table import CAUSES
 from leglab.commissioning.setup import model_digest
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 from leglab.control.feedforward.judge import explained_share
@@ -31,93 +26,9 @@ from leglab.control.feedforward.thresholds import DISCREPANCY, RIDGE
 from leglab.controllers.bsnn_arx import AdaptiveController
 from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
+from leglab.machine.changes import healthy_values
 from leglab.machine.plugin import headless
 from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
-
-
-@dataclass(frozen=True, kw_only=True)
-class Faults:
-    """Sizes of one scenario's change in the bank."""
-
-    healthy: float  #: Size that changes nothing
-    sizes: tuple[float, ...]  #: Sizes on one side of it, from small to large change
-
-
-# By scenario; a second entry is the other side of the healthy value. New valves have an overlap of
-# 0.02 and no hysteresis, so a `valve_wear` below 0.03 is no smaller wear: it mends the overlap.
-FAULTS: Mapping[str, tuple[Faults, ...]] = {
-    "seal_wear": (Faults(healthy=1.0, sizes=(3.0, 10.0, 25.0)),),
-    "external_leak": (Faults(healthy=0.0, sizes=(2e-13, 5e-13, 1e-12)),),
-    "friction_rise": (Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
-    "stiction": (Faults(healthy=1.0, sizes=(2.5, 4.0, 7.0)),),
-    "spring_fatigue": (Faults(healthy=1.0, sizes=(0.7, 0.4, 0.1)),),
-    "valve_wear": (Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
-    "valve_null_shift": (
-        Faults(healthy=0.0, sizes=(0.02, 0.05)),
-        Faults(healthy=0.0, sizes=(-0.02, -0.05)),
-    ),
-    "slow_valve": (Faults(healthy=250.0, sizes=(100.0, 60.0, 40.0, 25.0)),),
-    "air_in_oil": (Faults(healthy=0.005, sizes=(0.05, 0.15)),),
-    "hot_oil": (Faults(healthy=40.0, sizes=(60.0, 80.0, 100.0)),),
-    "cold_oil": (Faults(healthy=40.0, sizes=(25.0, 15.0, 7.0, 0.0)),),
-    "supply_drop": (Faults(healthy=160.0, sizes=(130.0, 105.0, 80.0)),),
-    "supply_droop": (Faults(healthy=1.0, sizes=(0.7, 0.5, 0.35)),),
-    "payload": (Faults(healthy=0.0, sizes=(2.5, 5.0, 10.0)),),
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class PartFault:
-    """A fault that is one part of a scenario's."""
-
-    of: str  #: The scenario
-    sides: tuple[Faults, ...]  #: As in `FAULTS`
-    meaning: str  #: What a size says, with its unit
-    #: Of a machine that has had a size of it from the start; of elements by a pattern.
-    changes: Callable[[float, str], tuple[ParameterChange, ...]]
-
-
-def _of(kind: str, *parameters: str) -> Callable[[float, str], tuple[ParameterChange, ...]]:
-    return lambda size, element: tuple(
-        ParameterChange(parameter=name, element=element, kind=kind, value=size, start=0.0)
-        for name in parameters
-    )
-
-
-def _leak_of_one_chamber(size: float, element: str) -> tuple[ParameterChange, ...]:
-    side = "external_leakage_a" if size > 0 else "external_leakage_b"
-    return _of("set", side)(abs(size), element)
-
-
-PARTS: Mapping[str, PartFault] = {
-    "valve_deadband": PartFault(
-        of="valve_wear",
-        sides=(Faults(healthy=1.0, sizes=(1.5, 3.0, 5.0)),),
-        meaning="lap ratio",
-        changes=_of("scale", "lap"),
-    ),
-    "valve_hysteresis": PartFault(
-        of="valve_wear",
-        sides=(Faults(healthy=0.0, sizes=(0.03, 0.06, 0.1)),),
-        meaning="hysteresis, of full spool travel",
-        changes=_of("set", "hysteresis"),
-    ),
-    "coulomb_friction": PartFault(
-        of="friction_rise",
-        sides=(Faults(healthy=1.0, sizes=(2.0, 3.0, 5.0)),),
-        meaning="ratio of Coulomb and breakaway friction",
-        changes=_of("scale", "coulomb", "static"),
-    ),
-    "chamber_leak": PartFault(
-        of="external_leak",
-        sides=(
-            Faults(healthy=0.0, sizes=(5e-13, 1.5e-12, 4.5e-12)),
-            Faults(healthy=0.0, sizes=(-5e-13, -1.5e-12, -4.5e-12)),
-        ),
-        meaning="external leakage of the cap side, negative of the rod side [m^3/s/Pa]",
-        changes=_leak_of_one_chamber,
-    ),
-}
 
 # Strides before samples count, and strides of samples; of a motion that does not repeat, as many
 # of its periods.
@@ -228,12 +139,15 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     normal = healthy.about(base).power / np.maximum(healthy.count, 1.0)
     joints = preparation.nominal.joints
     curves = []
-    for fault, element, faults in cases(joints):
-        shifts, sizes = [np.zeros_like(base)], [faults.healthy]
+    for cause, element, side in cases(joints):
+        joint = None if element == ALL else element
+        values = partial(healthy_values, preparation.nominal, joint=joint)
+        first = cause.healthy_magnitude(values)
+        shifts, sizes = [np.zeros_like(base)], [first]
         sums = np.zeros(3)
-        for size in faults.sizes:
+        for size in cause.magnitudes(side.bank, first):
             try:
-                found = moments(_changes(fault, size, element))
+                found = moments(_changes(cause, size, joint, values))
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
             changed = found.about(base)
@@ -243,9 +157,9 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
         if len(sizes) > 1:
             curves.append(
                 FaultCurve(
-                    fault=fault,
+                    fault=cause.name,
                     element=element,
-                    meaning=_meaning(fault),
+                    meaning=cause.meaning,
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     # A fault that shows nothing beyond noise has no share to go by.
@@ -255,35 +169,21 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     return FaultBank(curves=tuple(curves))
 
 
-def cases(joints: tuple[str, ...]) -> Iterator[tuple[str, str, Faults]]:
-    """Faults of the bank with the element that has each: a joint by name, or "all"."""
-    for fault, sides in (*FAULTS.items(), *((name, part.sides) for name, part in PARTS.items())):
-        for faults in sides:
-            yield fault, ALL, faults
-            if (fault in PARTS or scenario_per_joint(fault)) and len(joints) > 1:
-                for joint in joints:
-                    yield fault, joint, faults
+def cases(joints: tuple[str, ...]) -> Iterator[tuple[Cause, str, Side]]:
+    """Sides of all causes in the bank, with the element that has each, a joint or "all"."""
+    for cause in CAUSES.values():
+        for side in cause.sides:
+            for element in (ALL, *(joints if cause.per_joint and len(joints) > 1 else ())):
+                if side.bank:
+                    yield cause, element, side
 
 
-def kind(fault: str) -> tuple[str, ...]:
-    """A fault of the bank, what it is a part of, and all parts of that."""
-    whole = PARTS[fault].of if fault in PARTS else fault
-    return whole, *(name for name, part in PARTS.items() if part.of == whole)
-
-
-def _changes(fault: str, size: float, element: str) -> tuple[ParameterChange, ...]:
-    """Parameter changes of a fault on a machine that has had it from the start."""
-    if fault in PARTS:
-        return PARTS[fault].changes(size, "*" if element == ALL else joint_pattern(element))
-    joint = None if element == ALL else element
-    return get_scenario(fault, severity=size, element=joint).changed_from_start().changes
-
-
-def _meaning(fault: str) -> str:
-    if fault in PARTS:
-        return PARTS[fault].meaning
-    severity = scenario_severity(fault)
-    return "" if severity is None else severity.meaning
+def _changes(
+    cause: Cause, size: float, joint: str | None, values: Healthy
+) -> tuple[ParameterChange, ...]:
+    """Parameter changes of a cause on a machine that has had it from the start."""
+    changes = cause.changes(cause, Options(duration=0.0, severity=size, healthy=values))
+    return changes if joint is None else of_joint(changes, joint)
 
 
 def _moments(

@@ -131,8 +131,8 @@ class Loop:
         kept: int | None = None,
     ) -> None:
         self.settings = settings
-        wanted = scenario or scenario_of(settings)
         self.preparation = preparation = preparation or prepared(settings)
+        wanted = scenario or scenario_of(settings, preparation)
         self.scenario = scenario = preparation.fitted(wanted)
         self.reference = preparation.reference(settings, scenario)
         foreknowledge = Foreknowledge(

@@ -25,6 +25,7 @@ from leglab.machine.changes import (
     NATIVE_FIELDS,
     check_tolerance,
     fitted,
+    healthy_values,
     vary_bodies,
     vary_parameters,
 )
@@ -89,8 +90,12 @@ class RunSettings:
     vary: bool = False
 
 
-def scenario_of(settings: RunSettings) -> Scenario:
-    """Builds the scenario that settings ask for.
+def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None) -> Scenario:
+    """Builds the scenario that settings ask for, by the healthy values of its machine.
+
+    Args:
+        settings: Of the run.
+        preparation: Of the run; None for one that is made where a value of the model is asked for.
 
     Raises:
         SettingsError: If the seed, the name or an option of the scenario is not allowed.
@@ -104,8 +109,20 @@ def scenario_of(settings: RunSettings) -> Scenario:
         severity=settings.severity,
         ramp_duration=settings.ramp_duration,
         element=settings.element,
+        healthy=partial(_healthy, settings, preparation),
     )
     return scenario.shifted(2 * _draws(settings.seed)[0] - 1) if settings.vary else scenario
+
+
+def _healthy(
+    settings: RunSettings, preparation: "Preparation | None", parameter: str
+) -> tuple[float, ...]:
+    """Values of a parameter in the nominal machine of a run, of the elements that change."""
+    if preparation is None:  # of the model as it is: a sweep of parameters compiles it once
+        plain = RunSettings(scenario="", model=settings.model, timestep=settings.timestep)
+        preparation = prepared(plain)
+    placed = placed_parameters(settings.parameters, preparation.nominal.elements)
+    return healthy_values(preparation.nominal, parameter, settings.element, placed)
 
 
 def _draws(seed: int) -> tuple[float, float]:

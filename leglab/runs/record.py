@@ -7,12 +7,12 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from leglab.base.errors import FileError
-from leglab.base.fault_names import FaultEvent, FaultTrend, Name
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
 from leglab.base.output import write_atomically
 from leglab.base.settings import first_problem
 from leglab.base.units import error_unit
+from leglab.causes.fault_names import FaultEvent, FaultTrend, Name
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)

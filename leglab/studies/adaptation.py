@@ -8,23 +8,19 @@ its valve travel and energy are compared with.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from leglab.base.errors import LeglabError, ModelError, SettingsError
-from leglab.base.scenario import scenario_names
-from leglab.runs.fault_simulation import FAULTS
-from leglab.runs.preparation import RunSettings, check_controllers
+from leglab.causes.table import CAUSES
+from leglab.machine.changes import healthy_values
+from leglab.runs.preparation import RunSettings, check_controllers, prepared
 from leglab.runs.sweeps.plan import SweepPlan, check_run
 
 STATIC, PD = "static_feedforward", "pd"
 
-# Faults that the bank of faults does not have.
-_OTHER_SIZES = {
-    "seal_wear_supply_drop": (3.0, 10.0, 25.0),
-    "viscosity_change": (68.0, 100.0, 220.0),
-}
 # Standard deviation of the logarithm of every parameter about the drawing; length of a run [s].
 TOLERANCE, DURATION = 0.1, 20.0
 # The first windows see the start of learning; from here on a window counts [s].
@@ -32,18 +28,19 @@ SAFE_FROM = 7.0
 _MOST_SPECIMENS = 1000
 
 
-def faults() -> dict[str, tuple[float, float, float]]:
-    """Sizes of each fault, small, middle and large: those of the bank of faults, and others.
+def faults(model: str = "leg") -> dict[str, tuple[float, ...]]:
+    """Returns the magnitudes of each fault on a model: small, middle, and large beyond the bank's.
 
     What is not in them is no fault of the machine that a controller could adapt to: a cold start,
     and what an encoder says.
     """
-    sizes = dict(_OTHER_SIZES)
-    for name, sides in FAULTS.items():
-        own = sides[0].sizes
-        middle = own[len(own) // 2] if len(own) > 2 else (own[0] + own[-1]) / 2
-        sizes[name] = (own[0], middle, own[-1])
-    return {name: sizes[name] for name in scenario_names() if name in sizes}
+    machine = prepared(RunSettings(scenario="", model=model)).nominal
+    sizes = {}
+    for name, cause in sorted(CAUSES.items()):
+        if cause.summary and cause.sides:
+            healthy = cause.healthy_magnitude(partial(healthy_values, machine))
+            sizes[name] = cause.magnitudes(cause.sides[0].benchmark, healthy)
+    return sizes
 
 
 def adaptation_plan(
@@ -78,7 +75,7 @@ def adaptation_plan(
     }
     check_run(RunSettings(scenario="nominal", **settings))
     possible, missing = {}, []
-    known = faults()
+    known = faults(model)
     chosen = known if only is None else only
     for name in chosen:
         if name not in known:

@@ -135,13 +135,13 @@ def test_a_run_that_blows_up_says_when_and_which_joint(tmp_path, capsys, monkeyp
 def test_a_scenario_runs_as_a_script(tmp_path):
     arguments = ["--model", "knee_bench", "--duration", "0.3", "--no-figures", "--out", "run"]
     subprocess.run(
-        [sys.executable, "-m", "leglab.scenarios.seal_wear", *arguments],
+        [sys.executable, "-m", "leglab.scenarios.cold_start", *arguments],
         cwd=tmp_path,
         check=True,
         capture_output=True,
     )
     metrics = json.loads((Path(tmp_path) / "run" / "metrics.json").read_text())
-    assert metrics["scenario"] == "seal_wear"
+    assert metrics["scenario"] == "cold_start"
 
 
 @pytest.mark.parametrize("model", ["knee_bench", "leg", "leg_rail"])

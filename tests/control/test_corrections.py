@@ -11,7 +11,7 @@ import pytest
 import leglab.runs.fault_simulation as making
 from leglab import RunSettings
 from leglab.base.scenario import Scenario, get_scenario
-from leglab.runs.fault_simulation import kind
+from leglab.causes.table import CAUSES, kind_of
 from leglab.runs.loop import Loop
 from rigs.closed_loop import bench_loop, bench_settings, run_bench
 from rigs.rough_bench import exact_specimen
@@ -45,16 +45,14 @@ def rms(history, windows):
 def test_a_change_that_the_bank_has_not_costs_little():
     windows = [(0.6, 1.2), (1.2, 2.4)]
     base = errors("bsnn_arx", LAP, windows)
-    bank = errors("bsnn_arx_bank", LAP, windows, left_out=kind("valve_deadband"))
+    bank = errors("bsnn_arx_bank", LAP, windows, left_out=kind_of("valve_deadband"))
     assert (bank < 1.4 * base).all()
 
 
 def test_a_play_that_would_eat_the_command_is_not_found(monkeypatch):
     """Of a slow squat, whose commands move by less than the widths that are tried."""
     monkeypatch.setattr(making, "_banks", {})
-    monkeypatch.setattr(making, "PARTS", {})
-    only = {"valve_null_shift": making.FAULTS["valve_null_shift"]}
-    monkeypatch.setattr(making, "FAULTS", only)
+    monkeypatch.setattr(making, "CAUSES", {"": CAUSES["valve_null_shift"]})
     monkeypatch.setattr(making, "_write", lambda *_: None)
     monkeypatch.setattr(making, "_read", lambda *_: None)
     shift = get_scenario("valve_null_shift", duration=CHANGE + 5.0, severity=0.035).changes

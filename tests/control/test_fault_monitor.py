@@ -7,8 +7,8 @@ import pytest
 
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import ALL, UNKNOWN
 from leglab.base.scenario import get_scenario
+from leglab.causes.fault_names import ALL, UNKNOWN
 from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.control.feedforward.fault_monitor import FaultMonitor

@@ -7,7 +7,7 @@ import pytest
 
 from leglab import RunSettings, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import ALL, UNKNOWN
+from leglab.causes.fault_names import ALL, UNKNOWN
 from leglab.control.feedforward import health
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leglab._native.monitor import Bank, Moments, Monitor, chances
-from leglab.base.fault_names import ALL
+from leglab.causes.fault_names import ALL
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from tests.reference import monitor_oracle as oracle
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from leglab import RunSettings
-from leglab.base.fault_names import ALL, UNKNOWN, FaultName
 from leglab.base.scenario import Scenario, get_scenario
+from leglab.causes.fault_names import ALL, UNKNOWN, FaultName
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.standing import Standings
 from leglab.runs.loop import Loop

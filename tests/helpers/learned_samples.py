@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leglab.base.fault_names import ALL
+from leglab.causes.fault_names import ALL
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.fault_monitor import FaultMonitor, MonitorConfiguration
 

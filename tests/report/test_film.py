@@ -13,8 +13,8 @@ import pytest
 
 from leglab import RunSettings, data, run_scenario
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import FaultEvent
 from leglab.base.recording import Recording
+from leglab.causes.fault_names import FaultEvent
 from leglab.cli import main
 from leglab.report.film import encoder, look, render_film
 from leglab.report.film.encoder import encoding

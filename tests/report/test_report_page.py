@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import FaultEvent, FaultName
 from leglab.base.settings import documented_units
+from leglab.causes.fault_names import FaultEvent, FaultName
 from leglab.control import controller_summary
 from leglab.control.contract import CONTROLLERS
 from leglab.controllers import controller_names

@@ -1,5 +1,7 @@
 """The bank of faults: least squares along curves, and how it is made and kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,10 @@ import leglab.runs.fault_simulation as making
 from leglab import RunSettings
 from leglab._native.monitor import chances
 from leglab.base.errors import LeglabError
-from leglab.base.fault_names import ALL
 from leglab.base.scenario import get_scenario
+from leglab.causes.fault_names import ALL
+from leglab.causes.record import Side
+from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 from leglab.control.feedforward.judge import explained_share
 from leglab.machine.changes import Schedule
@@ -145,10 +149,15 @@ def small(tmp_path, monkeypatch):
     """A cache of its own, and two faults alone."""
     monkeypatch.setenv("LEGLAB_CACHE", str(tmp_path))
     monkeypatch.setattr(making, "_banks", {})
-    monkeypatch.setattr(making, "PARTS", {})
-    faults = {name: making.FAULTS[name] for name in ("seal_wear", "supply_drop")}
-    monkeypatch.setattr(making, "FAULTS", faults)
+    causes = {name: CAUSES[name] for name in ("seal_wear", "supply_drop")}
+    monkeypatch.setattr(making, "CAUSES", causes)
     return tmp_path
+
+
+def one_side(**steps):
+    """Rows of the table with these steps in the bank."""
+    sides = {name: (Side(bank, (0.0, 0.0, 0.0)),) for name, bank in steps.items()}
+    return {name: replace(CAUSES[name], sides=side) for name, side in sides.items()}
 
 
 def bank_of(**changed) -> FaultBank:
@@ -212,9 +221,7 @@ def test_a_bank_of_other_code_is_replaced(small, monkeypatch):
 
 def test_a_fault_that_changes_nothing_shifts_nothing(small, monkeypatch):
     """What the ridge takes off a map's own parameters is in no shift."""
-    monkeypatch.setattr(
-        making, "FAULTS", {"seal_wear": (making.Faults(healthy=1.0, sizes=(1.0 + 1e-9, 10.0)),)}
-    )
+    monkeypatch.setattr(making, "CAUSES", one_side(seal_wear=(1.0 + 1e-9, 10.0)))
     (curve,) = bank_of().curves
     worn = np.abs(curve.shifts[2]).max()
     assert np.abs(curve.shifts[1]).max() < 1e-3 * worn
@@ -250,11 +257,7 @@ def test_explained_is_the_share_of_what_is_beyond_noise():
 
 def test_a_bank_knows_how_much_a_map_can_say_of_each_fault(small, monkeypatch):
     """A leak is a function of the motion; soft oil shakes, which the motion hardly tells."""
-    faults = {
-        "seal_wear": (making.Faults(healthy=1.0, sizes=(10.0,)),),
-        "air_in_oil": (making.Faults(healthy=0.005, sizes=(0.15,)),),
-    }
-    monkeypatch.setattr(making, "FAULTS", faults)
+    monkeypatch.setattr(making, "CAUSES", one_side(seal_wear=(10.0,), air_in_oil=(0.145,)))
     leak, air = bank_of().curves
     assert leak.explains > 0.95
     assert 0.1 < air.explains < 0.9

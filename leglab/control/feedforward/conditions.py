@@ -1,14 +1,16 @@
 """Conditions that a sound machine passes through, as temperatures of the oil; they are no wear."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from leglab.base.fault_names import ALL
+from leglab.causes.fault_names import ALL
+from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 
 # Name of each, and the faults of the bank whose sizes, in one unit, are its values.
-CONDITIONS: Mapping[str, tuple[str, ...]] = {"oil_temperature": ("cold_oil", "hot_oil")}
+CONDITIONS = {
+    condition: tuple(cause.name for cause in CAUSES.values() if cause.condition == condition)
+    for condition in dict.fromkeys(c.condition for c in CAUSES.values() if c.condition)
+}
 
 
 def with_conditions(bank: FaultBank) -> FaultBank:

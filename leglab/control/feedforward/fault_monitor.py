@@ -18,7 +18,7 @@ from pydantic import Field
 
 from leglab._native.monitor import Moments, Monitor
 from leglab.base.errors import ModelError
-from leglab.base.fault_names import UNKNOWN, FaultEvent, FaultName
+from leglab.causes.fault_names import UNKNOWN, FaultEvent, FaultName
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.control.feedforward.judge import Explanation, JudgeConfiguration, judge, report, say
 from leglab.control.feedforward.standing import Standings

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.errors import SettingsError
-from leglab.base.fault_names import ALL, FaultTrend
+from leglab.causes.fault_names import ALL, FaultTrend
 from leglab.control.feedforward.conditions import (
     CONDITIONS,
     conditions_of,

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from leglab._native.monitor import chances
-from leglab.base.fault_names import ALL, UNKNOWN, FaultRival, NamedFault
 from leglab.base.settings import Configuration
+from leglab.causes.fault_names import ALL, UNKNOWN, FaultRival, NamedFault
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, SizeEstimate
 from leglab.control.feedforward.thresholds import ALIKE, DISCREPANCY, NINETY, TOLD
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.base.fault_names import UNKNOWN, FaultName
+from leglab.causes.fault_names import UNKNOWN, FaultName
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve
 from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 

@@ -1,54 +1,40 @@
 """Effects on hydraulic cylinders, their oil, valves and supply: a table of their parameters."""
 
 from functools import partial
-from typing import Any
 
 import mujoco
 
+from leglab.causes.record import Trials, plus, times
+from leglab.causes.table import CAUSES
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import SUPPLY, Change, Machine
 
-HYQ = "HyQ leg parameters (Ledezma 2016)"
-VALVE = "tolerances of small servovalves (type 30 data sheets)"
+_VALVE = "tolerances of small servovalves (type 30 data sheets)"
+_added = partial(Trials, step=plus)
 
 
-def relative(
-    name: str,
-    trials: tuple[float, ...],
-    *,
-    tolerance: float = 0.0,
-    lower: float = 0.0,
-    upper: float,
-    added: bool = False,
-    **others: Any,
-) -> Row:
-    """A parameter of `leglab.cylinder` as an effect's, within the bounds of the plugin's own.
+def row(trials: Trials) -> Row:
+    """A parameter of `leglab.cylinder` as an effect's, within the bounds of the plugin's own."""
 
-    Trials, tolerance and bounds are factors of the nominal value. Where they are `added`, trials
-    are added to it, and the others absolute. `others` are as in `EffectParameter`.
-    """
-
-    def row(machine: Machine, cylinder: str) -> EffectParameter:
-        nominal = machine.parameter(cylinder, name)
-        own = machine.base.elements[cylinder][1].parameters[name]
-        unit = 1.0 if added else nominal
+    def parameter(machine: Machine, cylinder: str) -> EffectParameter:
+        nominal = machine.parameter(cylinder, trials.parameter)
+        own = machine.base.elements[cylinder][1].parameters[trials.parameter]
+        unit = nominal if trials.step is times else 1.0
         return EffectParameter(
-            name,
+            trials.parameter,
             own.unit,
             nominal=nominal,
-            lower=max(lower * unit, own.minimum),
-            upper=min(upper * unit, own.maximum),
-            trials=tuple(nominal + t if added else t * nominal for t in trials),
-            tolerance=tolerance * unit,
-            **others,
+            lower=min(max(trials.lower * unit, own.minimum), nominal),
+            upper=max(min(trials.upper * unit, own.maximum), nominal),
+            trials=tuple(trials.step(nominal, step) for step in trials.steps),
+            tolerance=trials.tolerance * unit,
+            role=trials.role,
+            faults=trials.faults,
+            inverse=trials.inverse,
         )
 
-    return row
-
-
-# The same, of trials that are added to the nominal value.
-absolute = partial(relative, added=True)
+    return parameter
 
 
 class CylinderEffect(TableEffect):
@@ -67,59 +53,21 @@ class CylinderEffect(TableEffect):
                 change.add_parameter(element, "static", difference)
 
 
-def define(name: str, *rows: Row, **attributes: str | bool) -> None:
+def define(name: str, trials: tuple[Trials, ...], **attributes: str | bool) -> None:
     """Registers an effect that changes parameters of cylinders; attributes as in `Effect`."""
-    own = {"name": name, "rows": rows, "__doc__": attributes["physics"], "__module__": __name__}
+    own = {"name": name, "rows": tuple(map(row, trials)), **attributes}
+    own |= {"__doc__": attributes["physics"], "__module__": __name__}
     kind = "Cylinder" + name.title().replace("_", "")
-    register_effect(type(kind, (CylinderEffect,), own | attributes))
+    register_effect(type(kind, (CylinderEffect,), own))
 
 
 _oil = partial(define, group="oil and seals")
 _friction = partial(define, group="friction")
 _valve = partial(define, group="valve and command")
 
-_oil(
-    "internal_leakage",
-    relative("internal_leakage", (3.0, 10.0, 35.0), tolerance=0.15, upper=300.0, faults="above"),
-    physics="Flow past the piston seal, C_i (p_A - p_B); grows with the cube of the clearance.",
-    source=f"{HYQ}; seal wear up to x50",
-    excitation="a pressure difference across the piston while the valve opens little",
-)
-
-_oil(
-    "external_leakage",
-    absolute("external_leakage_a", (2e-13, 1.5e-12), upper=3e-11),
-    absolute("external_leakage_b", (2e-13, 1.5e-12), upper=3e-11),
-    physics="Flow from the chambers to the outside, C_e p: rod seal, fittings, hoses.",
-    source="ASME FPMC 2014: detectable at 0.07 to 0.25 l/min",
-    excitation="chamber pressures well above the tank's",
-)
-
-_oil(
-    "entrained_air",
-    relative("entrained_air", (0.3, 3.0, 10.0), tolerance=0.2, upper=40.0, faults="above"),
-    physics="Air in the oil makes it soft at low pressure: beta = (g + l)/(g/(n p) + l/beta_l).",
-    source="docs/concepts/physics.md; 0.5 % is normal, foaming oil holds several per cent",
-    excitation="pressures that change quickly",
-)
-
-_oil(
-    "supply_pressure",
-    relative("supply_pressure", (0.8, 0.94, 1.1), tolerance=0.01, lower=0.2, upper=1.6),
-    physics="The supply holds another pressure than the model says.",
-    source="HyQ class machines run at 160 bar; relief valves drift by some per cent",
-    excitation="valve openings in both directions",
-)
-
-
-def _temperature(machine: Machine, cylinder: str) -> EffectParameter:
-    own = machine.parameter(cylinder, "oil_temperature")
-    # From 40 C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
-    trials = tuple(own + by for by in (-36.0, -22.0, -8.0, 10.0, 25.0))
-    lower, upper = min(-20.0, own), max(110.0, own)
-    return EffectParameter(
-        "oil_temperature", "degC", nominal=own, lower=lower, upper=upper, trials=trials
-    )
+for _cause in CAUSES.values():
+    for _effect in _cause.effects:
+        define(**vars(_effect))
 
 
 @register_effect
@@ -132,38 +80,11 @@ class OilViscosity(CylinderEffect):
     source = "ISO VG 46: 46 cSt at 40 C, 6.8 at 100 C (ISO 3448)"
     excitation = "fast sliding for the friction, pressure at low flow for the leakage"
 
-    rows = (_temperature,)
+    rows = tuple(map(row, CAUSES["hot_oil"].trials))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the temperature."""
         change.set_parameter(element, "oil_temperature", values["oil_temperature"])
-
-
-_friction(
-    "viscous_friction",
-    relative("viscous", (0.3, 2.0, 5.0), tolerance=0.06, upper=30.0),
-    physics="b v, of the oil film under the seals.",
-    source=HYQ,
-    excitation="fast sliding",
-)
-
-_friction(
-    "coulomb_friction",
-    relative("coulomb", (0.3, 2.0, 4.0), tolerance=0.06, upper=30.0),
-    physics="F_c sgn(v); breakaway friction moves along with it.",
-    source=HYQ,
-    excitation="sliding in both directions",
-)
-
-_friction(
-    "stiction",
-    relative("static", (1.6, 3.0, 5.0), lower=0.67, upper=30.0),
-    relative("stribeck_velocity", (), lower=0.25, upper=4.0, role="shape"),
-    relative("stribeck_exponent", (), lower=0.25, upper=2.0, role="shape"),
-    physics="(F_s - F_c) exp(-|v/v_s|^n): breakaway above Coulomb friction.",
-    source=f"{HYQ}; exponents from 0.5 to above 2 (Armstrong-Helouvry et al. 1994, sect. 2.1.3)",
-    excitation="slow motion and standstill",
-)
 
 
 @register_effect
@@ -211,7 +132,7 @@ class AsymmetricSealFriction(CylinderEffect):
 
 define(
     "backlash",
-    absolute("play", (1e-4, 6e-4), upper=1e-2),
+    (_added("play", (1e-4, 6e-4), upper=1e-2),),
     group="mechanics",
     physics="Play between rod end and pin: within it the piston moves and the joint does not.",
     source="pins of mobile hydraulics: 0.1 to 0.5 mm, worn ones more",
@@ -221,40 +142,31 @@ define(
 
 _friction(
     "pressure_dependent_friction",
-    absolute("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3),
+    (_added("pressure_coefficient", (2e-6, 1e-5, 3e-5), upper=1e-3),),
     physics="k_p (p_A + p_B): seals that are pressed on by the oil.",
     source="lip and step seals",
     excitation="sliding at different pressures",
 )
 
 _valve(
-    "valve_deadband",
-    absolute("lap", (-0.03, 0.012, 0.04, 0.09), tolerance=0.004, lower=-0.2, upper=0.4),
-    physics="Overlap of the metering edges: no flow while |x_s| < lap.",
-    source=f"{VALVE}; overlapped spools up to 10 %; edges are ground to 2 um of a stroke of 0.5 mm",
-    excitation="commands through zero",
-)
-
-_valve(
-    "valve_bias",
-    absolute("null_bias", (-0.04, -0.012, 0.012, 0.04), tolerance=0.002, lower=-0.3, upper=0.3),
-    physics="Null shift: the spool stands at u + bias.",
-    source=f"{VALVE}: null shift within 2 %",
-    excitation="any motion; small openings show it best",
-)
-
-_valve(
     "valve_gain",
-    relative("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),
+    (Trials("rated_flow", (0.6, 0.85, 1.15, 1.5), tolerance=0.02, lower=0.2, upper=3.0),),
     physics="Another flow at the same opening, in both directions: Q_n of the orifice equation.",
-    source=f"{VALVE}: flow within 10 %",
+    source=f"{_VALVE}: flow within 10 %",
     excitation="large openings",
 )
 
 _valve(
     "valve_null_leakage",
-    relative(
-        "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
+    (
+        Trials(
+            "edge_rounding",
+            (0.5, 2.0, 4.0),
+            tolerance=0.1,
+            lower=0.02,
+            upper=20.0,
+            faults="above",
+        ),
     ),
     physics="Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",
     source=(
@@ -272,7 +184,7 @@ class ValveGainAsymmetry(CylinderEffect):
     name = "valve_gain_asymmetry"
     group = "valve and command"
     physics = "Flow gain times g_1 for positive and g_2 for negative spool position."
-    source = f"{VALVE}: symmetry of flow within 10 %; one worn or clogged pair of edges"
+    source = f"{_VALVE}: symmetry of flow within 10 %; one worn or clogged pair of edges"
     excitation = "large openings in both directions"
     contains = ("valve_gain",)
     rows = tuple(
@@ -292,18 +204,6 @@ class ValveGainAsymmetry(CylinderEffect):
         change.set_parameter(element, "flow_asymmetry", 0.5 * (positive - negative) / mean)
 
 
-_valve(
-    "valve_hysteresis",
-    absolute("hysteresis", (0.008, 0.03, 0.08), upper=0.5),
-    physics=(
-        "Play of full width h between command and spool: friction of the spool, magnet of the "
-        "motor."
-    ),
-    source=f"{VALVE}: hysteresis below 3 %",
-    excitation="commands that reverse",
-)
-
-
 @register_effect
 class ValveBandwidth(CylinderEffect):
     """A slow spool, by its lag at low frequencies, whatever its damping."""
@@ -316,13 +216,7 @@ class ValveBandwidth(CylinderEffect):
     )
     source = "servovalves of the E024 class: 250 Hz; clogged first stages fall to a tenth"
     excitation = "commands that change within some hundredths of a second"
-    rows = (
-        relative(
-            "bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below", inverse=True
-        ),
-        # A large one is a lag of first order.
-        relative("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
-    )
+    rows = tuple(map(row, CAUSES["slow_valve"].trials))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
         """Sets the natural frequency, and the damping."""
@@ -379,23 +273,25 @@ class SupplyDroop(TableEffect):
 
 _valve(
     "metering_edges",
-    absolute("edge_exponent", (-0.8, 1.0), tolerance=0.8, lower=1.02, upper=12.0),
-    *(
-        absolute(f"lap_difference_{of}", (-0.01, 0.01), tolerance=0.004, lower=-0.1, upper=0.1)
-        for of in ("tank", "chambers")
+    (
+        _added("edge_exponent", (-0.8, 1.0), tolerance=0.8, lower=1.02, upper=12.0),
+        *(
+            _added(f"lap_difference_{of}", (-0.01, 0.01), tolerance=0.004, lower=-0.1, upper=0.1)
+            for of in ("tank", "chambers")
+        ),
     ),
     physics=(
         "How an edge shuts behind its lap, exponent n of its rounding, and how laps of the four "
         "edges differ, which sets the level of both pressures."
     ),
-    source=f"docs/concepts/physics.md; {VALVE}: edges are ground to 2 um of a stroke of 0.5 mm",
+    source=f"docs/concepts/physics.md; {_VALVE}: edges are ground to 2 um of a stroke of 0.5 mm",
     excitation="small openings of the valve",
     nameable=False,
 )
 
 _oil(
     "oil_stiffness",
-    relative("bulk_modulus", (0.8, 1.25), tolerance=0.1, lower=0.3, upper=3.0),
+    (Trials("bulk_modulus", (0.8, 1.25), tolerance=0.1, lower=0.3, upper=3.0),),
     physics="Bulk modulus of the oil without air, lower by what hoses and walls give.",
     source="mineral oils: 1.2 to 1.7 GPa by kind, temperature and pressure; hoses take a third",
     excitation="pressures that change quickly",
@@ -404,7 +300,7 @@ _oil(
 
 _oil(
     "return_line",
-    absolute("tank_pressure", (2e5,), tolerance=1e5, upper=2e6),
+    (_added("tank_pressure", (2e5,), tolerance=1e5, upper=2e6),),
     physics="The return line holds another pressure than the model says.",
     source="pressure drop of return lines and filters, whose bypasses open at 1.5 to 3.5 bar",
     excitation="large flows to the tank",
@@ -413,10 +309,12 @@ _oil(
 
 _friction(
     "friction_curve",
-    relative("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
-    absolute("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
-    # Twenty times as stiff is rigid, beside whatever is driven.
-    relative("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
+    (
+        Trials("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
+        _added("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
+        # Twenty times as stiff is rigid, beside whatever is driven.
+        Trials("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
+    ),
     physics=(
         "How friction falls from breakaway to sliding, Stribeck velocity v_s and exponent n, and "
         "how far its bristle gives way before, 1/sigma_0."

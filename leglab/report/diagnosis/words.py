@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leglab.base.causes import live_of
 from leglab.base.scale import rms
+from leglab.causes.table import live_of
 from leglab.diagnosis.result import (
     Calibration,
     Diagnosis,

@@ -9,8 +9,8 @@ import numpy as np
 
 from leglab import data
 from leglab.base.errors import FileError, RecordingError
-from leglab.base.fault_names import FaultEvent, FaultTrend
 from leglab.base.recording import Recording
+from leglab.causes.fault_names import FaultEvent, FaultTrend
 from leglab.report.film.look import TIMES
 from leglab.report.page.outcome import t90
 from leglab.report.page.wording import readable, readable_unit

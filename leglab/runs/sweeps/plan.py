@@ -401,6 +401,7 @@ class _Checks:
             lambda: Loop(
                 replace(settings, parameters={}, tolerance=0.0),
                 preparation=preparation,
+                scenario=scenario,
                 controlled=False,
             ),
         )

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field, FiniteFloat, StringConstraints
 
-from leglab.base.causes import effect_of
+from leglab.causes.table import effect_of
 
 # Element of a fault that all cylinders have alike, or that none has for itself.
 ALL = "all"
