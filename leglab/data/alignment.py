@@ -47,8 +47,7 @@ def on_clock(
         left_out: Gets columns that are there twice, or have no value.
 
     Returns:
-        Arrays of shape (n,) by column name, those of the clock first, and what was done, a line
-        each.
+        Arrays of shape (n,) by column name, the clock's first, and what was done in lines.
 
     Raises:
         RecordingError: Stamps go backwards, or a column of the map shares no time with the clock.

@@ -23,9 +23,7 @@ from leglab.data.alignment import TopicSeries
 from leglab.data.files import LeftOut, check_notes, first_line
 from leglab.data.ros_messages import DEFINITIONS, numbers, supported
 
-# Our metadata record, with JSON under the key "metadata".
-METADATA_NAME = "leglab"
-_IDS = 2**16  # of channels, and of schemas, that a file can have
+METADATA_NAME = "leglab"  # Our metadata record, with JSON under the key "metadata"
 _SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 
 
@@ -38,7 +36,7 @@ class Bag:
     messages: list[Message] = field(default_factory=list)  #: Of supported types, in file order
     metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
     lost: list[str] = field(default_factory=list)  #: One line for each damaged or missing part
-    offset: int = 0  #: Of the ids of a file, each of which counts anew
+    offset: int = 0  #: Of the ids of a file, 16 bits, which each file counts anew
 
     def take(self, record: object) -> None:
         """Keeps a record that says or holds something."""
@@ -78,11 +76,10 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
     """
     bag = Bag()
     for index, path in enumerate(paths):
-        bag.offset, before = _IDS * index, (len(bag.messages), len(bag.channels))
+        bag.offset, before = 2**16 * index, (len(bag.messages), len(bag.channels))
         try:
             with path.open("rb") as file:
-                # Mapped, for `read` then never allocates more than there is, whatever a broken
-                # record says of its length.
+                # Mapped: `read` allocates no more than there is, whatever a broken record says.
                 stream: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             if path.suffix == ".zstd":
                 packed = ZstdDecompressor().stream_reader(stream, read_across_frames=True)
@@ -124,8 +121,7 @@ def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
         else:
             bag.take(record)
     if broken:
-        told = f"{broken} of {chunks} chunks are broken, with them {missing} messages lost"
-        bag.lost.append(f"{name}: {told}")
+        bag.lost.append(f"{name}: {broken} of {chunks} chunks are broken, {missing} messages lost")
 
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
@@ -183,11 +179,10 @@ def decode(
             of_topic.append((message.log_time, stamp, found))
         # Definitions come from the file too, so that anything can go wrong in decoding.
         except Exception as error:
-            why = first_line(error)
             if left_out.salvage:
-                undecoded.setdefault(topic, []).append(why)
+                undecoded.setdefault(topic, []).append(first_line(error))
                 continue
-            told = f"topic {topic!r}, message {len(of_topic)}: {why}"
+            told = f"topic {topic!r}, message {len(of_topic)}: {first_line(error)}"
             if topic == clock_topic:
                 raise RecordingError(told, given=topic) from error
             left_out.add(topic.removeprefix("/"), RecordingError(told, given=topic))

@@ -37,9 +37,8 @@ def to_input_output(
         if isinstance(names, str) or not names:
             told = f"{what} is {names!r}, allowed is "
             raise RecordingError(told, given=names, allowed="a list of one or more columns")
-        stacked.append(np.stack([recording[column] for column in names], axis=-1))
-    u, y = (samples[:, 0] if samples.shape[1] == 1 else samples for samples in stacked)
-    return Input_output_data(u, y, sampling_time=recording.sampling_period, name=name)
+        stacked.append(np.squeeze(np.column_stack([recording[column] for column in names])))
+    return Input_output_data(*stacked, sampling_time=recording.sampling_period, name=name)
 
 
 def from_input_output(
@@ -54,8 +53,7 @@ def from_input_output(
         start: Time of the first sample [s].
 
     Returns:
-        The recording; `name` and `state_initialization_window_length`, where given, are in its
-        metadata.
+        The recording; a `name` and `state_initialization_window_length` are in its metadata.
 
     Raises:
         LeglabError: The sampling time is missing or not positive, or names do not fit the columns.

@@ -69,8 +69,7 @@ def _features(path: Path) -> dict[str, dict[str, Any]]:
     place = _description(path)
     if not place.is_file():
         return {}
-    info = read_json(place)
-    features = info.get("features") if isinstance(info, dict) else None
+    features = read_json(place).get("features")
     if not isinstance(features, dict) or not all(isinstance(f, dict) for f in features.values()):
         raise FileError(f"{place}: describes no dataset of LeRobot: no object 'features'")
     return features
@@ -85,9 +84,8 @@ def _names(given: Any) -> list[str]:
 
 
 def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:
-    if len(names) == 1 and feature in table:  # Of one element it is no list.
-        table[f"{feature}[0]"] = table.pop(feature)
-    places = [place for place in table if place.startswith(f"{feature}[")]
+    # Of one element it is no list.
+    places = [place for place in table if place == feature or place.startswith(f"{feature}[")]
     if len(places) == len(set(names)) == len(names):
         for place, name in zip(places, names, strict=True):
             table[f"{feature}/{name}"] = table.pop(place)

@@ -57,8 +57,7 @@ def read_table(
         notes.insert(0, f"{clock_topic}: no header stamps, log time instead")
     if "time" in table:
         raise RecordingError("a topic is called 'time', which is the time axis", given="time")
-    far = clock.stamps.max(initial=0) > LAST_EXACT * 1e9
-    start = int(clock.stamps.min()) if far else 0
+    start = int(clock.stamps.min()) if clock.stamps.max(initial=0) > LAST_EXACT * 1e9 else 0
     alignment = [*bag.metadata.get("alignment", ()), *notes]
     told = {"start_ns": start, "salvaged": [*lost, *bag.lost], "alignment": alignment}
     metadata = bag.metadata | {key: note for key, note in told.items() if note}
@@ -103,8 +102,7 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Sce
         for topic, kind, form, fields in _topics(recording, units, scene.efforts if scene else {}):
             if form not in schemas:
                 count = sum(schema.name.startswith(kind) for schema in schemas.values())
-                kind += str(count + 1) if count else ""
-                schemas[form] = writer.register_msgdef(kind, form)
+                schemas[form] = writer.register_msgdef(f"{kind}{count + 1 if count else ''}", form)
             topics.append((topic, schemas[form], fields))
         poses = {int(row): k for k, row in enumerate(scene.rows)} if scene else {}
         if scene:
@@ -135,8 +133,7 @@ def _topics(
     for field in ("position", "velocity", "effort") if joints else ():
         # A JointState has a velocity for every joint or for none, and an effort likewise.
         if all(f"{joint}_{field}" in known for joint in joints):
-            of_joints = [known.pop(f"{joint}_{field}") for joint in joints]
-            states[field] = np.column_stack(of_joints).tolist()
+            states[field] = np.column_stack([known.pop(f"{j}_{field}") for j in joints]).tolist()
     yield _CLOCK_TOPIC, ros.JOINT_STATE, ros.DEFINITIONS[ros.JOINT_STATE], states
     names = {name: known[name].tolist() for name in recording.columns if name in known}
     found: dict[str, dict[str, str]] = {}

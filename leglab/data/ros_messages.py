@@ -14,8 +14,7 @@ FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
 STRING = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-# Of messages that hold several columns of one joint.
-OWN_PACKAGE = "leglab_msgs/msg/"
+OWN_PACKAGE = "leglab_msgs/msg/"  # Of messages that hold several columns of one joint
 
 # The field of messages that hold one number or an array of them, if not `data`.
 _FIELDS = {FLUID_PRESSURE: "fluid_pressure", TEMPERATURE: "temperature"}
@@ -57,12 +56,12 @@ _MESSAGES = {
 }
 DEFINITIONS = {kind: _whole(fields) for kind, fields in _MESSAGES.items()}
 """Of the messages that are written, and of those that older bags do not define."""
-_SUPPORTED = DEFINITIONS.keys() - {STRING, TRANSFORMS}
 
 
 def supported(kind: str) -> bool:
     """Returns whether messages of a type hold numbers that `numbers` returns."""
-    return kind in _SUPPORTED or kind.startswith(OWN_PACKAGE)
+    theirs = kind in DEFINITIONS and kind not in (STRING, TRANSFORMS)
+    return theirs or kind.startswith(OWN_PACKAGE)
 
 
 def own_definition(fields: Mapping[str, str]) -> str:

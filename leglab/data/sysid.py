@@ -117,18 +117,17 @@ def _table_of(series: Any) -> dict[str, np.ndarray]:
     # Integers become floats, anything but numbers is refused.
     time = series.times.astype(np.float64, casting="same_kind")
     data = series.data.astype(np.float64, casting="same_kind").reshape(time.size, -1)
-    table, width, mapping = {"time": time}, data.shape[1], series.signal_mapping
-    signals = [(name, kind.name, np.ravel(i)) for name, (kind, i) in (mapping or {}).items()]
-    if mapping is None:
-        signals = [(f"signal[{i}]", "CustomObs", np.array([i])) for i in range(width)]
+    table, width = {"time": time}, data.shape[1]
+    named = (series.signal_mapping or {}).items()
+    signals = [(name, kind.name, np.ravel(i)) for name, (kind, i) in named]
+    signals = signals or [(f"signal[{i}]", "CustomObs", np.array([i])) for i in range(width)]
     for name, kind, indices in signals:
-        if outside := [i for i in indices.tolist() if not 0 <= i < width]:
-            raise RecordingError(f"signal {name!r}: column {outside[0]} of {width}", given=name)
+        if far := [i for i in indices.tolist() if not 0 <= i < width]:
+            raise RecordingError(f"signal {name!r} is in column {far[0]} of {width}", given=name)
         owner, _, end = name.rpartition("_")
         column = name.removesuffix(end) + _QUANTITIES.get((owner and end, kind), end)
         for key, samples in elements(column, data[:, indices], time.size):
-            if not key or key in table:
-                told = f"signal {name!r} gives the column {key!r}, which is taken"
-                raise RecordingError(told, given=name)
+            if key in table:
+                raise RecordingError(f"signal {name!r}: the column {key!r} is taken", given=name)
             table[key] = samples
     return table

@@ -42,20 +42,18 @@ def table_of(
     series = [one for n, v in variables.items() if _is_series(v) for one in _signals(n, v)]
     samples = {n: np.asarray(v) for n, v in variables.items() if _is_samples(v)}
     others = {n for n, v in variables.items() if not _is_series(v)} - samples.keys()
-    notes: list[str] = []
     if not series:
-        table = _vectors(samples, left_out)
-    else:
-        time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
-        beside = {n: x for n, x in samples.items() if time.size in x.shape}
-        series += [(n, time, dict(elements(n, x, time.size))) for n, x in beside.items()]
-        others |= samples.keys() - beside.keys()
-        topics = [TopicSeries(n, np.rint(t * 1e9).astype(np.int64), x) for n, t, x in series]
-        most = int(np.argmax([topic.stamps.size for topic in topics]))
-        clock = replace(topics[most], columns={"time": series[most][1]})
-        table, notes = on_clock(topics, clock, columns or ColumnMap(), left_out)
+        return _vectors(samples, left_out), {"left_out": sorted(others)} if others else {}
+    time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
+    beside = {n: x for n, x in samples.items() if time.size in x.shape}
+    series += [(n, time, dict(elements(n, x, time.size))) for n, x in beside.items()]
+    others |= samples.keys() - beside.keys()
+    topics = [TopicSeries(n, np.rint(t * 1e9).astype(np.int64), x) for n, t, x in series]
+    most = int(np.argmax([topic.stamps.size for topic in topics]))
+    clock = replace(topics[most], columns={"time": series[most][1]})
+    table, notes = on_clock(topics, clock, columns or ColumnMap(), left_out)
     metadata = {"left_out": sorted(others), "alignment": notes}
-    return Timed(table) if series else table, {key: told for key, told in metadata.items() if told}
+    return Timed(table), {key: told for key, told in metadata.items() if told}
 
 
 def check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
