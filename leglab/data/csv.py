@@ -13,7 +13,7 @@ from leglab.base.recording import Recording
 from leglab.data.column_map import ColumnMap
 from leglab.data.columns import to_arrays
 from leglab.data.dialect import MISSING, decoded, dialect
-from leglab.data.files import LeftOut, first_line
+from leglab.data.files import LeftOut
 
 _TRUE = [word for w in ("true", "on", "yes") for word in (w, w.capitalize(), w.upper())]
 _FALSE = [word for w in ("false", "off", "no") for word in (w, w.capitalize(), w.upper())]
@@ -29,7 +29,7 @@ def read_table(
             a cell is not a number; names the row.
     """
     settings = (columns or ColumnMap()).settings
-    text = decoded(read_bytes(path), path, settings.encoding)
+    text = decoded(read_bytes(path), settings.encoding)
     found = dialect(text if "\n" in text else text.replace("\r", "\n"), settings, path)
     if not found.body.strip():
         return {name: np.empty(0) for name in found.names}, {}
@@ -39,25 +39,22 @@ def read_table(
         broken.append(row)
         return "skip"
 
-    try:
-        table = pc.read_csv(
-            pa.BufferReader(found.body.encode()),
-            # One thread: only then are invalid rows numbered.
-            read_options=pc.ReadOptions(use_threads=False, column_names=found.names),
-            parse_options=pc.ParseOptions(
-                delimiter="\t" if found.separator == " " else found.separator,
-                invalid_row_handler=note,
-            ),
-            convert_options=pc.ConvertOptions(
-                null_values=MISSING,
-                strings_can_be_null=True,
-                decimal_point=found.decimal,
-                true_values=_TRUE,
-                false_values=_FALSE,
-            ),
-        )
-    except (pa.ArrowException, UnicodeEncodeError) as error:
-        raise FileError(f"{path}: not a CSV file: {first_line(error)}", given=path) from error
+    table = pc.read_csv(
+        pa.BufferReader(found.body.encode()),
+        # One thread: only then are invalid rows numbered.
+        read_options=pc.ReadOptions(use_threads=False, column_names=found.names),
+        parse_options=pc.ParseOptions(
+            delimiter="\t" if found.separator == " " else found.separator,
+            invalid_row_handler=note,
+        ),
+        convert_options=pc.ConvertOptions(
+            null_values=MISSING,
+            strings_can_be_null=True,
+            decimal_point=found.decimal,
+            true_values=_TRUE,
+            false_values=_FALSE,
+        ),
+    )
     metadata = {}
     if broken:
         row = broken[0]

@@ -8,7 +8,6 @@ import codecs
 import csv
 import gzip
 import re
-import zlib
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
@@ -45,24 +44,17 @@ class Dialect:
     body: str  #: The text from the first row on, without comments
 
 
-def decoded(content: bytes, path: Path, encoding: str | None) -> str:
-    """Returns a file's text: UTF-8, UTF-16 with its mark, else Windows' Latin letters.
-
-    Raises:
-        FileError: It is packed and damaged, or of another encoding than the one given.
-    """
-    try:
-        if content.startswith(b"\x1f\x8b"):
-            content = gzip.decompress(content)
-        if encoding:
-            return content.decode(encoding)
-        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return content.decode("utf-16", "replace")
-        with suppress(UnicodeDecodeError):
-            return content.decode("utf-8-sig")
-        return content.decode("cp1252", "replace")
-    except (OSError, EOFError, zlib.error, LookupError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: not a CSV file: {error}", given=path) from error
+def decoded(content: bytes, encoding: str | None) -> str:
+    """Returns a file's text: UTF-8, UTF-16 with its mark, else Windows' Latin letters."""
+    if content.startswith(b"\x1f\x8b"):
+        content = gzip.decompress(content)
+    if encoding:
+        return content.decode(encoding)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16", "replace")
+    with suppress(UnicodeDecodeError):
+        return content.decode("utf-8-sig")
+    return content.decode("cp1252", "replace")
 
 
 def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:

@@ -174,8 +174,6 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         raise FileError("field 'name_map' of 'recording' gives a name that is no text")
     signals = content["signals"] if names else {}
     units: Any = content.get("units") if names else {}
-    if not isinstance(signals, dict):
-        raise FileError("field 'signals' of 'recording' is not a struct")
     if missing := names.keys() - signals.keys():
         field = min(missing)
         raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
@@ -196,17 +194,14 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         given = {str(names.get(f, f)): unit for f, unit in units.items()}
         usual = {n: ("", known.get(n, usual_unit(n))) for n in given}
         changed = {n: u for n, u in given.items() if isinstance(u, str) and u not in usual[n]}
-        if changed:
-            metadata["units"] = {**known, **changed}
+        metadata |= {"units": {**known, **changed}} if changed else {}
     return Timed(table), metadata
 
 
 def _vector(value: Any, name: str) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.ndim > 1:
-        found = type(value).__name__
-        if isinstance(value, np.ndarray):
-            found = f"{' x '.join(map(str, value.shape))} array of {value.dtype}"
+        found = f"{' x '.join(map(str, array.shape))} array of {array.dtype}"
         told = f"column {name!r} is a {found}, allowed is "
         raise RecordingError(told, given=name, allowed="a real vector")
     return np.atleast_1d(array).astype(np.float64)
