@@ -113,6 +113,8 @@ def test_units_by_name_and_by_the_range_of_the_joint(capsys):
     columns = log(["enc", "u"], size=30.0)
     np.testing.assert_allclose(proposed(capsys)["knee_position"], np.radians(columns["enc"]))
     assert "# ? in degrees, by the range [-1.571, 1.571] rad" in Path("map.toml").read_text()
+    model(("knee",))  # a servo: its command is an angle before it is a share
+    np.testing.assert_allclose(proposed(capsys)["knee_command"], np.radians(columns["u"]))
     columns = log(["knee", "pA", "pB", "u"], size=1.5)
     for name in ("pA", "pB"):
         columns[name] += 80.0

@@ -12,7 +12,8 @@ from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, common_period
 from leglab.diagnosis.intake.states import beside, state_changes
-from leglab.diagnosis.intake.units import in_map, position_units, pressure_unit, within
+from leglab.diagnosis.intake.units import ANGLES, fits, in_map, other_unit
+from leglab.diagnosis.plant.columns import usable_columns
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
@@ -70,16 +71,14 @@ def admit(
             del usable[name]
     remarks = [Remark(f"left out, {why}", name) for name, why in dropped.items()]
     for name, entry in usable.items():
-        further = dict.fromkeys(sorted(entry.pressures - columns), "other recordings lack them")
-        remarks += [
-            Remark(f"pressures are not used, {why}", name, repr(column))
-            for column, why in {**entry.lost, **further}.items()
-        ]
+        entry.lost |= dict.fromkeys(sorted(entry.pressures - columns), "other recordings lack them")
+        for column, why in entry.lost.items():
+            remarks.append(Remark(f"pressures are not used, {why}", name, repr(column)))
         remarks += entry.remarks
     needed = [*machine.columns, *sorted(columns)]
     admitted = {name: entry.recording.select(needed) for name, entry in usable.items()}
     for name, recording in admitted.items():
-        remarks += usable[name].doubts(recording)
+        remarks += [Remark(text, name, at) for text, at in usable[name].doubts(recording)]
     return Admitted(
         recordings=admitted,
         held_out=tuple(name for name in held if name in admitted),
@@ -131,43 +130,41 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 class _Entry:
     """One recording at the gate: its `recording` has columns that may be used, unwrapped."""
 
-    def __init__(
-        self, machine: Machine, name: str, recording: Recording, limits: Thresholds
-    ) -> None:
-        known = {
-            f"{machine.driven[cylinder][0]}_{chamber}": cylinder
-            for cylinder in machine.cylinders
-            for chamber in CHAMBERS
-        }
+    def __init__(self, machine: Machine, name: str, recording: Recording, limits: Thresholds):
+        self.columns = {one.name: one for one in usable_columns(machine)}
+        known = [name for name, one in self.columns.items() if one.kind in CHAMBERS]
         unreadable = recording.metadata.get("unreadable")
         reasons: Mapping[str, str] = unreadable if isinstance(unreadable, dict) else {}
-        own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.machine, self.name, self.limits = machine, name, limits
+        own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.logged = self.recording = own
         said = recording.metadata.get("time")
         self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         mixed = self._leave_out()
-        faults = {
-            c: self._pressure_fault(c, by) if c in own else reasons.get(c)
-            for c, by in known.items()
-        }
+        faults = {c: self._pressure_fault(c) if c in own else reasons.get(c) for c in known}
         #: Why pressures cannot be used, by column.
         self.lost = {column: why for column, why in faults.items() if why}
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
         # Why the recording cannot be used at all.
         self.fault = self._missing(recording, reasons) or mixed
-        for joint in machine.joints:
-            self.fault = self.fault or self._unwrap(joint) or self._position_fault(joint)
+        for column in (f"{joint}_position" for joint in machine.joints):
+            self.fault = self.fault or self._unwrap(column) or self._position_fault(column)
         if not self.fault:
             self._pause(state_changes(recording, (*machine.columns, *known)))
+
+    def _repair(self, column: str, samples: np.ndarray, text: str, place: str) -> None:
+        """Puts other samples in the place of a column's, and notes it."""
+        self.recording = self.recording.with_columns({column: samples})
+        self.remarks.append(Remark(text, self.name, place))
 
     def _missing(self, recording: Recording, reasons: Mapping[str, str]) -> str | None:
         """Why positions and commands are not there, None if all are."""
         needed = self.machine.columns
         absent = [column for column in needed if column not in recording]
-        if told := [reasons[column] for column in absent if column in reasons]:
-            return told[0]
+        for column in absent:
+            if column in reasons:
+                return reasons[column]
         if absent:
             return (
                 f"no column {', '.join(map(repr, absent))}; the recording has "
@@ -194,14 +191,13 @@ class _Entry:
                 why = f"every other row of column {column!r} is another signal's; two publishers?"
                 return f"{why} allowed: one source a column"
             if (gone := unsupported(samples)).any():
-                kept, rows = np.where(gone, np.nan, samples), np.arange(samples.size)
-                self.recording = self.recording.with_columns({column: kept})
-                known = np.isfinite(kept)
-                off = np.abs(samples - np.interp(rows, rows[known], kept[known]))
-                worst = int(np.argmax(np.where(gone, off, 0.0)))
+                kept, rows = np.where(gone, np.nan, samples), np.flatnonzero(gone)
+                known = np.flatnonzero(np.isfinite(kept))
+                off = np.abs(samples[rows] - np.interp(rows, known, kept[known]))
+                worst = rows[np.argmax(off)]
                 at = f"{samples[worst]:.4g} at {self.recording.time[worst]:.5g} s"
                 text = "samples that jump away from the motion are left out"
-                self.remarks.append(Remark(text, self.name, f"{column!r} {gone.sum()}, worst {at}"))
+                self._repair(column, kept, text, f"{column!r} {rows.size}, worst {at}")
         return None
 
     def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
@@ -210,110 +206,87 @@ class _Entry:
         for state, rows in changes.items():
             samples = np.where(beside(self.recording, rows), np.nan, self.recording[column])
             if np.isfinite(samples).sum() >= 2:
-                self.recording = self.recording.with_columns({column: samples})
                 text = "windows across changes of a state are left out"
-                self.remarks.append(Remark(text, self.name, f"{state!r} {rows.size} times"))
+                self._repair(column, samples, text, f"{state!r} {rows.size} times")
 
-    def _unwrap(self, joint: str) -> str | None:
+    def _unwrap(self, column: str) -> str | None:
         """Takes the jumps of an encoder out of positions; says why it cannot."""
-        column, unit = f"{joint}_position", self.machine.unit(joint)
+        unit, allowed = self.columns[column].unit, self.columns[column].limits
         found = unwrapped(self.recording.time, self.recording[column], hinge=unit == "rad")
         if found is None:
             return None
         samples, turn, jumps = found
-        for whole, units in ((360.0, "degrees"), (1.0, "turns")):
-            if unit == "rad" and abs(turn / whole - 1.0) < DEFAULT.same:
-                why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad; is it in "
-                return self._doubt(column, f"{why}{units}?", 2.0 * np.pi / whole)
-        if (allowed := _range(self.machine, joint)) is not None:
-            # The turn in which the joint can be.
+        for other, factor in ANGLES.items():
+            if unit == "rad" and abs(turn * factor / (2.0 * np.pi) - 1.0) < DEFAULT.same:
+                why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad"
+                return self._doubt(column, why, f"in {other}", factor)
+        if np.isfinite(allowed).all():  # The turn in which the joint can be.
             samples += turn * np.rint((np.mean(allowed) - np.nanmedian(samples)) / turn)
-        self.recording = self.recording.with_columns({column: samples})
         text = f"the encoder begins anew after {turn:.4g} {unit}; unwrapped"
-        self.remarks.append(Remark(text, self.name, f"{column!r} {jumps} times"))
+        self._repair(column, samples, text, f"{column!r} {jumps} times")
         return None
 
-    def _position_fault(self, joint: str) -> str | None:
+    def _position_fault(self, column: str) -> str | None:
         """Why positions cannot be in the joint's unit, None if they can."""
-        column, unit = f"{joint}_position", self.machine.unit(joint)
-        values = self.recording[column]
-        low, high = np.nanmin(values), np.nanmax(values)
-        if (allowed := _range(self.machine, joint)) is None:
+        values, one, beyond = self.recording[column], self.columns[column], self.limits.beyond_range
+        if fits(values, one, beyond):
             return None
-        room = self.limits.beyond_range * (allowed[1] - allowed[0])
-        lower, upper = allowed[0] - room, allowed[1] + room
-        if lower <= low and high <= upper:
-            return None
-        why = f"column {column!r} covers [{low:.4g}, {high:.4g}]"
-        why += f", joint {joint!r} allows [{allowed[0]:.4g}, {allowed[1]:.4g}] {unit}"
-        found = within(position_units(values, hinge=unit == "rad"), (low, high), (lower, upper))
-        return self._doubt(column, f"{why}; is it {found[0]}?", found[1]) if found else why
+        why = f"column {column!r} covers [{np.nanmin(values):.4g}, {np.nanmax(values):.4g}], joint "
+        why += f"{one.element!r} allows [{one.limits[0]:.4g}, {one.limits[1]:.4g}] {one.unit}"
+        found = other_unit(values, one, beyond)
+        return self._doubt(column, why, *found) if found else why
 
-    def _doubt(self, column: str, question: str, factor: float) -> str:
+    def _doubt(self, column: str, why: str, unit: str, factor: float) -> str:
         """Notes that a column's unit is doubted, and returns the question."""
-        self.doubted[column] = f"{question} {in_map(repr(column), factor)}"
+        self.doubted[column] = f"{why}; is it {unit}? {in_map(repr(column), factor)}"
         return self.doubted[column]
 
-    def _pressure_fault(self, column: str, cylinder: str) -> str | None:
+    def _pressure_fault(self, column: str) -> str | None:
         """Why a pressure cannot be used, None if it can."""
-        values = self.recording[column]
+        one, columns = self.columns[column], self.recording.columns
+        values = columns[column]
         finite = values[np.isfinite(values)]
         if finite.size < 0.5 * values.size:
             return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
-        joint = self.machine.driven[cylinder][0]
-        both = (self.recording.columns.get(f"{joint}_{c}", finite) for c in CHAMBERS)
-        highest = own = float(np.abs(finite).max())
-        if own >= self.limits.vapour_pressure:  # The other chamber may be open to the tank.
-            highest = max(float(np.nanmax(np.abs(x), initial=0.0)) for x in both)
-        supply = self.machine.parameter(cylinder, "supply_pressure")
-        if found := pressure_unit(highest, supply):
-            why = f"column {column!r} stays below {own:.4g}, the supply of {cylinder!r} is "
-            return self._doubt(column, f"{why}{supply:.4g} Pa; is it in {found[0]}?", found[1])
-        position = self.recording.columns.get(f"{joint}_position", np.zeros(1))
+        sizes, highest = np.abs(finite), np.abs(finite).max()
+        if highest >= self.limits.vapour_pressure:  # The other chamber may be open to the tank.
+            both = (columns.get(f"{one.element}_{c}", finite) for c in CHAMBERS)
+            sizes = np.abs(np.concatenate([*both]))
+        if found := other_unit(sizes, one):
+            why = f"column {column!r} stays below {highest:.4g}, the supply of its cylinder is "
+            why += f"{one.limits[1]:.4g} Pa"
+            return self._doubt(column, why, f"in {found[0]}", found[1])
+        position = columns.get(f"{one.element}_position", np.zeros(1))
         if np.ptp(finite) == 0.0 and np.nanmax(position) > np.nanmin(position):
-            why = f"column {column!r} is {finite[0]:.6g} in every row"
-            return f"{why}; is the sensor connected?"
+            return f"column {column!r} is {finite[0]:.6g} in every row; is the sensor connected?"
         return None
 
-    def doubts(self, recording: Recording) -> Iterator[Remark]:
-        """Remarks on the columns that are used, those of `recording`."""
+    def doubts(self, recording: Recording) -> Iterator[tuple[str, str]]:
+        """Text and place of remarks on the columns that are used, those of `recording`."""
         for column, values in recording.columns.items():
             if missing := int((~np.isfinite(self.logged[column])).sum()):
-                yield Remark("samples without a number", self.name, f"{column!r} {missing}")
+                yield "samples without a number", f"{column!r} {missing}"
             if column.endswith("_command"):
                 continue
             low, high = np.nanmin(values), np.nanmax(values)
             if low == high:
                 text = "the same in every row, at rest or a sensor that is not connected"
-                yield Remark(text, self.name, f"{column!r} {low:.6g}")
+                yield text, f"{column!r} {low:.6g}"
             # What rests elsewhere as long is no saturated sensor.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
             for limit, word in ((low, "smallest"), (high, "largest")):
                 run = _longest_run(values == limit)
                 if max(self.limits.saturated_samples, 2 * resting) <= run < 0.9 * values.size:
-                    text = "an extreme value holds, is the sensor saturated?"
                     place = f"{column!r} {word} {limit:.6g} for {run} samples"
-                    yield Remark(text, self.name, place)
+                    yield "an extreme value holds, is the sensor saturated?", place
         for actuator in self.machine.actuators:
             entry, column = self.machine.base.model.actuator(actuator), f"{actuator}_command"
             low, high = entry.ctrlrange.tolist()
             outside = int(((recording[column] < low) | (recording[column] > high)).sum())
             if entry.ctrllimited[0] and outside:
-                text = "a command leaves its range, the model clips it"
                 place = f"{column!r} beyond [{low:g}, {high:g}] in {outside} samples"
-                yield Remark(text, self.name, place)
-
-
-def _range(machine: Machine, joint: str) -> tuple[float, float] | None:
-    """Where a joint can be, None where it has no limit. A piston has a stroke, whatever is said."""
-    entry = machine.base.model.joint(joint)
-    on_cylinder = joint in machine.on_cylinders
-    lower, upper = (float(x) for x in entry.range)
-    if lower < upper and (machine.base.model.jnt_limited[entry.id] or on_cylinder):
-        return lower, upper
-    far = DEFAULT.far
-    return (-far, far) if on_cylinder and machine.unit(joint) == "rad" else None
+                yield "a command leaves its range, the model clips it", place
 
 
 def _longest_run(mask: np.ndarray) -> int:
@@ -324,7 +297,7 @@ def _longest_run(mask: np.ndarray) -> int:
 def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
     """Resampling of recordings that are not all on one uniform grid."""
     period = common_period(recordings, limits)
-    remarks, rates, drifting = [], [], []
+    remarks, rates, drifts, lines = [], [], [], []
     for name, recording in recordings.items():
         clock, rows = Clock.of(recording.time), len(recording)
         off = clock.period / period - 1.0
@@ -332,7 +305,7 @@ def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tup
             rates.append(f"{name} from {1.0 / clock.period:.4g} Hz")
         elif clock.clear and abs(off) * rows > 1.0:
             # Worth a note is what comes to a sample over the recording.
-            drifting.append(f"{name} {100.0 * off:+.2g} %")
+            drifts.append(f"{name} {100.0 * off:+.2g} %")
         if clock.rounding:
             text = f"stamps are rounded to {clock.rounding:.3g} s; taken for a uniform clock's"
             remarks.append(Remark(text, name))
@@ -340,17 +313,14 @@ def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tup
             share = f"{100.0 * clock.jitter:.2g} % of a period"
             remarks.append(Remark("stamps are uneven, resampled by them", name, share))
         if clock.lost:
-            share = f"{100.0 * clock.lost / (clock.lost + rows):.2g} %"
-            place = (
-                f"{clock.lost} ({share}), the longest pause {np.diff(recording.time).max():.3g} s"
-            )
+            place = f"{clock.lost} ({100.0 * clock.lost / (clock.lost + rows):.2g} %)"
+            place += f", the longest pause {np.diff(recording.time).max():.3g} s"
             remarks.append(Remark("rows are missing", name, place))
-    lines = merged(remarks, recordings)
-    if drifting:
-        told = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
-        lines = (told + ", ".join(drifting), *lines)
     if rates:
         told = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
         lost = f"; their motion above {0.5 / period:.4g} Hz is lost"
-        lines = (told + ", ".join(rates) + lost, *lines)
-    return lines
+        lines.append(told + ", ".join(rates) + lost)
+    if drifts:
+        told = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
+        lines.append(told + ", ".join(drifts))
+    return (*lines, *merged(remarks, recordings))

@@ -12,10 +12,9 @@ from scipy.optimize import linear_sum_assignment
 from leglab.base.likeness import likeness_of_numbers, likeness_of_words, numbered, words_of
 from leglab.data.column_map import ColumnMap, ColumnRule
 from leglab.data.units_in_names import NamedUnit, split
-from leglab.diagnosis.intake.units import command_units, position_units, pressure_unit, within
+from leglab.diagnosis.intake.units import fits, other_unit
 from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
-from leglab.diagnosis.thresholds import DEFAULT
 
 # Kinds of quantities by the words that loggers use for them.
 _KINDS = {
@@ -85,11 +84,8 @@ class Proposal:
     @property
     def column_map(self) -> ColumnMap:
         """The lines that hold."""
-        rules = {
-            one.theirs: ColumnRule(name=one.ours, factor=one.factor, offset=one.offset)
-            for one in self.lines
-            if one.sure
-        }
+        sure = [o for o in self.lines if o.sure]
+        rules = {o.theirs: ColumnRule(name=o.ours, factor=o.factor, offset=o.offset) for o in sure}
         return ColumnMap(rules=rules)
 
     def asked(self, column: str, factor: float, why: str) -> "Proposal":
@@ -104,9 +100,7 @@ class Proposal:
     @property
     def doubtful(self) -> list[str]:
         """Lines that somebody should check."""
-        said = [str(line) for line in self.lines if line.ours and line.why.startswith("?")]
-        said += [f"# ? no column for {name}" for name in self.missing]
-        return said + [f"# ? {self.doubt}"] * bool(self.doubt)
+        return [line for line in str(self).split("\n") if "# ? " in line]
 
     def to_json(self) -> dict[str, Any]:
         """Returns the map as JSON can hold it."""
@@ -142,10 +136,7 @@ def propose(
         given: A map that has been applied; its rules stay, the proposal is for the other columns.
     """
     given = given or ColumnMap()
-    known = {
-        rule.name: Line(theirs, rule.name, True, rule.factor, rule.offset)
-        for theirs, rule in given.rules.items()
-    }
+    known = {r.name: Line(t, r.name, True, r.factor, r.offset) for t, r in given.rules.items()}
     table = {name: samples for name, samples in table.items() if name not in known}
     wanted = [one for one in wanted if one.name not in known]
     columns = [_Column(name, units.get(name, ""), wanted) for name in table]
@@ -224,20 +215,16 @@ def _assigned(
     taken = {k: scores[i, k] for i, k in pairs}
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
-        name, score = columns[k].name, scores[i, k]
+        name, score = columns[k].name, float(scores[i, k])
         # Others that are as like to this one and not liker to another.
         order = np.argsort(-scores[i], kind="stable").tolist()
-        others = (j for j in order if scores[i, j] > max(0.8 * score, taken.get(j, 0.0)))
-        near = [j for j in others if j != k]
+        near = [j for j in order if j != k and scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9
         factor, why, known = units[name]
-        reasons = [why] * bool(why)
-        if near:
-            reasons.append("as near: " + ", ".join(columns[j].name for j in near[:3]))
-        if score < _SURE:
-            reasons.append(f"likeness {score:.0%}")
+        alike = ", ".join(columns[j].name for j in near[:3])
+        reasons = [why, f"as near: {alike}" * bool(near), f"likeness {score:.0%}" * (score < _SURE)]
         sure = score >= _SURE and factor != 0.0 and not tied
-        why = "? " * (not (sure and known) or bool(near)) + "; ".join(reasons)
+        why = "? " * (not (sure and known) or bool(near)) + "; ".join(filter(None, reasons))
         lines[name] = Line(name, wanted[i].name, sure, factor or 1.0, why=why)
     return lines
 
@@ -274,47 +261,23 @@ def _units(
     for one, column in pairs:
         unit, samples = column.unit, table[column.name][np.isfinite(table[column.name])]
         if unit.unit and unit.si != one.unit:
-            why = f"in {unit.unit}, the model's is {one.unit}: factor?"
-            found[column.name] = (0.0, why, False)
+            found[column.name] = 0.0, f"in {unit.unit}, the model's is {one.unit}: factor?", False
         elif unit.unit:
-            found[column.name] = (unit.factor, f"{unit.unit}, by the name", True)
+            found[column.name] = unit.factor, f"{unit.unit}, by the name", True
         elif samples.size and np.isfinite(one.limits).all():
             kind = "pressure" if one.kind in CHAMBERS else f"{one.kind} {one.unit}"
             groups[kind].append((one, column.name, samples))
     for group in groups.values():
-        guesses = [_guess(one, samples) for one, _, samples in group]
+        guesses = [other_unit(samples, one) or ("", 1.0) for one, _, samples in group]
         # Ranges may be too narrow for a joint or two, units are wrong of all.
         size = Counter(abs(factor) for _, factor in guesses).most_common(1)[0][0]
         usual = next(guess for guess in guesses if abs(guess[1]) == size)
         for (one, name, samples), guess in zip(group, guesses, strict=True):
             guessed, factor = guess if abs(guess[1]) == size else (usual[0], size)
-            low, high = sorted((factor * samples.min(), factor * samples.max()))
+            scaled = factor * samples
             allowed = f"[{one.limits[0]:.4g}, {one.limits[1]:.4g}] {one.unit}"
             why = f"{guessed}, by the range {allowed}" if guessed else ""
-            room = _room(one)
-            if not room[0] <= low <= high <= room[1]:
-                why = f"covers [{low:.4g}, {high:.4g}], allowed {allowed}: factor?"
-            found[name] = (factor, why, not why)
+            if not fits(scaled, one):
+                why = f"covers [{scaled.min():.4g}, {scaled.max():.4g}], allowed {allowed}: factor?"
+            found[name] = factor, why, not why
     return found
-
-
-def _guess(one: UsableColumn, samples: np.ndarray) -> tuple[str, float]:
-    """Returns unit and factor by the allowed range; no unit and 1 where none fits."""
-    low, high = float(samples.min()), float(samples.max())
-    lowest, highest = _room(one)
-    found: tuple[str, float] | None = None
-    if one.kind in CHAMBERS:
-        found = pressure_unit(high, one.limits[1])
-    elif not lowest <= low <= high <= highest:
-        moves = one.unit in ("rad", "m")
-        units = position_units(samples, hinge=one.unit == "rad") if moves else {}
-        units |= command_units(angle=False) if one.kind == "command" else {}
-        found = within(units, (low, high), (lowest, highest))
-    return found or ("", 1.0)
-
-
-def _room(one: UsableColumn) -> tuple[float, float]:
-    """The range of a column and as much beyond it as a range that was guessed may be off."""
-    low, high = one.limits
-    beyond = DEFAULT.beyond_range * (high - low)
-    return low - beyond, high + beyond

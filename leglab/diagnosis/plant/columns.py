@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
+from leglab.diagnosis.thresholds import DEFAULT
 
 _FREE = (-np.inf, np.inf)
 
@@ -27,9 +28,14 @@ def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
     model = machine.base.model
     found, ranges = [], {}
     for joint in machine.joints:
-        low, high = model.joint(joint).range.tolist()
-        ranges[joint] = (low, high) if low < high else _FREE
-        unit = machine.unit(joint)
+        entry, unit = model.joint(joint), machine.unit(joint)
+        low, high = entry.range.tolist()
+        # A piston has a stroke, whatever is said.
+        on_cylinder, ranges[joint] = joint in machine.on_cylinders, _FREE
+        if low < high and (model.jnt_limited[entry.id] or on_cylinder):
+            ranges[joint] = low, high
+        elif on_cylinder and unit == "rad":
+            ranges[joint] = -DEFAULT.far, DEFAULT.far
         found.append(UsableColumn(f"{joint}_position", joint, "position", unit, ranges[joint]))
         found.append(UsableColumn(f"{joint}_velocity", joint, "velocity", f"{unit}/s"))
     for name in machine.cylinders:
