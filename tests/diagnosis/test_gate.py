@@ -180,6 +180,10 @@ def test_the_period_of_an_uneven_clock(jitter, lost):
     assert clock.lost == pytest.approx(lost * 10000, rel=0.3)
 
 
+def test_two_intervals_that_differ_have_a_usual_one():
+    assert Clock.of(np.array([0.0, 1.0, 5.0])).period in (1.0, 4.0)
+
+
 @pytest.mark.parametrize("rate", [600.0, 400.0, 730.0, 910.0])
 def test_stamps_in_milliseconds_of_an_even_clock_are_straightened(rate):
     stamps = np.floor(1e3 * even(rate) + 1e-6) / 1e3

@@ -7,7 +7,6 @@ stamps; on the grid it is its mean over the period that it acts in: no impulse i
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from statistics import median_high
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from leglab.base.recording import Recording
 from leglab.base.scale import deviation, rms
-from leglab.data.clock import straight_line
+from leglab.data.clock import straight_line, usual_step
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 # Stamps this near to the grid, in periods, are on it.
@@ -60,8 +59,7 @@ class UniformSeries:
         period = period or clock.period
         stamps = clock.stamps - clock.stamps[0]
         grid = period * np.arange(int(np.floor(stamps[-1] / period + _ON_GRID)) + 1)
-        ticks = np.rint(stamps / period).astype(np.int64)
-        native = bool((np.abs(stamps - period * ticks) <= _ON_GRID * period).all())
+        off_grid = np.abs(stamps - period * np.rint(stamps / period)).max() > _ON_GRID * period
         valid = np.ones(grid.size, dtype=bool)
         columns, steps, noise = {}, {}, {}
         for column in needed:
@@ -70,12 +68,11 @@ class UniformSeries:
             log = _Log(stamps[good], samples[good], clock.period, grid, period, thresholds)
             steps[column] = log.step
             if column.endswith("_command"):
-                lossy = clock.lost > 0 or not good.all()
-                columns[column], known = log.held(lossy=lossy)
+                columns[column], known = log.held(lossy=clock.lost > 0 or not good.all())
             else:
                 columns[column], known, white = log.averaged()
                 # Lost rows cost noise of their own.
-                if not native or good.sum() <= (1.0 - thresholds.same) * grid.size:
+                if off_grid or good.sum() <= (1.0 - thresholds.same) * grid.size:
                     noise[column] = white
             valid &= known
         time, lead = recording.time[0] + grid, recording.command_lead
@@ -107,7 +104,7 @@ class Clock:
         period = usual_interval(stamps)
         jitter, ticks, lost = _ticks(stamps, period)
         clear = jitter < _UNCLEAR or not lost
-        if not clear and (beat := _beat(stamps, period)) is not None:
+        if not clear and (beat := _beat(stamps, period)):
             period, clear = beat, True
             jitter, ticks, lost = _ticks(stamps, period)
         if lost and jitter > _ON_GRID:
@@ -128,8 +125,8 @@ def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
     return jitter, np.append(0.0, np.cumsum(whole)), lost
 
 
-def _beat(time: np.ndarray, guess: float) -> float | None:
-    """Period of the strongest beat of stamps near a guess [s], None where none stands out."""
+def _beat(time: np.ndarray, guess: float) -> float:
+    """Period of the strongest beat of stamps near a guess [s], 0 where none stands out."""
     some = time[:4000] - time[0]
     place = guess / 16.0
     count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
@@ -139,7 +136,7 @@ def _beat(time: np.ndarray, guess: float) -> float | None:
     near = np.abs(rate * guess - 1.0) < 1.5 * _UNCLEAR
     best = int(np.argmax(np.where(near, strength, 0.0)))
     clear = near.any() and strength[best] > DEFAULT.certain / np.sqrt(some.size)
-    return float(1.0 / rate[best]) if clear else None
+    return float(1.0 / rate[best]) if clear else 0.0
 
 
 def usual_interval(time: np.ndarray) -> float:
@@ -150,6 +147,8 @@ def usual_interval(time: np.ndarray) -> float:
     """
     intervals = np.diff(time)
     period = float(np.median(intervals))
+    if np.abs(intervals - period).min() > 0.5 * period:  # Half are short, half are long.
+        period = usual_step(time)
     for _ in range(50):
         close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
         before, period = period, float(intervals[close].mean())
@@ -166,12 +165,10 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     Of recordings whose periods are the same up to their clocks, the one in the middle counts.
     """
     clocks = [Clock.of(recording.time) for recording in recordings.values()]
-    clear = [c for c in clocks if c.clear] or clocks
-    slowest = max(c.period for c in clear)
-    for clock in clocks:
-        if not clock.clear and clock.period > (1.0 + _UNCLEAR) * slowest:
-            slowest = clock.period
-    same = [c.period for c in clear if c.period > (1.0 - thresholds.same) * slowest]
+    clear = [c.period for c in clocks if c.clear] or [c.period for c in clocks]
+    longest, slowest = max(c.period for c in clocks), max(clear)
+    slowest = longest if longest > (1.0 + _UNCLEAR) * slowest else slowest
+    same = [period for period in clear if period > (1.0 - thresholds.same) * slowest]
     return median_high(same) if same else slowest
 
 
@@ -199,13 +196,10 @@ def quantum(samples: np.ndarray) -> float:
     rests = moves.size < samples.size - 1
     # Differences of differences: a fast signal may never move by a single count.
     apart = np.diff(moves)
-    apart = np.sort(apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])])
-    guesses = [
-        float(pool[int(share * (pool.size - 1))])
-        for pool in (moves, apart)
-        if pool.size
-        for share in (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
-    ]
+    apart = apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])]
+    shares = (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
+    pools = [np.quantile(pool, shares, method="lower") for pool in (moves, apart) if pool.size]
+    guesses = np.concatenate(pools).tolist()
     return max(_fitted_step(moves, guess, largest, rests=rests) for guess in guesses)
 
 
@@ -220,16 +214,15 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
         step = float(np.median(moves[some] / count[some]))
     share = moves[moves <= 100.5 * step] / step
     count = np.rint(share)
-    multiple = (count > 0) & (
-        np.abs(share - count) < DEFAULT.same + 2.0 * np.finfo(np.float32).eps * largest / step
-    )
+    rounding = 2.0 * np.finfo(np.float32).eps * largest / step
+    multiple = (count > 0) & (np.abs(share - count) < DEFAULT.same + rounding)
     # A steady motion moves by one amount as well, yet neither less nor more.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
     return step if whole and varied else 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Log:
     """One column as it was logged, without its missing samples, and the grid that it is put on.
 
@@ -243,34 +236,24 @@ class _Log:
     period: float  # of the grid [s]
     limits: Thresholds
 
-    @cached_property
-    def step(self) -> float:
-        """Least step of the column."""
-        return quantum(self.samples)
+    def __post_init__(self) -> None:
+        self.step, self.spacing = quantum(self.samples), self.own
+        if self.times.size >= 3:  # Some columns are logged less often than the rows.
+            self.spacing = min(max(usual_interval(self.times), self.own), 5.0 * self.own)
+        # Sample after each place of the grid, (count,).
+        near = self.grid - _ON_GRID * self.period
+        self.after = np.searchsorted(self.times, near).clip(1, self.times.size - 1)
 
-    @cached_property
-    def spacing(self) -> float:
-        """Usual interval of this column [s]: some are logged less often than the rows."""
-        if self.times.size < 3:
-            return self.own
-        return min(max(usual_interval(self.times), self.own), 5.0 * self.own)
-
-    def _around(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sample after each place of the grid, and the time between its neighbours, (count,)."""
-        times, grid, near = self.times, self.grid, _ON_GRID * self.period
-        after = np.searchsorted(times, grid - near).clip(1, times.size - 1)
-        on_stamp = np.minimum(np.abs(grid - times[after - 1]), np.abs(times[after] - grid))
-        outside = (grid < times[0]) | (grid > times[-1])
-        width = np.where(outside, np.inf, times[after] - times[after - 1])
-        reach = np.where(outside, 0.5 * max(self.period, self.spacing), near)
-        return after, np.where(on_stamp <= reach, 0.0, width)
-
-    def _known(self, width: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Where values between neighbours `width` apart are known; `smooth` where they agree."""
-        neighbours = self.limits.neighbours
-        near = max(0.5 * neighbours * self.spacing, 1.5 * self.period)
-        reach = max((neighbours - 0.5) * self.spacing, self.limits.bin)
-        return (width <= near) | (smooth & (width <= reach))
+    def _known(self, smooth: np.ndarray) -> np.ndarray:
+        """Where values of the grid are known, (count,); `smooth` where their neighbours agree."""
+        before, after = self.times[self.after - 1], self.times[self.after]
+        outside = (self.grid < self.times[0]) | (self.grid > self.times[-1])
+        width = np.where(outside, np.inf, after - before)
+        reach = np.where(outside, 0.5 * max(self.period, self.spacing), _ON_GRID * self.period)
+        on_stamp = np.minimum(np.abs(self.grid - before), np.abs(after - self.grid)) <= reach
+        near = max(0.5 * self.limits.neighbours * self.spacing, 1.5 * self.period)
+        far = max((self.limits.neighbours - 0.5) * self.spacing, self.limits.bin)
+        return on_stamp | (width <= near) | (smooth & (width <= far))
 
     def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Samples averaged about each place of the grid, where they are known, and their noise.
@@ -289,7 +272,7 @@ class _Log:
             return samples, np.ones(count, dtype=bool), 0.0
         fit = _Parabolas(self)
         early, spread, value = (
-            np.bincount(place, weights=x, minlength=count) / held for x in (away, away**2, samples)
+            np.bincount(place, x, minlength=count) / held for x in (away, away**2, samples)
         )
         value -= fit.slope * early + fit.bend * spread
         value = np.where(number > 0, value, fit.value)
@@ -298,15 +281,13 @@ class _Log:
         scatter = deviation(shown) / np.sqrt(1.0 - fit.leverage)
         least = max(scatter, self.step / np.sqrt(12.0), DEFAULT.negligible * float(np.std(samples)))
         smooth = fit.misfit <= self.limits.certain * least
-        known = self._known(np.where(number > 0, 0.0, self._around()[1]), smooth)
+        known = (number > 0) | self._known(smooth)
         # Filters reach into gaps: what stands there must be tame.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
         # A mean over many places weighs each sample by what it gave to all of them.
         share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
         given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
-        weight = np.bincount(
-            fit.neighbours.ravel(), weights=given.ravel(), minlength=self.times.size
-        )
+        weight = np.bincount(fit.neighbours.ravel(), given.ravel(), minlength=self.times.size)
         weight[inside] += known[place] / held[place]
         noise = scatter * float(np.sqrt((weight**2).sum() / max(int(known.sum()), 1)))
         return value, known, noise
@@ -334,10 +315,9 @@ class _Log:
         at = np.searchsorted(times, grid + near, side="right") - 1
         stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
         whole = stays & (np.abs(times[at] - grid) <= near)
-        after, width = self._around()
         usual = np.quantile(np.abs(change) / ticks, 0.95)
-        smooth = (np.abs(change) <= 3.0 * usual * ticks)[after - 1]
-        return np.where(whole, values[at], mean), self._known(width, smooth)
+        smooth = (np.abs(change) <= 3.0 * usual * ticks)[self.after - 1]
+        return np.where(whole, values[at], mean), self._known(smooth)
 
 
 class _Parabolas:
@@ -357,13 +337,13 @@ class _Parabolas:
         weighted = design * trust[:, :, None]
         normal = np.einsum("knp,knq->kpq", weighted, design) + 1e-9 * np.eye(3)
         rows = np.linalg.solve(normal, weighted.transpose(0, 2, 1))
-        samples = log.samples[self.neighbours]
-        level = samples.mean(axis=1)
-        a, b, c = np.einsum("kpn,kn->pk", rows, samples - level[:, None])
-        curve = a[:, None] + b[:, None] * away + c[:, None] * away**2
-        rest = (samples - level[:, None] - curve) ** 2 * trust
+        level = log.samples[self.neighbours].mean(axis=1)
+        samples = log.samples[self.neighbours] - level[:, None]
+        a, b, c = np.einsum("kpn,kn->pk", rows, samples)
+        rest = samples - (a[:, None] + b[:, None] * away + c[:, None] * away**2)
         # Standard deviation of the neighbours about the parabola, (count,).
-        self.misfit = np.sqrt(rest.sum(axis=1) / np.maximum(trust.sum(axis=1) - 3.0, 1.0))
+        freedom = np.maximum(trust.sum(axis=1) - 3.0, 1.0)
+        self.misfit = np.sqrt((rest**2 * trust).sum(axis=1) / freedom)
         # Value, slope and half the second derivative at the place, each (count,), and how much each
         # neighbour gives to them, (count, 3, size).
         self.value, self.slope, self.bend = a + level, b / reach, c / reach**2
