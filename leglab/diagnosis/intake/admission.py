@@ -11,7 +11,7 @@ from leglab.diagnosis.intake.outliers import alternates, unsupported
 from leglab.diagnosis.intake.remarks import Remark, merged
 from leglab.diagnosis.intake.rotation import unwrapped
 from leglab.diagnosis.intake.series import Clock, common_period
-from leglab.diagnosis.intake.states import beside, state_changes
+from leglab.diagnosis.intake.states import state_changes
 from leglab.diagnosis.intake.units import ANGLES, fits, in_map, other_unit
 from leglab.diagnosis.plant.columns import usable_columns
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
@@ -46,7 +46,7 @@ def admit(
             fitted; names recording, column, what was found and what is allowed.
     """
     held = tuple(name for name in held_out if name in recordings)
-    entries = {name: _Entry(machine, name, r, thresholds) for name, r in recordings.items()}
+    entries = {name: _Entry(machine, r, thresholds) for name, r in recordings.items()}
     dropped = {name: entry.fault for name, entry in entries.items() if entry.fault}
     usable = {name: entry for name, entry in entries.items() if not entry.fault}
     if not usable:
@@ -55,9 +55,8 @@ def admit(
         raise RecordingError(f"{name}: {dropped[name]}{more}", given=name)
     doubted = ((n, column, why) for n, e in entries.items() for column, why in e.doubted.items())
     refuse_shared(doubted, len(entries))
-    periods = {name: Clock.of(e.recording.time).period for name, e in usable.items()}
-    fastest = min(periods.values())
-    for name, period in periods.items():
+    fastest = min(entry.clock.period for entry in usable.values())
+    for name, period in [(name, entry.clock.period) for name, entry in usable.items()]:
         # Where others have two samples in a bin, all have one in two bins at least.
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
@@ -70,19 +69,17 @@ def admit(
             dropped[name] = f"{why}, and the other recordings have all pressures"
             del usable[name]
     remarks = [Remark(f"left out, {why}", name) for name, why in dropped.items()]
+    needed, admitted = [*machine.columns, *sorted(columns)], {}
     for name, entry in usable.items():
+        admitted[name] = entry.recording.select(needed)
         entry.lost |= dict.fromkeys(sorted(entry.pressures - columns), "other recordings lack them")
-        for column, why in entry.lost.items():
-            remarks.append(Remark(f"pressures are not used, {why}", name, repr(column)))
-        remarks += entry.remarks
-    needed = [*machine.columns, *sorted(columns)]
-    admitted = {name: entry.recording.select(needed) for name, entry in usable.items()}
-    for name, recording in admitted.items():
-        remarks += [Remark(text, name, at) for text, at in usable[name].doubts(recording)]
+        said = [(f"pressures are not used, {why}", repr(c)) for c, why in entry.lost.items()]
+        said += [*entry.said, *entry.doubts(admitted[name])]
+        remarks += [Remark(text, name, place) for text, place in said]
     return Admitted(
         recordings=admitted,
         held_out=tuple(name for name in held if name in admitted),
-        notes=merged(remarks, recordings) + _clock_notes(admitted, thresholds),
+        notes=merged(remarks, recordings) + _rates(usable, thresholds),
     )
 
 
@@ -118,10 +115,10 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
     total = sum(e.recording.duration for e in usable.values())
 
     def serve(columns: frozenset[str]) -> bool:
-        complete = {n: e.recording.duration for n, e in usable.items() if columns <= e.pressures}
-        judged = set(held) & set(complete) if held else len(complete) > 1 or len(usable) == 1
-        enough = sum(complete.values()) >= 0.5 * total
-        return bool(enough and judged and set(complete) - set(held))
+        complete = {name for name, e in usable.items() if columns <= e.pressures}
+        judged = complete & set(held) if held else len(complete) > 1 or len(usable) == 1
+        enough = sum(usable[name].recording.duration for name in complete) >= 0.5 * total
+        return bool(enough and judged and complete - set(held))
 
     common = frozenset.intersection(*(e.pressures for e in usable.values()))
     return max(filter(serve, (e.pressures for e in usable.values())), key=len, default=common)
@@ -130,16 +127,16 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 class _Entry:
     """One recording at the gate: its `recording` has columns that may be used, unwrapped."""
 
-    def __init__(self, machine: Machine, name: str, recording: Recording, limits: Thresholds):
+    def __init__(self, machine: Machine, recording: Recording, limits: Thresholds):
         self.columns = {one.name: one for one in usable_columns(machine)}
         known = [name for name, one in self.columns.items() if one.kind in CHAMBERS]
-        unreadable = recording.metadata.get("unreadable")
-        reasons: Mapping[str, str] = unreadable if isinstance(unreadable, dict) else {}
-        self.machine, self.name, self.limits = machine, name, limits
+        reasons = recording.metadata.get("unreadable", {})
+        self.machine, self.limits = machine, limits
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.logged = self.recording = own
-        said = recording.metadata.get("time")
-        self.remarks = [Remark(f"time: {said}", name)] if isinstance(said, str) else []
+        time = recording.metadata.get("time")
+        #: Text and place of remarks on what was read and repaired.
+        self.said = [(f"time: {time}", "")] if isinstance(time, str) else []
         self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
         mixed = self._leave_out()
         faults = {c: self._pressure_fault(c) if c in own else reasons.get(c) for c in known}
@@ -152,19 +149,19 @@ class _Entry:
             self.fault = self.fault or self._unwrap(column) or self._position_fault(column)
         if not self.fault:
             self._pause(state_changes(recording, (*machine.columns, *known)))
+            self.clock = Clock.of(own.time)
 
     def _repair(self, column: str, samples: np.ndarray, text: str, place: str) -> None:
         """Puts other samples in the place of a column's, and notes it."""
         self.recording = self.recording.with_columns({column: samples})
-        self.remarks.append(Remark(text, self.name, place))
+        self.said.append((text, place))
 
     def _missing(self, recording: Recording, reasons: Mapping[str, str]) -> str | None:
         """Why positions and commands are not there, None if all are."""
         needed = self.machine.columns
         absent = [column for column in needed if column not in recording]
-        for column in absent:
-            if column in reasons:
-                return reasons[column]
+        if why := next((reasons[column] for column in absent if column in reasons), None):
+            return why
         if absent:
             return (
                 f"no column {', '.join(map(repr, absent))}; the recording has "
@@ -202,9 +199,13 @@ class _Entry:
 
     def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
         """Leaves out the windows across changes of states: another machine goes on after them."""
-        column = self.machine.columns[0]
+        column, time = self.machine.columns[0], self.recording.time
+        # No window bridges this.
+        reach = max(DEFAULT.neighbours * float(np.median(np.diff(time))), DEFAULT.bin)
         for state, rows in changes.items():
-            samples = np.where(beside(self.recording, rows), np.nan, self.recording[column])
+            samples = self.recording[column].copy()
+            for at in time[rows].tolist():
+                samples[slice(*np.searchsorted(time, (at - reach, at + reach)))] = np.nan
             if np.isfinite(samples).sum() >= 2:
                 text = "windows across changes of a state are left out"
                 self._repair(column, samples, text, f"{state!r} {rows.size} times")
@@ -262,7 +263,16 @@ class _Entry:
         return None
 
     def doubts(self, recording: Recording) -> Iterator[tuple[str, str]]:
-        """Text and place of remarks on the columns that are used, those of `recording`."""
+        """Text and place of remarks on stamps and columns that are used, those of `recording`."""
+        rounding, jitter, lost = self.clock.rounding, self.clock.jitter, self.clock.lost
+        if rounding:
+            yield f"stamps are rounded to {rounding:.3g} s; taken for a uniform clock's", ""
+        if jitter > self.limits.same:
+            yield "stamps are uneven, resampled by them", f"{100.0 * jitter:.2g} % of a period"
+        if lost:
+            share = f"{100.0 * lost / (lost + len(recording)):.2g} %"
+            pause = f"the longest pause {np.diff(recording.time).max():.3g} s"
+            yield "rows are missing", f"{lost} ({share}), {pause}"
         for column, values in recording.columns.items():
             if missing := int((~np.isfinite(self.logged[column])).sum()):
                 yield "samples without a number", f"{column!r} {missing}"
@@ -294,33 +304,22 @@ def _longest_run(mask: np.ndarray) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def _clock_notes(recordings: Mapping[str, Recording], limits: Thresholds) -> tuple[str, ...]:
-    """Resampling of recordings that are not all on one uniform grid."""
-    period = common_period(recordings, limits)
-    remarks, rates, drifts, lines = [], [], [], []
-    for name, recording in recordings.items():
-        clock, rows = Clock.of(recording.time), len(recording)
-        off = clock.period / period - 1.0
+def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
+    """Notes on recordings whose period is not that of all."""
+    period = common_period({name: e.recording for name, e in usable.items()}, limits)
+    faster, drifting, notes = [], [], []
+    for name, entry in usable.items():
+        clock, off = entry.clock, entry.clock.period / period - 1.0
         if clock.clear and off < -limits.same:
-            rates.append(f"{name} from {1.0 / clock.period:.4g} Hz")
-        elif clock.clear and abs(off) * rows > 1.0:
+            faster.append(f"{name} from {1.0 / clock.period:.4g} Hz")
+        elif clock.clear and abs(off) * len(entry.recording) > 1.0:
             # Worth a note is what comes to a sample over the recording.
-            drifts.append(f"{name} {100.0 * off:+.2g} %")
-        if clock.rounding:
-            text = f"stamps are rounded to {clock.rounding:.3g} s; taken for a uniform clock's"
-            remarks.append(Remark(text, name))
-        if clock.jitter > limits.same:
-            share = f"{100.0 * clock.jitter:.2g} % of a period"
-            remarks.append(Remark("stamps are uneven, resampled by them", name, share))
-        if clock.lost:
-            place = f"{clock.lost} ({100.0 * clock.lost / (clock.lost + rows):.2g} %)"
-            place += f", the longest pause {np.diff(recording.time).max():.3g} s"
-            remarks.append(Remark("rows are missing", name, place))
-    if rates:
+            drifting.append(f"{name} {100.0 * off:+.2g} %")
+    if faster:
         told = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
         lost = f"; their motion above {0.5 / period:.4g} Hz is lost"
-        lines.append(told + ", ".join(rates) + lost)
-    if drifts:
+        notes.append(told + ", ".join(faster) + lost)
+    if drifting:
         told = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
-        lines.append(told + ", ".join(drifts))
-    return (*lines, *merged(remarks, recordings))
+        notes.append(told + ", ".join(drifting))
+    return tuple(notes)

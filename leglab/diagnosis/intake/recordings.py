@@ -9,47 +9,45 @@ import numpy as np
 from leglab import data
 from leglab.base.errors import FileError, LeglabError, SettingsError
 from leglab.base.recording import Recording
-from leglab.diagnosis.intake.admission import admit
+from leglab.diagnosis.intake.admission import admit, check_roles
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
-def recording_files(paths: Sequence[Path]) -> tuple[dict[Path, Path], list[str]]:
+def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """Lists recordings, those below folders too; a bag or a dataset is no folder of recordings.
 
     Returns:
-        What was given by recording, and a line for each folder that holds other files as well.
+        The recordings, and a line for each folder that holds other files as well.
 
     Raises:
         LeglabError: A folder holds no recording.
     """
-    found: dict[Path, Path] = {}
-    notes = []
+    recordings, notes = [], []
     for path in paths:
-        files, others = _below(path)
-        if not files:
+        files = _below(path)
+        known = [f for f in files if f == path or f.is_dir() or _suffix(f) in data.SUFFIXES]
+        if not known:
             told = f"{path}: a folder without recordings; allowed: "
             raise FileError(told, given=path, allowed=data.SUFFIXES)
-        if others:
+        if others := sorted(set(files) - set(known)):
             names = ", ".join(str(other.relative_to(path)) for other in others[:3])
-            more = ", ..." if len(others) > 3 else ""
-            notes.append(f"{path}: {len(others)} files are no recordings ({names}{more})")
-        found |= dict.fromkeys(files, path)
-    return found, notes
+            names += ", ..." * (len(others) > 3)
+            notes.append(f"{path}: {len(others)} files are no recordings ({names})")
+        recordings += known
+    return recordings, notes
 
 
-def _below(path: Path) -> tuple[list[Path], list[Path]]:
-    """Recordings and other files below a path, in the order of their names."""
+def _below(path: Path) -> list[Path]:
+    """All files below a path, in the order of their names; a bag or a dataset is one."""
     if not path.is_dir() or data.form_of_folder(path):
-        return [path], []
-    files: list[Path] = []
-    others: list[Path] = []
-    for entry in sorted(e for e in path.iterdir() if not e.name.startswith(".")):
-        suffix = Path(entry.name.removesuffix(".gz")).suffix.lower()
-        alone = ([entry], []) if suffix in data.SUFFIXES else ([], [entry])
-        more, rest = _below(entry) if entry.is_dir() else alone
-        files, others = files + more, others + rest
-    return files, others
+        return [path]
+    entries = sorted(e for e in path.iterdir() if not e.name.startswith("."))
+    return [file for entry in entries for file in _below(entry)]
+
+
+def _suffix(file: Path) -> str:
+    return Path(file.name.removesuffix(".gz")).suffix.lower()
 
 
 def read_recordings(
@@ -78,14 +76,14 @@ def read_recordings(
             is wrong.
     """
     files, notes = recording_files(paths)
-    names = _different_names([file for path in paths for file in _below(path)[0]])
+    names = _different_names(files)
     found: dict[str, Recording] = {}
     refused: list[LeglabError] = []
-    for file, given in files.items():
+    for file in files:
         try:
             several = data.read_all(file, columns=columns, partial=True, salvage=salvage)
         except LeglabError as error:
-            if file == given:
+            if file in paths:
                 raise
             refused.append(error)
             notes.append(f"left out: {error}")
@@ -139,10 +137,8 @@ def split_held_out(
         if len(meant) != 1:
             raise SettingsError.unknown("recording", entry, recordings)
         held += (*meant,)
-    if wanted and len(set(held)) == len(recordings):
-        told = "every recording is held out; allowed: "
-        raise SettingsError(told, given=tuple(wanted), allowed="at least one to fit")
     if wanted:
+        check_roles(recordings, {}, held)
         return recordings, held
     machine = machine_for(model, recordings.values())
     usable = admit(machine, recordings, (), thresholds).recordings

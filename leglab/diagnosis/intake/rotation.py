@@ -25,18 +25,18 @@ def unwrapped(
     good = np.flatnonzero(np.isfinite(samples))
     if good.size < 10:
         return None
-    values, steps, intervals = samples[good], np.diff(samples[good]), np.diff(time[good])
-    unit = np.median(intervals)
-    low, high = np.quantile(values, (0.001, 0.999))
+    steps, intervals = np.diff(samples[good]), np.diff(time[good])
+    unit, spare = np.median(intervals), int(np.ceil(1e-3 * (good.size - 1)))
+    shown = np.sort(samples[good])[spare : good.size - spare]
     # Across a longer interval a jump is not told from motion, across a gap only by the speed.
-    jumps = (intervals <= DEFAULT.neighbours * unit) & (np.abs(steps) > 0.5 * (high - low))
+    jumps = (intervals <= DEFAULT.neighbours * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
     usual = intervals <= 1.5 * unit
     still = np.flatnonzero(~jumps & usual)
     if not jumps.any() or still.size < 0.2 * steps.size:
         return None
     places = np.flatnonzero(jumps)
     beside = np.interp(places, still, steps[still] / intervals[still]) * intervals[places]
-    turn = _turn(values, np.abs(steps[places] - beside), hinge=hinge)
+    turn = _turn(shown, np.abs(steps[places] - beside), hinge=hinge)
     if turn is None:
         return None
     rate = (steps - turn * np.rint(steps / turn)) / intervals
@@ -48,12 +48,11 @@ def unwrapped(
     return out, turn, int((turns != 0.0).sum())
 
 
-def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
-    """Size of a turn from the sizes of jumps, None where they do not look like one."""
-    turn = float(np.median(sizes))
-    low, high = np.quantile(values, (0.001, 0.999))
+def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
+    """Size of a turn by the sorted values and the sizes of jumps, None where none looks like it."""
+    turn, span = float(np.median(sizes)), float(np.ptp(shown))
     same, part = DEFAULT.same, 0.25
-    if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or high - low > (1.0 + same) * turn:
+    if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or span > (1.0 + same) * turn:
         return None
     if hinge:
         if abs(turn - _TURN) < same * _TURN:
@@ -64,6 +63,5 @@ def _turn(values: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None
             turn = nearest
     agree = np.median(np.abs(sizes - turn)) < same * turn
     # Where it turns, an encoder shows every angle: no large part of a turn is never seen.
-    seen = np.sort(values[(values >= low) & (values <= high)])
-    unseen = max(float(np.diff(seen).max(initial=0.0)), turn - float(high - low))
+    unseen = max(np.diff(shown).max(initial=0.0), turn - span)
     return turn if agree and unseen < part * turn else None

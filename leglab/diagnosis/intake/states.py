@@ -30,14 +30,3 @@ def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, n
         if few and np.all(values == np.rint(values)):
             found[column] = changed
     return found
-
-
-def beside(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Masks the rows, (n,), around the given ones, so widely that no window bridges them."""
-    usual = float(np.median(np.diff(recording.time)))
-    reach = max(DEFAULT.neighbours * usual, DEFAULT.bin)
-    mask = np.zeros(len(recording), dtype=bool)
-    for time in recording.time[rows].tolist():
-        first, last = np.searchsorted(recording.time, (time - reach, time + reach))
-        mask[first:last] = True
-    return mask
