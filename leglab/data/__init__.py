@@ -17,7 +17,6 @@ from leglab.data.clock import Timed, time_axis
 from leglab.data.column_map import ColumnMap, read_column_map
 from leglab.data.contents import form_at, form_of_folder, format_of
 from leglab.data.files import LeftOut, first_line
-from leglab.data.input_output import from_input_output, to_input_output
 from leglab.data.scene import Scene
 from leglab.data.summary import Summary, summarise
 from leglab.data.sysid import from_time_series, to_time_series
@@ -31,7 +30,6 @@ __all__ = [
     "Summary",
     "form_of_folder",
     "format_of",
-    "from_input_output",
     "from_time_series",
     "inspect",
     "losses",
@@ -40,7 +38,6 @@ __all__ = [
     "read_column_map",
     "read_tables",
     "summarise",
-    "to_input_output",
     "to_time_series",
     "write",
     "write_atomically",
@@ -143,6 +140,9 @@ def read_tables(
             found = lerobot.read_tables(path, left_out)
         else:
             found = {"": _MODULES[form].read_table(path, left_out, columns)}
+        for _, metadata in found.values():
+            if not all(isinstance(metadata.get(key, []), list) for key in ("alignment", "repairs")):
+                raise RecordingError("metadata 'alignment' or 'repairs' is no list")
     except LeglabError as error:
         raise error.at(path) from error
     # Whatever the libraries trip over, the cause is the file.

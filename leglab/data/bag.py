@@ -20,7 +20,7 @@ from zstandard import ZstdDecompressor
 from leglab.base.errors import FileError, RecordingError
 from leglab.base.input import parse_json
 from leglab.data.alignment import TopicSeries
-from leglab.data.files import LeftOut, check_notes, first_line
+from leglab.data.files import LeftOut, first_line
 from leglab.data.ros_messages import DEFINITIONS, numbers, supported
 
 METADATA_NAME = "leglab"  # Our metadata record, with JSON under the key "metadata"
@@ -53,9 +53,7 @@ class Bag:
             if record.channel_id not in self.channels or supported(self.kind(record.channel_id)):
                 self.messages.append(record)
         elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-            metadata = parse_json(record.metadata["metadata"])
-            check_notes(metadata)
-            self.metadata |= metadata
+            self.metadata |= parse_json(record.metadata["metadata"])
 
     def kind(self, channel_id: int) -> str:
         """Returns the type of a channel's messages."""

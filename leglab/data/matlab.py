@@ -22,7 +22,7 @@ from leglab.base.recording import Recording
 from leglab.base.units import own_units, unit_of, usual_unit
 from leglab.data.clock import Timed
 from leglab.data.column_map import ColumnMap
-from leglab.data.files import LeftOut, check_notes, to_json
+from leglab.data.files import LeftOut, to_json
 from leglab.data.variables import check_lengths, table_of
 
 _VARIABLE = "recording"
@@ -138,10 +138,8 @@ def _allowed(name: str) -> str:
 def _load(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
-        given, allowed = "version 7.3 (HDF5)", "version 5"
-        told = f"{path}: a MATLAB file of {given}, allowed is {allowed}; in MATLAB: "
-        told += f"save('{path.name}', ..., '-v7')"
-        raise FileError(told, given=given, allowed=allowed)
+        told = f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
+        raise FileError(f"{told}save('{path.name}', ..., '-v7')", given="version 7.3")
     if content[126:128] not in (b"IM", b"MI"):
         told = f"{path}: not a MATLAB file: the first 128 bytes are not those of version 5"
         raise FileError(told, given=path)
@@ -169,7 +167,6 @@ def _load(path: Path) -> dict[str, Any]:
 def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str, np.ndarray], dict]:
     names: dict[str, str] = _json(content, "name_map")
     metadata = _json(content, "metadata") if "metadata" in content else {}
-    check_notes(metadata)
     if not all(isinstance(name, str) for name in names.values()):
         raise FileError("field 'name_map' of 'recording' gives a name that is no text")
     signals = content["signals"] if names else {}
@@ -208,11 +205,7 @@ def _vector(value: Any, name: str) -> np.ndarray:
 
 
 def _json(content: Mapping[str, Any], field: str) -> dict[str, Any]:
-    try:
-        found = parse_json(content[field])
-    except (TypeError, ValueError, RecursionError) as error:
-        told = f"field {field!r} of 'recording' is not JSON: {error}"
-        raise FileError(told, given=field) from error
+    found = parse_json(content[field])
     if not isinstance(found, dict):
         raise FileError(f"field {field!r} of 'recording' is not a JSON object", given=field)
     return found

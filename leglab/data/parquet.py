@@ -18,7 +18,7 @@ from leglab.base.output import cannot_write, new_file, write_atomically
 from leglab.base.recording import Recording
 from leglab.data.clock import Timed
 from leglab.data.columns import to_arrays
-from leglab.data.files import LeftOut, check_notes, first_line, to_json
+from leglab.data.files import LeftOut, first_line, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 
@@ -233,7 +233,6 @@ def _metadata(path: Path, text: bytes | None) -> dict:
         found = parse_json(text)
         if not isinstance(found, dict):
             raise ValueError(f"it holds {type(found).__name__}, allowed is an object")
-        check_notes(found)
     except ValueError as error:
         told = f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}"
         raise FileError(told, given=path) from error

@@ -1,7 +1,5 @@
 """Recordings to and from the formats of other tools."""
 
-import builtins
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -131,63 +129,6 @@ def test_time_series_errors(tmp_path):
     outside = TimeSeries(np.arange(2.0), np.ones((2, 1)), {"a": (SignalType.MjCtrl, [3])})
     with pytest.raises(LeglabError, match="column 3 of 1"):
         data.from_time_series(outside)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    recording=recordings(metadata=st.just({})).filter(lambda r: len(r) > 1 and r.columns),
-    split=st.integers(0, 3),
-    period=st.floats(1e-5, 1.0),
-)
-def test_input_output_round_trip(recording, split, period):
-    pytest.importorskip("nonlinear_benchmarks")
-    names = list(recording.columns)
-    inputs, outputs = names[: split + 1], names[split + 1 :] or names[:1]
-    if inputs == outputs:
-        return
-    uniform = Recording(time=np.arange(len(recording)) * period, columns=recording.columns)
-    benchmark = data.to_input_output(uniform, inputs, outputs, name="knee")
-    assert benchmark.sampling_time == pytest.approx(period, rel=1e-12)
-    assert benchmark.u.ndim == (1 if len(inputs) == 1 else 2)
-    if set(inputs) & set(outputs):
-        return
-    read = data.from_input_output(benchmark, inputs, outputs)
-    assert {n: c.tobytes() for n, c in read.columns.items()} == {
-        n: c.tobytes() for n, c in uniform.columns.items()
-    }
-    np.testing.assert_allclose(read.time, uniform.time, rtol=1e-12)
-    assert read.metadata["name"] == "knee"
-
-
-def test_input_output_errors(monkeypatch):
-    benchmarks = pytest.importorskip("nonlinear_benchmarks")
-    one = Recording(time=[0.0], columns={"u": [1.0], "y": [2.0]})
-    with pytest.raises(LeglabError, match="one sample"):
-        data.to_input_output(one, ["u"], ["y"])
-    jittery = Recording(time=[0, 1.0, 3.0], columns={"u": [1.0, 2, 3], "y": [2.0, 3, 4]})
-    with pytest.raises(LeglabError, match="not uniform"):
-        data.to_input_output(jittery, ["u"], ["y"])
-    with pytest.raises(LeglabError, match="unknown column 'v'"):
-        data.to_input_output(jittery, ["v"], ["y"])
-    with pytest.raises(LeglabError, match="list of one or more"):
-        data.to_input_output(jittery, "u", ["y"])
-    no_clock = benchmarks.Input_output_data(np.ones(3), np.ones(3))
-    with pytest.raises(LeglabError, match="sampling_time is None"):
-        data.from_input_output(no_clock, ["u"], ["y"])
-    clock = benchmarks.Input_output_data(np.ones((3, 2)), np.ones(3), sampling_time=0.1)
-    with pytest.raises(LeglabError, match="one name a column"):
-        data.from_input_output(clock, ["u"], ["y"])
-
-    find = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name == "nonlinear_benchmarks":
-            raise ImportError(name)
-        return find(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(LeglabError, match="pip install nonlinear-benchmarks"):
-        data.to_input_output(one, ["u"], ["y"])
 
 
 def test_mcap_is_what_foxglove_opens(tmp_path):

@@ -257,7 +257,7 @@ def test_the_folder_of_a_bag(tmp_path):
     assert data.read(folder) == data.read(folder / "bag_0.mcap")
 
 
-@pytest.mark.parametrize("text", ["", "[1]", '{"a": NaN}', '{"alignment": 5}', '{"repairs": "x"}'])
+@pytest.mark.parametrize("text", ["", "[1]", '{"a": NaN}'])
 def test_broken_metadata(tmp_path, text):
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream, Writer(stream) as writer:
