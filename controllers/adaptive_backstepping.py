@@ -244,7 +244,7 @@ def _gains(setup: ControllerSetup, config: BacksteppingConfiguration) -> Backste
     for name in (field.name for field in fields(BacksteppingGains)):
         values = getattr(config, name)
         if values is None:
-            values = getattr(setup.machine.backstepping_gains, name)
+            values = getattr(setup.machine.tuned[_NAME], name)
         if len(values) != len(setup.joints):
             raise setup.wrong_length(name, values, _NAME)
         gains[name] = np.asarray(values, dtype=float)

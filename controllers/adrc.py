@@ -80,7 +80,7 @@ class Adrc:
 
 
 def _gains(setup: ControllerSetup, config: AdrcConfiguration) -> DisturbanceGains:
-    tuned = setup.machine.adrc_gains
+    tuned = setup.machine.tuned["adrc"]
     chosen = {"plant_gain": tuned.plant_gain, "order": tuned.order}
     for name in ("control_bandwidth", "observer_bandwidth"):
         values = getattr(config, name)

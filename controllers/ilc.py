@@ -57,7 +57,7 @@ class Ilc:
         stride = setup.reference_period if config.stride is None else config.stride
         self._learning: IterativeLearning | None = None
         if stride is not None and math.isfinite(stride) and stride >= _LEAST_PERIODS * period:
-            filters = machine.ilc_gains
+            filters = machine.tuned["ilc"]
             self._learning = IterativeLearning(
                 filters,
                 np.abs(self._pd.position_gain) * filters.speed_per_command,

@@ -97,7 +97,8 @@ class Cause:
         unit: Magnitude 1 in the parameter's own unit.
         step: How steps count from the healthy magnitude.
         default: Step of the scenario's default.
-        allowed: Steps of the smallest and the largest magnitude of the scenario.
+        allowed: Steps of the smallest and the largest magnitude of the scenario, which the bounds
+            of the plugin's parameter cut.
         sides: Magnitudes in the bank of faults and in benchmarks; none where it is in neither.
         changes: Makes the changes at the options' magnitude.
         reference_config: Settings of the scenario's reference.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.commissioning.calibration import drive_signs, valve_maps
-from leglab.commissioning.gains_file import ControllerGains, Row
+from leglab.commissioning.gains_file import GAINS, ControllerGains, Row
 from leglab.commissioning.pd_gains import (
     GAIN_MARGIN_DB,
     PHASE_MARGIN_DEG,
@@ -168,6 +168,7 @@ ADRC = ControllerGains(
     kind=DisturbanceGains,
     tune=_rows,
 )
+GAINS.add("adrc", ADRC, _rows)
 
 if __name__ == "__main__":
     ADRC.write()

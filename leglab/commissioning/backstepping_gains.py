@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.commissioning.gains_file import ControllerGains, Row
+from leglab.commissioning.gains_file import GAINS, ControllerGains, Row
 from leglab.commissioning.nominal import nominal_cylinders
 from leglab.commissioning.pd_gains import (
     SPEEDS,
@@ -306,6 +306,7 @@ BACKSTEPPING = ControllerGains(
     kind=BacksteppingGains,
     tune=_rows,
 )
+GAINS.add("adaptive_backstepping", BACKSTEPPING, _rows)
 
 if __name__ == "__main__":
     BACKSTEPPING.write()

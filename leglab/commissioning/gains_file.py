@@ -6,12 +6,14 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from leglab.base.output import write_atomically
+from leglab.base.registry import Registry, import_modules
 from leglab.machine.files import model_digest
 from leglab.machine.library import is_shipped
 from leglab.machine.sensors import SensorConfiguration
@@ -114,6 +116,11 @@ class ControllerGains(GainsFile, Generic[T]):
             machine = Simulation(load_model(model))
             tables[model] = self.table(machine, sensors, self.tune(model, machine, sensors))
         self.path.write_text(self.text(tables))
+
+
+# Gains by the name of the controller; a module `leglab.commissioning.*_gains` or anybody's adds.
+GAINS: Registry[ControllerGains[Any]] = Registry("controller with tuned gains")
+GAINS.add_loader(partial(import_modules, __package__, [str(Path(__file__).parent)]))
 
 
 def stored_name(model: str) -> str:

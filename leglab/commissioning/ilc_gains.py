@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from leglab.commissioning.adrc_gains import speeds_per_command
-from leglab.commissioning.gains_file import ControllerGains, Row
+from leglab.commissioning.gains_file import GAINS, ControllerGains, Row
 from leglab.commissioning.pd_gains import sampled_plants, stored_gains, tuned_gains
 from leglab.control.iterative_learning import LearningFilter, learning_function, q_filter
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
@@ -108,6 +108,7 @@ ILC = ControllerGains(
     kind=LearningFilter,
     tune=_rows,
 )
+GAINS.add("ilc", ILC, _rows)
 
 if __name__ == "__main__":
     ILC.write()

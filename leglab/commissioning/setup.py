@@ -2,15 +2,14 @@
 
 import copy
 import hashlib
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from leglab.commissioning.adrc_gains import ADRC
-from leglab.commissioning.backstepping_gains import BACKSTEPPING
 from leglab.commissioning.calibration import ValveMap, drive_signs, valve_maps
-from leglab.commissioning.ilc_gains import ILC
+from leglab.commissioning.gains_file import GAINS
 from leglab.commissioning.nominal import NominalDynamics, nominal_cylinders
 from leglab.commissioning.pd_gains import stored_gains, tuned_gains
 from leglab.control import ControllerSetup, NominalMachine
@@ -53,17 +52,28 @@ class CommissionedMachine(NominalMachine):
                 return nominal_cylinders(own)
             case "inverse_dynamics":
                 return NominalDynamics(own)
-            case "backstepping_gains":
-                return BACKSTEPPING.gains(self._model, own, self._sensors)
-            case "adrc_gains":
-                return ADRC.gains(self._model, own, self._sensors)
-            case "ilc_gains":
-                return ILC.gains(self._model, own, self._sensors)
+            case "tuned":
+                return _Tuned(self._tuned)
         return super().find(name)
+
+    def _tuned(self, controller: str) -> Any:
+        """Gains of a controller, stored or tuned."""
+        return GAINS.get(controller).gains(self._model, self._own(), self._sensors)
 
     def _own(self) -> Simulation:
         """A machine for calibration, which moves it through its whole range."""
         return Simulation(copy.copy(self._simulation.model))
+
+
+class _Tuned(dict[str, Any]):
+    """Gains by controller, each made when it is asked for."""
+
+    def __init__(self, make: Callable[[str], Any]) -> None:
+        self._make = make
+
+    def __missing__(self, controller: str) -> Any:
+        self[controller] = made = self._make(controller)
+        return made
 
 
 def _setpoint(simulation: Simulation) -> np.ndarray | None:

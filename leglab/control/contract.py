@@ -118,9 +118,7 @@ class NominalMachine:
         cylinders: Data sheets and levers, a `leglab.control.backstepping.data.NominalCylinders`.
         inverse_dynamics: Function of position, velocity, acceleration to joint torques [N m],
             (joints,) each.
-        backstepping_gains: Tuned gains, a `leglab.control.backstepping.data.BacksteppingGains`.
-        adrc_gains: Tuned bandwidths, a `leglab.control.extended_state_observer.DisturbanceGains`.
-        ilc_gains: Tuned learning filter, a `leglab.control.iterative_learning.LearningFilter`.
+        tuned: Gains of controllers, by the controller's name; each of what its tuning makes.
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Delay of the measured velocity's filter [s].
         position_noise: Standard deviation of a measured position, resolution included [rad].
@@ -137,9 +135,7 @@ class NominalMachine:
     valve_maps: Sequence[Any]
     cylinders: Any
     inverse_dynamics: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-    backstepping_gains: Any
-    adrc_gains: Any
-    ilc_gains: Any
+    tuned: Mapping[str, Any]
     latency: float
     velocity_delay: float
     position_noise: float

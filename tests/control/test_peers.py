@@ -1,6 +1,7 @@
 """The peers `adrc` and `ilc`: closed forms of their laws, their tuning, and what they reject."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import control
 import numpy as np
@@ -10,8 +11,10 @@ from leglab import RunSettings
 from leglab.base.scale import rms
 from leglab.commissioning.adrc_gains import ADRC, JointMargins, plant_gain
 from leglab.commissioning.adrc_gains import tuned_gains as tuned_bandwidths
+from leglab.commissioning.gains_file import GAINS as TUNED
 from leglab.commissioning.ilc_gains import CONTRACTION, ILC, closed_loops
 from leglab.commissioning.pd_gains import sampled_plant, stored_gains
+from leglab.control import contract
 from leglab.control.extended_state_observer import DisturbanceGains, DisturbanceRejection
 from leglab.control.iterative_learning import (
     IterativeLearning,
@@ -23,6 +26,7 @@ from leglab.control.iterative_learning import (
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation, load_model
 from leglab.runs.loop import Loop
+from leglab.runs.preparation import prepared
 
 PERIOD, LATENCY = 0.002, 0.001
 GAINS = DisturbanceGains(
@@ -357,3 +361,24 @@ def test_a_command_of_one_gives_full_force_over_mass_with_a_filter_too(actuator,
     model.write_text(_SLIDE.format(actuator))
     simulation = Simulation(load_model(str(model)), keyframe=None)
     assert plant_gain(simulation, 0) == (pytest.approx(20.0 / 2.0), 2)
+
+
+def test_a_new_controller_brings_its_gains_without_a_shared_record(monkeypatch, tmp_path):
+    """They are tuned for the nominal machine when somebody asks, once; the contract names none."""
+    (tmp_path / "gains.toml").touch()
+    asked = []
+
+    def tune(model, simulation, sensors):
+        asked.append(model)
+        return [{"cutoff": 2.0, "lead": 0.0, "speed_per_command": 1.0}]
+
+    mine = replace(ILC, path=tmp_path / "gains.toml", tune=tune)
+    monkeypatch.setattr(TUNED, "_entries", {**TUNED._entries})
+    TUNED.add("mine", mine, tune)
+    machine = prepared(RunSettings(scenario="", model="knee_bench")).controller_setup.machine
+    assert machine.tuned["mine"].cutoff.tolist() == [2.0]
+    assert machine.tuned["mine"] is machine.tuned["mine"]
+    assert asked == ["knee_bench"]
+    assert set(TUNED.names()) == {"adaptive_backstepping", "adrc", "ilc", "mine"}
+    text = Path(contract.__file__).read_text()
+    assert not [name for name in TUNED.names() if f"{name}_gains" in text or f"`{name}`" in text]
