@@ -127,15 +127,17 @@ def judged(case: tuple[int, str, str, float, float]) -> dict[str, Any] | None:
     return found
 
 
-def _told(events: list[FaultEvent], fault: str, element: str, change: float) -> dict[str, Any]:
+def _told(
+    events: list[FaultEvent], fault: str, element: str, change: float, pace: float = 1.0
+) -> dict[str, Any]:
     """Names by time: confidence, and whether fault and element were right."""
     names = [name for event in events for name in event.names if name.time >= change]
     told: dict[str, Any] = {
         "early": sum(e.names[0].time < change for e in events),
-        "late": [e.names[-1].fault for e in events if e.names[-1].onset > change + BESIDES],
+        "late": [e.names[-1].fault for e in events if e.names[-1].onset > change + pace * BESIDES],
     }
     for limit in TOLD:
-        said = [name for name in names if name.time <= change + limit]
+        said = [name for name in names if name.time <= change + pace * limit]
         last = said[-1] if said else None
         known = last is not None and last.fault != UNKNOWN
         told[f"{limit:g}"] = {
@@ -194,30 +196,28 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
     """Errors and names under another condition."""
     label, fault, size, seed = task
     rng = np.random.default_rng([seed, list(ELSEWHERE).index(label)])
-    change = round(CHANGE + STRIDE * rng.random(), 3)
-    scenario = changed_at(change, fault, DURATION, severity=size)
+    # All times are those of walking, at the pace of the motion.
+    run = {"scenario": "nominal", "reference": "walking_stride", **ELSEWHERE[label]}
+    pace = Loop(specimen(seed, **run)).reference.period / STRIDE
+    change, duration = round(pace * (CHANGE + STRIDE * rng.random()), 3), pace * DURATION
+    scenario = changed_at(change, fault, duration, severity=size)
     if label == "another fault 5 s before":
         name, element, other, earlier = OTHER
-        first = changed_at(change, name, DURATION, severity=other, element=element)
+        first = changed_at(change, name, duration, severity=other, element=element)
         change += earlier
-        scenario = changed_at(change, fault, DURATION, severity=size)
+        scenario = changed_at(change, fault, duration, severity=size)
         scenario = replace(scenario, changes=first.changes + scenario.changes)
     found: dict[str, Any] = {"label": label, "fault": fault, "seed": seed}
     base = None
     for controller in (FROZEN, BEFORE, BANK):
         config = {"stop_time": change} if controller == FROZEN else {}
-        settings = specimen(
-            seed,
-            **{"scenario": "nominal", "reference": "walking_stride", **ELSEWHERE[label]},
-            controller=controller,
-            controller_config=config,
-        )
+        settings = specimen(seed, **run, controller=controller, controller_config=config)
         told = replace(scenario, reference=settings.reference or scenario.reference)
         loop = Loop(settings, scenario=told)
         history = loop.run()
         assert not history.failure, (task, history.failure)
-        after = history.time - change
-        windows = [w for w in WINDOWS if change + w[1] <= DURATION]
+        after = (history.time - change) / pace
+        windows = [w for w in WINDOWS if change + pace * w[1] <= duration]
         error = np.array([window_rms(history.error, after, *window) for window in windows])
         if controller == FROZEN:
             base = error
@@ -225,7 +225,8 @@ def elsewhere(task: tuple[str, str, float, int]) -> dict[str, Any]:
             continue
         found[controller] = {"ratio": (error / base).tolist()}
         if controller == BANK:
-            found[BANK] |= _told(loop.controller.events, fault, ALL, change)  # type: ignore[union-attr]
+            events = loop.controller.events  # type: ignore[union-attr]
+            found[BANK] |= _told(events, fault, ALL, change, pace)
     return found
 
 

@@ -1,5 +1,6 @@
 """The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
 
+import math
 from collections import deque
 from typing import Annotated
 
@@ -15,15 +16,12 @@ from leglab.control.feedforward.fault_monitor import (
     ProposedMap,
 )
 from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
+from leglab.control.feedforward.thresholds import AFTER, STRIDE
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
 # Blocks of samples by which a map that joins is first held against the one that learned them: few,
 # for the machine has just changed.
 _BLOCKS = 4
-
-# A named fault's map learns slowly what the name does not say: the one that was never corrected
-# stays beside it for so long after the case [s], two strides and a half.
-_AFTER = 3.0
 
 # Odds of a hysteresis of one width against a map that learns without knowing of any.
 _PLAY_ODDS = 0.03
@@ -73,8 +71,12 @@ class BankController(AdaptiveController):
         if config.left_out:
             bank = bank.without(config.left_out)
         period = setup.control_period * config.interval
-        self.monitor = FaultMonitor(bank, setup.joints, config.monitor, sample_period=period)
-        self.health = HealthMonitor(bank, setup.joints, config.health, sample_period=period)
+        stride = setup.reference_period
+        pace = stride / STRIDE if stride and math.isfinite(stride) else 1.0
+        given = {"sample_period": period, "pace": pace}
+        self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
+        self.health = HealthMonitor(bank, setup.joints, config.health, **given)
+        self._after = pace * AFTER
         self._config = config
         self._report = {**self.adaptation.report, **self.monitor.report, **self.health.report}
         self._corrects, self._stopped = config.corrects, False
@@ -131,7 +133,7 @@ class BankController(AdaptiveController):
         if self._closed is None:
             self.adaptation.narrow()
             self._closed = time
-        if self.monitor.busy or time > self._closed + _AFTER:
+        if self.monitor.busy or time > self._closed + self._after:
             self.adaptation.settle()
         if not self.adaptation.contenders:
             self._proposed.clear()

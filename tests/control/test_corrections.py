@@ -35,9 +35,9 @@ def errors(controller, changed, windows, **config):
     return rms(run_bench(settings, [(0.0, HEALTHY), (CHANGE, changed)]), windows)
 
 
-def rms(history, windows):
+def rms(history, windows, change=CHANGE):
     assert not history.failure
-    after = history.time - CHANGE
+    after = history.time - change
     parts = [history.error[(after >= a) & (after < b)] for a, b in windows]
     return np.array([np.sqrt(np.mean(part**2)) for part in parts])
 
@@ -55,9 +55,10 @@ def test_a_play_that_would_eat_the_command_is_not_found(monkeypatch):
     monkeypatch.setattr(making, "CAUSES", {"": CAUSES["valve_null_shift"]})
     monkeypatch.setattr(making, "_write", lambda *_: None)
     monkeypatch.setattr(making, "_read", lambda *_: None)
-    shift = get_scenario("valve_null_shift", duration=CHANGE + 5.0, severity=0.035).changes
-    changes = tuple(replace(change, start=CHANGE) for change in shift)
-    scenario = Scenario(name="squat", duration=CHANGE + 5.0, reference="squat", changes=changes)
+    change = 22.0  # a squat takes 3 s, and the first six are not judged
+    shift = get_scenario("valve_null_shift", duration=change + 5.0, severity=0.035).changes
+    changes = tuple(replace(each, start=change) for each in shift)
+    scenario = Scenario(name="squat", duration=change + 5.0, reference="squat", changes=changes)
 
     def error(controller):
         settings = RunSettings(
@@ -68,7 +69,8 @@ def test_a_play_that_would_eat_the_command_is_not_found(monkeypatch):
             tolerance=0.1,
             seed=1000,
         )
-        return rms(Loop(settings, scenario=scenario).run(), [(0.6, 1.2), (1.2, 2.4), (2.4, 5.0)])
+        history = Loop(settings, scenario=scenario).run()
+        return rms(history, [(0.6, 1.2), (1.2, 2.4), (2.4, 5.0)], change)
 
     assert (error("bsnn_arx_bank") < 1.2 * error("bsnn_arx")).all()
 

@@ -13,6 +13,7 @@ from leglab.control import Measurement, ReferencePoint, make_controller
 from leglab.control.feedforward.fault_bank import FaultBank
 from leglab.control.feedforward.fault_monitor import FaultMonitor
 from leglab.runs.loop import Loop
+from leglab.runs.preparation import prepared
 from tests.helpers.learned_samples import (
     BLOCK,
     CHANGE,
@@ -65,6 +66,37 @@ def test_what_the_bank_does_not_have_is_an_unknown_change_without_a_likely_map()
     assert monitor.events[0].names[0].element == "knee"
     assert monitor.report["fault"].tolist() == [0.0, -1.0]
     assert all(proposal.odds <= 1.0 for _, made in given for proposal in made)
+
+
+@pytest.mark.parametrize("pace", [1.0, 2.0])
+def test_a_motion_half_as_fast_is_judged_in_twice_the_time(pace):
+    """What nothing explains is told after a stride: at the look after 1.3 s of 1.2."""
+    rng = np.random.default_rng(20)
+    bank = make_bank(rng)
+    odd = 0.1 * rng.standard_normal((len(JOINTS), PARAMETERS))
+    _, true = planted(odd, rng)
+    monitor = FaultMonitor(bank, JOINTS, CONFIG, sample_period=PERIOD, pace=pace)
+    stream(monitor, true)
+    (event,) = monitor.events
+    assert event.names[0].fault == UNKNOWN
+    assert event.names[0].time - CHANGE == pytest.approx(1.4 * pace, abs=0.05)
+
+
+@pytest.mark.parametrize(("period", "pace"), [(1.2, 1.0), (3.0, 2.5), (None, 1.0), (np.inf, 1.0)])
+def test_the_pace_is_that_of_the_reference(period, pace):
+    setup = replace(
+        prepared(RunSettings(scenario="", model="knee_bench")).controller_setup,
+        reference_period=period,
+        fault_bank=lambda: FaultBank(
+            curves=tuple(replace(c, shifts=c.shifts[:, :1]) for c in make_bank(np.random).curves)
+        ),
+    )
+    controller = make_controller("bsnn_arx_bank", setup)
+    monitor, health = controller.monitor, controller.health
+    assert monitor._warm_up == 1900 * pace
+    assert monitor._slow_window == 600 * pace
+    assert monitor._looks[-1] == pytest.approx(3.2 * pace)
+    assert health._samples == 1500 * pace
 
 
 def test_a_passing_disturbance_is_no_change():

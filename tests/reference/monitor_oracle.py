@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-MARGIN, PEAK_TIME, OUTLIER = 2.0, 6.0, 9.0
+MARGIN, PEAK_WINDOWS, OUTLIER = 2.0, 2.5, 9.0
 
 
 class Moments:
@@ -85,7 +85,8 @@ class Watch:
         self.sum = total
         self.top = np.maximum(self.top, total)
         ended = np.where(total == 0.0, self.top, 0.0)
-        self.peak = np.maximum(np.exp(-duration / PEAK_TIME) * self.peak, ended)
+        peak_time = PEAK_WINDOWS * s["slow_window"] * s["sample_period"]
+        self.peak = np.maximum(np.exp(-duration / peak_time) * self.peak, ended)
         self.top[total == 0.0] = 0.0
         return (total > limit) & (seen >= self.wait)
 

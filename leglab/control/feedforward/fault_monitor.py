@@ -10,6 +10,7 @@ The arithmetic of samples and fits is C++ (`csrc/monitor`, which also suits a mi
 is said, and what stands, is decided here.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
@@ -46,8 +47,9 @@ class MonitorConfiguration(JudgeConfiguration):
 
     Attributes:
         block: Learned samples from one look at them to the next.
-        warm_up: Learned samples before the first alarm; after a closed case `slow_window`.
-        slow_window: Learned samples in the mean square error that is normal.
+        warm_up: Learned samples before the first alarm, of a reference of period 1.2 s: of another
+            one in proportion; after a closed case `slow_window`.
+        slow_window: Learned samples in the mean square error that is normal, likewise.
         error_ratio: Rise of the mean square error that the cumulative sum tests for.
         alarm: Cumulative log-likelihood ratio at which a change is declared, beyond what it
             reaches while nothing changes.
@@ -124,6 +126,7 @@ class FaultMonitor:
         joints: Their names.
         config: How changes are noticed and named.
         sample_period: From one learned sample to the next [s].
+        pace: Period of the reference over `STRIDE`, in proportion to which times are longer.
 
     Attributes:
         events: What was said since `reset`.
@@ -142,21 +145,27 @@ class FaultMonitor:
         config: MonitorConfiguration,
         *,
         sample_period: float,
+        pace: float = 1.0,
     ) -> None:
         had = bank.curves[0].shifts.shape[1]
         if had != len(joints):
             told = f"the bank of faults is of {had} joints, the machine has "
             raise ModelError(told, given=had, allowed=str(len(joints)))
         self._bank, self._joints, self._config = bank, joints, config
-        self._standings = Standings(bank)
+        self._standings, self._pace = Standings(bank), pace
+        self._looks = tuple(pace * look for look in LOOKS if pace * look > PASSING)
+        self._warm_up, self._slow_window = (
+            round(pace * samples) for samples in (config.warm_up, config.slow_window)
+        )
         self._core = Monitor(
             len(joints),
             bank.curves[0].shifts.shape[2],
             {
                 **config.model_dump(),
+                "slow_window": self._slow_window,
                 "sample_period": sample_period,
                 "passing": PASSING,
-                "blocks": BLOCKS,
+                "blocks": math.ceil(pace * BLOCKS),
                 "most_samples": 2 * config.block,
             },
         )
@@ -167,7 +176,7 @@ class FaultMonitor:
     def reset(self) -> None:
         """Forgets everything."""
         self.events: list[FaultEvent] = []
-        self._core.reset(self._config.warm_up)
+        self._core.reset(self._warm_up)
         self._case: _Case | None = None
         self._standings.clear()
         self._tell(None)
@@ -210,20 +219,21 @@ class FaultMonitor:
         case = self._case
         if case is None:
             return None
-        done = case.look >= len(LOOKS) or (case.name and time > case.name.time + STEADY)
+        steady = self._pace * STEADY
+        done = case.look >= len(self._looks) or (case.name and time > case.name.time + steady)
         if not opens and done:
             self._close(case)
             return None
-        if time < case.onset + LOOKS[case.look]:
+        if time < case.onset + self._looks[case.look]:
             return None
-        while case.look < len(LOOKS) and time >= case.onset + LOOKS[case.look]:
+        while case.look < len(self._looks) and time >= case.onset + self._looks[case.look]:
             case.look += 1
         return self._decide(case, time)
 
     def _close(self, case: _Case) -> None:
         """Ends a case; remembers what was told last, for a machine that is changed again."""
         self._case = None
-        self._core.close(self._config.slow_window)
+        self._core.close(self._slow_window)
         name = case.name
         if name is None:
             self._tell(None)
@@ -234,7 +244,8 @@ class FaultMonitor:
 
     def _decide(self, case: _Case, time: float) -> list[ProposedMap]:
         """Asks the bank, says what stands out, and proposes what may be."""
-        config, age = self._config, time - case.onset
+        # Its age is counted at the pace of the motion.
+        config, age = self._config, (time - case.onset) / self._pace
         moments = self._core.look()
         fit = case.bank.fit(moments, self._core.normal(), config.discrepancy)
         judged = judge(case.bank, [fit], config)
@@ -247,7 +258,7 @@ class FaultMonitor:
         elif case.key is not None:
             if judged.explained[judged.best] < config.kept * judged.curve.explains:
                 self._withdraw(case, time)
-        elif time >= case.onset + PATIENCE and case.name is None:
+        elif age >= PATIENCE and case.name is None:
             joints = self._still_off(case, time)
             if joints.any():
                 unknown = judged.unknown(self._joints, joints)
@@ -277,7 +288,7 @@ class FaultMonitor:
         A motion never made before may err for a moment, a changed machine does so for good.
         """
         _, power, count = case.errors[-1]
-        earlier = [look for look in case.errors if look[0] <= time - RECENT]
+        earlier = [look for look in case.errors if look[0] <= time - self._pace * RECENT]
         if earlier:
             power, count = power - earlier[-1][1], count - earlier[-1][2]
         return power / np.maximum(count, 1.0) > UNEXPLAINED * self._core.normal()

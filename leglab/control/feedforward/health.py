@@ -49,8 +49,9 @@ class HealthConfiguration(JudgeConfiguration):
     """How slow wear is followed.
 
     Attributes:
-        look: Learned samples from one estimate of the sizes to the next.
-        wait: Learned samples before the first one that counts.
+        look: Learned samples from one estimate of the sizes to the next, of a reference of period
+            1.2 s: of another one in proportion.
+        wait: Learned samples before the first one that counts, likewise.
         healthy: Looks to which the map of the healthy machine is fitted.
         explained: Least share of the error beyond the healthy machine's that a fault must explain,
             of the share that it explains on the nominal machine.
@@ -107,6 +108,7 @@ class HealthMonitor:
         joints: Their names.
         config: How wear is followed.
         sample_period: From one learned sample to the next [s].
+        pace: As of a `FaultMonitor`.
 
     Attributes:
         trends: Slow changes that were seen since `reset`; the last one goes on.
@@ -126,6 +128,7 @@ class HealthMonitor:
         config: HealthConfiguration,
         *,
         sample_period: float,
+        pace: float = 1.0,
     ) -> None:
         import scipy.special  # noqa: F401  not in the middle of a motion
 
@@ -134,7 +137,8 @@ class HealthMonitor:
         self._conditions = conditions_of(self._bank)
         for fault, size in config.end_of_life.items():
             _check_end(self._bank, fault, size)
-        self._period = sample_period
+        self._period, self._pace = sample_period, pace
+        self._samples = round(pace * config.look)  # of a look
         kinds = ("health_fault", "health_size", "health_remaining")
         self.report = {name: np.zeros(len(joints)) for name in kinds}
         self.reset()
@@ -142,7 +146,7 @@ class HealthMonitor:
     def reset(self) -> None:
         """Forgets everything."""
         self.trends: list[FaultTrend] = []
-        self._waits = self._config.wait
+        self._waits = round(self._pace * self._config.wait)
         self._carried: np.ndarray | None = None
         self._base: np.ndarray | None = None
         self._normal = np.zeros(len(self._joints))
@@ -175,7 +179,7 @@ class HealthMonitor:
             self._sums = Moments(len(self._joints), parameters.shape[1])
         self._sums.add(samples)
         self._number += len(samples)
-        wanted = self._config.look * (1 if self._base is not None else self._config.healthy)
+        wanted = self._samples * (1 if self._base is not None else self._config.healthy)
         if self._number < wanted:
             return
         sums = self._sums
@@ -203,7 +207,7 @@ class HealthMonitor:
             own=own,
         )
         self._looks.append(look)
-        self._history.add(time - self._config.look * self._period / 2, look.fit.size)
+        self._history.add(time - self._samples * self._period / 2, look.fit.size)
         if len(self._looks) == TOGETHER:
             self._judged = judge(self._bank, [look.fit for look in self._looks], self._config)
             self._decide(time, self._judged)
@@ -239,7 +243,7 @@ class HealthMonitor:
             The one that explains the last looks best, and enough; None without any.
         """
         config, joints = self._config, len(self._joints)
-        samples = joints * config.look * TOGETHER / config.correlation
+        samples = joints * self._samples * TOGETHER / config.correlation
         more = config.correlation * (2 * joints - 2) * math.log(samples)
         for name, bank in self._conditions.items():
             cost = sum(look.own[name][0] for look in self._looks)

@@ -1,9 +1,13 @@
 """Chosen numbers of names while driving and of slow wear, each with its reason.
 
 Those that a user may set are defaults of `JudgeConfiguration`, `MonitorConfiguration` and
-`HealthConfiguration`. Squared errors and sizes are ratios, of any machine; times are those of
-machines whose valves and oil settle within some tens of milliseconds.
+`HealthConfiguration`. Squared errors and sizes are ratios, of any machine. Times, and numbers of
+learned samples, are those of a reference of period `STRIDE`: with another one they are longer or
+shorter in proportion, but for `PASSING`.
 """
+
+# Period of the reference that times are given for [s].
+STRIDE = 1.2
 
 # What is judged.
 
@@ -36,7 +40,8 @@ STEADY = 2.0
 # From when to when after an onset an explanation may become less good, as more is seen, and the
 # evidence for it and for its name less [s].
 GROWN, PROVEN = (0.1, 0.4), (0.1, 0.6)
-# Samples right after an onset do not count: valves and oil pass over to their new state [s].
+# Samples right after an onset do not count: valves and oil pass over to their new state [s],
+# however slow the motion is.
 PASSING = 0.06
 # Blocks that are kept to look back at, from an alarm on: half a second at 500 Hz.
 BLOCKS = 25
@@ -45,6 +50,9 @@ BLOCKS = 25
 PATIENCE, RECENT = 1.3, 0.65
 # So many faults are proposed at a look: each is a map that learns, in the time of a period.
 CONTENDERS = 3
+# A named fault's map learns slowly what the name does not say: the one that was never corrected
+# stays beside it for so long after the case [s], two strides and a half.
+AFTER = 3.0
 # What comes later corrects nothing: the learner has found its own way by then [s].
 LATE = 1.0
 # So many changes are remembered: each adds a curve to the bank.

@@ -44,6 +44,7 @@ class ErrorWatch {
     const std::size_t joints = normal_.size();
     const double samples = *std::max_element(used, used + joints);
     const double duration = samples * settings_.sample_period;
+    const double peak_time = peak_windows * settings_.slow_window * settings_.sample_period;
     const double decay = std::exp(-duration / peak_time);
     double all = 0.0;
     alarm_since_ = std::numeric_limits<double>::infinity();
@@ -87,8 +88,8 @@ class ErrorWatch {
 
  private:
   // How much of what a sum reached before is added to the alarm, and the time constant in which
-  // that is forgotten [s].
-  static constexpr double margin = 2.0, peak_time = 6.0;
+  // that is forgotten, in slow windows.
+  static constexpr double margin = 2.0, peak_windows = 2.5;
   // A mean square error counts at most so many times the normal one towards that.
   static constexpr double outlier = 9.0;
 
