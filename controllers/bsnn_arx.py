@@ -28,7 +28,7 @@ class AdaptiveController:
     """
 
     name = "bsnn_arx"
-    plays: tuple[float, ...] = ()  # widths of hysteresis that it looks for [valve command]
+    valve_states = False  # whether it looks for states of the valves
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._feedback = Pd(setup, config)
@@ -52,7 +52,7 @@ class AdaptiveController:
             self._feedback.position_gain,
             self._feedback.velocity_gain,
             config,
-            plays=self.plays,
+            valve_states=self.valve_states,
             control_period=setup.control_period,
             latency=latency,
             velocity_delay=latency + setup.machine.velocity_delay,

@@ -23,8 +23,12 @@ from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveControlle
 # for the machine has just changed.
 _BLOCKS = 4
 
-# Odds of a hysteresis of one width against a map that learns without knowing of any.
-_PLAY_ODDS = 0.03
+# Odds of a valve's state that nothing names against a map that learns without knowing of any.
+_UNNAMED = 0.03
+
+# What positive or negative commands need more where a side of the valve gives three quarters of its
+# flow, which is less than a worn edge leaves.
+_SIDE = 1.0 / 3.0
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -61,11 +65,11 @@ class BankController(AdaptiveController):
     """
 
     name = "bsnn_arx_bank"
+    valve_states = True
 
     def __init__(self, setup: ControllerSetup, config: BankConfiguration) -> None:
         if setup.fault_bank is None:
             raise ModelError(f"controller {self.name!r} needs a bank of faults of the machine")
-        self.plays = config.plays
         super().__init__(setup, config)
         bank = setup.fault_bank()
         if config.left_out:
@@ -78,6 +82,9 @@ class BankController(AdaptiveController):
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
         self._config = config
+        self._states = np.zeros((len(config.plays) + 2, 5))
+        self._states[:-2, 2] = config.plays
+        self._states[[-2, -1], [3, 4]] = _SIDE
         self._report = {**self.adaptation.report, **self.monitor.report, **self.health.report}
         self._corrects, self._stopped = config.corrects, False
 
@@ -98,7 +105,7 @@ class BankController(AdaptiveController):
         self.health.reset()
         self._told = 0
         self.adaptation.keep(2 * self._config.monitor.block)
-        self._stopped = self._played = False
+        self._stopped = self._tried = False
         self._closed: float | None = None
         self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
         self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
@@ -121,8 +128,11 @@ class BankController(AdaptiveController):
         if not self._corrects:
             return
         self._end(time)
-        if proposals is not None and not self._played:
-            self._propose_plays(self.monitor.before)
+        if proposals is not None and not self._tried:
+            self._tried = True
+            now = self.adaptation.valves
+            for state in (*([-now] if now.any() else []), *self._states):
+                self._join(self.monitor.before, _UNNAMED, 1.0, valves=now + state)
         for proposal in proposals or ():
             self._propose(proposal)
 
@@ -137,43 +147,53 @@ class BankController(AdaptiveController):
             self.adaptation.settle()
         if not self.adaptation.contenders:
             self._proposed.clear()
-            self._played, self._closed = False, None
-
-    def _propose_plays(self, before: np.ndarray) -> None:
-        """Lets a map for each width of hysteresis learn beside the others."""
-        adaptation, config = self.adaptation, self._config
-        self._played = True
-        for play in range(0 if adaptation.play.any() else 1, 1 + len(config.plays)):
-            learner = adaptation.learner.copy()
-            learner.parameters = before.reshape(learner.parameters.shape)
-            for joint in range(len(before)):
-                learner.hold_alarm(joint)
-                learner.set_gain(config.change_gain * np.eye(before.shape[1]), joint)
-            adaptation.propose(learner, _PLAY_ODDS, 1.0, play)
+            self._tried, self._closed = False, None
 
     def _propose(self, proposal: ProposedMap) -> None:
-        """Lets a map learn beside the others, or moves the one that the fault has already."""
-        adaptation = self.adaptation
+        """Lets maps learn beside the others, or moves those that the fault has already."""
+        adaptation, error = self.adaptation, self._error(proposal.parameters)
+        before, valves = self.monitor.before, None
+        if proposal.valves is not None:
+            valves = adaptation.valves + proposal.valves
         if proposal.key in self._proposed:
             number, last = self._proposed[proposal.key]
+            self._proposed[proposal.key] = number, proposal.parameters
             # One that predicts badly is not asked again.
             if adaptation.shares()[1 + number] > 0.0:
                 moved = proposal.parameters - last
-                learner = adaptation.contenders[number]
-                now = learner.parameters.reshape(moved.shape) + moved
+                now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
                 adaptation.revise(number, moved, self._error(now))
-                self._proposed[proposal.key] = number, proposal.parameters
+            if valves is not None:
+                # With another size it is another map: one that predicted badly begins anew.
+                learner = adaptation.contenders[number + 1]
+                bad = adaptation.shares()[2 + number] == 0.0
+                moved = bad * (before - learner.parameters.reshape(before.shape))
+                adaptation.revise(number + 1, moved, error, valves)
             return
-        learner = adaptation.learner.copy()
-        learner.parameters = proposal.parameters.reshape(learner.parameters.shape)
-        for joint in range(len(proposal.gain)):
+        self._proposed[proposal.key] = len(adaptation.contenders), proposal.parameters
+        self._join(proposal.parameters, proposal.odds, error, proposal.gain)
+        if valves is not None:
+            self._join(before, proposal.odds, error, proposal.gain, valves)
+
+    def _join(
+        self,
+        parameters: np.ndarray,
+        odds: float,
+        error: float,
+        gain: np.ndarray | None = None,
+        valves: np.ndarray | None = None,
+    ) -> None:
+        """Lets a map learn beside the others; arguments as of `ProposedMap` and `propose`."""
+        learner = self.adaptation.learner.copy()
+        learner.parameters = parameters.reshape(learner.parameters.shape)
+        for joint in range(len(parameters)):
             # An alarm of the learner's own would open what a name has just closed.
             learner.hold_alarm(joint)
-            if np.isfinite(proposal.gain[joint]):
-                opened = self._config.change_gain * max(float(proposal.gain[joint]), 1e-9)
-                learner.set_gain(opened * np.eye(proposal.parameters.shape[1]), joint)
-        self._proposed[proposal.key] = len(adaptation.contenders), proposal.parameters
-        adaptation.propose(learner, proposal.odds, self._error(proposal.parameters))
+            share = 1.0 if gain is None else float(gain[joint])
+            if np.isfinite(share):
+                opened = self._config.change_gain * max(share, 1e-9)
+                learner.set_gain(opened * np.eye(parameters.shape[1]), joint)
+        self.adaptation.propose(learner, odds, error, valves)
 
     def _error(self, parameters: np.ndarray) -> float:
         """Mean squared error of a map on the latest samples over that of the learned one."""

@@ -15,7 +15,14 @@ from zipfile import BadZipFile
 import numpy as np
 
 from leglab.base.errors import LeglabError
-from leglab.base.scenario import Healthy, Options, ParameterChange, Scenario, of_joint
+from leglab.base.scenario import (
+    Healthy,
+    Options,
+    ParameterChange,
+    Scenario,
+    joint_pattern,
+    of_joint,
+)
 from leglab.causes.fault_names import ALL
 from leglab.causes.record import Cause, Side
 from leglab.causes.table import CAUSES
@@ -28,6 +35,7 @@ from leglab.data import write_atomically
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import healthy_values
 from leglab.machine.plugin import headless
+from leglab.machine.simulation import Simulation
 from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
 
 # Strides before samples count, and strides of samples; of a motion that does not repeat, as many
@@ -35,6 +43,11 @@ from leglab.runs.preparation import Preparation, RunSettings, prepared, referenc
 _SETTLED, _SAMPLED = 3, 3
 
 _SAMPLES = 64  # kept between two looks
+
+# Parameters of valves with their place in a valve's state and the sign with which they count there:
+# a null bias is added to the command.
+_OF_VALVES = {"null_bias": (0, -1.0), "lap": (1, 1.0), "hysteresis": (2, 1.0)}
+
 _banks: dict[str, FaultBank] = {}
 
 
@@ -98,6 +111,8 @@ def _write(bank: FaultBank, file: Path) -> None:
     arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
     for i, curve in enumerate(bank.curves):
         arrays |= {f"sizes_{i}": curve.sizes, f"shifts_{i}": curve.shifts}
+        if curve.valves is not None:
+            arrays[f"valves_{i}"] = curve.valves
     arrays["explains"] = np.array([curve.explains for curve in bank.curves])
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -120,6 +135,7 @@ def _read(file: Path) -> FaultBank | None:
                         meaning=str(meaning),
                         sizes=kept[f"sizes_{i}"],
                         shifts=kept[f"shifts_{i}"],
+                        valves=kept.get(f"valves_{i}"),
                         explains=float(kept["explains"][i]),
                     )
                     for i, (fault, element, meaning) in enumerate(kept["names"])
@@ -144,15 +160,18 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
         values = partial(healthy_values, preparation.nominal, joint=joint)
         first = cause.healthy_magnitude(values)
         shifts, sizes = [np.zeros_like(base)], [first]
+        told: list[tuple[ParameterChange, ...]] = [()]
         sums = np.zeros(3)
         for size in cause.magnitudes(side.bank, first):
+            changes = _changes(cause, size, joint, values)
             try:
-                found = moments(_changes(cause, size, joint, values))
+                found = moments(changes)
             except LeglabError:
                 break  # model or joint have no such part, or cannot move with so much of it
             changed = found.about(base)
             shifts.append(_solve(changed) - drawn)
             sizes.append(size)
+            told.append(changes)
             sums += _shown(changed, shifts[-1], normal)
         if len(sizes) > 1:
             curves.append(
@@ -162,6 +181,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     meaning=cause.meaning,
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
+                    valves=_valves(told, preparation.nominal),
                     # A fault that shows nothing beyond noise has no share to go by.
                     explains=float(explained_share(*sums.tolist())) or 1.0,
                 )
@@ -184,6 +204,23 @@ def _changes(
     """Parameter changes of a cause on a machine that has had it from the start."""
     changes = cause.changes(cause, Options(duration=0.0, severity=size, healthy=values))
     return changes if joint is None else of_joint(changes, joint)
+
+
+def _valves(sizes: list[tuple[ParameterChange, ...]], nominal: Simulation) -> np.ndarray | None:
+    """State of the valves by the changes of each size, as of `FaultCurve`."""
+    if not {change.parameter for changes in sizes for change in changes} <= set(_OF_VALVES):
+        return None
+    out = np.zeros((len(sizes), len(nominal.joints), 5))
+    for row, changes in zip(out, sizes, strict=True):
+        changed = Scenario(name="nominal", duration=1.0, changes=changes).value_at
+        for j, joint in enumerate(nominal.joints):
+            own = ParameterChange(parameter="", element=joint_pattern(joint), value=1.0, start=0.0)
+            for element in filter(own.applies_to, nominal.elements):
+                for name, (place, sign) in _OF_VALVES.items():
+                    if nominal.has(element, name):
+                        healthy = nominal.parameter(element, name)
+                        row[j, place] = sign * (changed(0.0, name, element, healthy) - healthy)
+    return out
 
 
 def _moments(

@@ -18,6 +18,9 @@ from leglab.identification import ChangeDetection, Rls, SplineNarx
 # What a period reports, in the order of the core's rows behind the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
+# The state of the valves in use, for a proposed map.
+_AS_USED = np.empty((0, 5))
+
 # Chosen numbers, by the names of the core.
 _CONSTANTS = {
     # Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
@@ -38,11 +41,10 @@ _CONSTANTS = {
     "proof_noise": 0.0005,
     # A command that changes by this has turned [valve command]: noise of the feedback does less.
     "turn": 0.002,
-    # A width of hysteresis in use follows errors within this time [s]: half a stride, in which
-    # commands turn some times. What a little more of it would do is seen over this step [valve
-    # command].
-    "play_time": 0.5,
-    "play_step": 0.01,
+    # A valve's state in use follows errors within this time [s]: half a stride, in which commands
+    # turn some times. What a little more of it would do is seen over this step [valve command].
+    "state_time": 0.5,
+    "state_step": 0.01,
     # Squared errors of maps beside each other are averaged over this time [s], the logarithms of
     # their ratios over the second one, a quarter of a stride; each has so many independent errors.
     # A map of which the ratio to the one that knows nothing exceeds the last number is out: what is
@@ -158,7 +160,7 @@ class AdaptiveFeedforward:
         loads: Structure of the map from motion to load; None without pressures.
         sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
             (joints,) or (joints, p) each; None without pressures.
-        plays: Widths of hysteresis that maps can be proposed with [valve command].
+        valve_states: Whether maps can be proposed with a state of the valves.
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate then [s].
@@ -182,12 +184,12 @@ class AdaptiveFeedforward:
         *,
         loads: InverseMap | None = None,
         sheets: Mapping[str, np.ndarray] | None = None,
-        plays: Sequence[float] = (),
+        valve_states: bool = False,
         control_period: float,
         latency: float,
         velocity_delay: float,
     ) -> None:
-        self._map, self._load_map, self._plays = inverse_map, loads, len(plays) > 0
+        self._map, self._load_map, self._valve_states = inverse_map, loads, valve_states
         width = table.end - table.start
         self._core = Feedforward(
             {
@@ -199,8 +201,7 @@ class AdaptiveFeedforward:
                 "saturation": config.limit,
                 "forward": config.route == "forward",
                 "contest_floor": config.noise**2,
-                "plays": np.array(plays, dtype=float),
-                "play_noise": config.noise,
+                "state_noise": config.noise,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,
                 "products": inverse_map.products,
@@ -224,9 +225,9 @@ class AdaptiveFeedforward:
     def reset(self) -> None:
         """Forgets everything learned: the feed-forward is the calibration's."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
-        self._with_play: list[bool] = []
+        self._with_valves: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
-        self._slopes = self._map.learner() if self._plays else None
+        self._slopes = self._map.learner() if self._valve_states else None
         loads, slopes = (None if m is None else m._bank for m in (self.loads, self._slopes))
         self._core.reset(self.learner._bank, loads, slopes)
         self._core.keep(0)
@@ -237,7 +238,7 @@ class AdaptiveFeedforward:
         self._core.freeze()
 
     def propose(
-        self, learner: SplineNarx, odds: float, error: float, play: int | None = None
+        self, learner: SplineNarx, odds: float, error: float, valves: np.ndarray | None = None
     ) -> None:
         """Lets another map learn beside `learner`, and uses it by how well it predicts.
 
@@ -245,23 +246,33 @@ class AdaptiveFeedforward:
             learner: The map, of `learner`'s structure.
             odds: Of this map against `learner` before either has predicted.
             error: Mean squared error that it would have made lately, over that of `learner`.
-            play: Place of the width of the valves' hysteresis that it is for, 0 for none and then
-                those of `plays`; None for the one in use.
+            valves: State of the valves that it is for, as `valves`; without it the one in use.
         """
-        self._core.propose(learner._bank, math.log(odds), error, -1 if play is None else play)
+        self._core.propose(
+            learner._bank, math.log(odds), error, _AS_USED if valves is None else valves
+        )
         self.contenders.append(learner)
-        self._with_play.append(play is not None)
+        self._with_valves.append(valves is not None)
 
-    def revise(self, contender: int, shift: np.ndarray, error: float) -> None:
-        """Moves the parameters of a contender by (joints, parameters); `error` as of `propose`."""
+    def revise(
+        self, contender: int, shift: np.ndarray, error: float, valves: np.ndarray | None = None
+    ) -> None:
+        """Moves the parameters of a contender by (joints, parameters); `error` as of `propose`.
+
+        `valves` are for one that was proposed with a state.
+        """
         learner = self.contenders[contender]
         learner.parameters = learner.parameters + shift.reshape(learner.parameters.shape)
-        self._core.revise(contender, error)
+        self._core.revise(contender, error, _AS_USED if valves is None else valves)
 
     @property
-    def play(self) -> np.ndarray:
-        """Width of hysteresis that `learner` is for [valve command], (joints,)."""
-        return np.array(self._core.play())
+    def valves(self) -> np.ndarray:
+        """State of the valves that `learner` is for, (joints, 5).
+
+        Shift of the null, dead band to either side and width of the play [valve command], and what
+        positive and negative commands need more, as a share.
+        """
+        return np.array(self._core.valves())
 
     def shares(self) -> np.ndarray:
         """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""
@@ -270,10 +281,10 @@ class AdaptiveFeedforward:
     def narrow(self) -> None:
         """Leaves `learner` and the contender with the largest share to go on.
 
-        One with a hysteresis of its own goes on alone: the other can never learn it.
+        One with a state of the valves goes on alone: the other can never learn it.
         """
         best = int(np.argmax(self.shares()))
-        if best == 0 or self._with_play[best - 1]:
+        if best == 0 or self._with_valves[best - 1]:
             self.settle()
         else:
             self._core.only(best - 1)
@@ -285,7 +296,7 @@ class AdaptiveFeedforward:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
             self._core.settle(best)
-            self.contenders, self._with_play = [], []
+            self.contenders, self._with_valves = [], []
 
     def keep(self, samples: int) -> None:
         """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""

@@ -29,6 +29,9 @@ class FaultCurve:
     #: Parameters with the fault less those without, (sizes, joints, parameters); zero at the
     #: healthy size.
     shifts: np.ndarray
+    #: State of the valves beyond that of healthy ones, (sizes, joints, 5), as of
+    #: `AdaptiveFeedforward.valves`; None of a fault that is none of valves alone.
+    valves: np.ndarray | None = None
     #: Share of the weighted squared error beyond noise that the shifts took away where they were
     #: made: what a map of this structure can say of the fault.
     explains: float = 1.0
@@ -51,10 +54,18 @@ class FaultCurve:
 
     def shift(self, size: float) -> np.ndarray:
         """Shift at a size, (joints, parameters); beyond the ends that of the end."""
+        return self._at(size, self.shifts)
+
+    def valves_at(self, size: float) -> np.ndarray | None:
+        """State of the valves at a size, (joints, 5), likewise."""
+        return None if self.valves is None else self._at(size, self.valves)
+
+    def _at(self, size: float, nodes: np.ndarray) -> np.ndarray:
         order = np.argsort(self.sizes)
         place = float(np.interp(size, self.sizes[order], order.astype(float)))
         low = min(int(place), len(self.sizes) - 2)
-        return self.shifts[low] + (place - low) * (self.shifts[low + 1] - self.shifts[low])
+        between: np.ndarray = nodes[low] + (place - low) * (nodes[low + 1] - nodes[low])
+        return between
 
 
 class SizeEstimate(NamedTuple):

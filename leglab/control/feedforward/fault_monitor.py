@@ -87,12 +87,15 @@ class ProposedMap(NamedTuple):
         odds: Of this map against one that learns without knowing of the fault, before either has
             predicted: how probable the fault is among all. The share of the error that it leaves is
             no part of them, since the errors themselves are compared next.
+        valves: State of the valves with the fault beyond that before it, (joints, 5); None of a
+            fault that is none of valves alone.
     """
 
     key: tuple[str, str]
     parameters: np.ndarray
     gain: np.ndarray
     odds: float
+    valves: np.ndarray | None
 
 
 @dataclass(eq=False, kw_only=True)
@@ -276,10 +279,11 @@ class FaultMonitor:
             odds = float(judged.chance[key])
             if judged.evidence[curve] < config.evidence or odds < max(left, config.discrepancy**2):
                 continue
-            shift = bank.curves[curve].shift(float(judged.fit.size[curve]))
+            size = float(judged.fit.size[curve])
+            shift, valves = bank.curves[curve].shift(size), bank.curves[curve].valves_at(size)
             rest = moments.about(shift).power / np.maximum(moments.power, 1e-300)
             gain = np.where(hit, config.open_share * np.minimum(rest, 1.0), np.nan)
-            found.append(ProposedMap(bank.keys[key], case.base + shift, gain, odds))
+            found.append(ProposedMap(bank.keys[key], case.base + shift, gain, odds, valves))
         return found
 
     def _still_off(self, case: _Case, time: float) -> np.ndarray:

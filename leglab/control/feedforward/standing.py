@@ -143,4 +143,8 @@ def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
         return None  # of the other side of the healthy size, or at the end
     start = curve.shift(size)
     shifts = np.concatenate([np.zeros((1, *start.shape)), curve.shifts[beyond] - start])
-    return replace(curve, sizes=np.concatenate([[size], curve.sizes[beyond]]), shifts=shifts)
+    valves = curve.valves_at(size)
+    if valves is not None and curve.valves is not None:
+        valves = np.concatenate([[0.0 * valves], curve.valves[beyond] - valves])
+    sizes = np.concatenate([[size], curve.sizes[beyond]])
+    return replace(curve, sizes=sizes, shifts=shifts, valves=valves)

@@ -1,5 +1,7 @@
 // Adaptive feed-forward and valve maps in leglab._native.identification, beside the banks that it
 // lets learn: a source of its own, which compiles without theirs.
+#include <nanobind/stl/array.h>
+
 #include "bindings/identification_bank.h"
 #include "feedforward/adaptive.h"
 #include "loop/threads.h"
@@ -98,8 +100,7 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_2(proof_doubt, proof_noise)
   LEGLAB_READ_3(contest_time, contest_gather, contest_errors)
   LEGLAB_READ_2(contest_floor, contest_window)
-  LEGLAB_READ_3(plays, turn, play_step)
-  LEGLAB_READ_2(play_time, play_noise)
+  LEGLAB_READ_4(turn, state_step, state_time, state_noise)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;
@@ -166,12 +167,16 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
 
   static constexpr std::size_t reported = 5;
 
-  void propose(SplineNarxBank64& bank, double odds, double error, int play) {
-    AdaptiveFeedforward::propose(bank.models(), odds, error, play);
+  // `valves` are (joints, 5) numbers, or none for the state in use.
+  void propose(SplineNarxBank64& bank, double odds, double error, Input valves) {
+    AdaptiveFeedforward::propose(bank.models(), odds, error, shapes(valves).data());
   }
-  std::vector<double> widths() const {
-    std::vector<double> out;
-    for (std::size_t j = 0; j < joints(); ++j) out.push_back(play(j));
+  void revise(int contender, double error, Input valves) {
+    AdaptiveFeedforward::revise(contender, error, shapes(valves).data());
+  }
+  std::vector<ff::ValveShape> valves() const {
+    std::vector<ff::ValveShape> out;
+    for (std::size_t j = 0; j < joints(); ++j) out.push_back(valve(j));
     return out;
   }
   int kept_count() const { return kept().count(); }
@@ -191,6 +196,14 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
   void take_sent(Input command) {
     require_size(joints(), command);
     sent(command.data());
+  }
+
+ private:
+  std::vector<ff::ValveShape> shapes(Input values) const {
+    std::vector<ff::ValveShape> out(values.size() / std::tuple_size_v<ff::ValveShape>);
+    if (values.size()) require_size(joints() * std::tuple_size_v<ff::ValveShape>, values);
+    std::copy_n(values.data(), values.size(), out.empty() ? nullptr : out[0].data());
+    return out;
   }
 };
 
@@ -258,9 +271,9 @@ void bind_feedforward(nb::module_& module) {
       .def("take_kept", &Feedforward::take_kept)
       .def("freeze", &Feedforward::freeze)
       .def("propose", &Feedforward::propose, nb::arg("bank"), nb::arg("odds"), nb::arg("error"),
-           nb::arg("play"), nb::keep_alive<1, 2>())
-      .def("play", &Feedforward::widths)
-      .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"))
+           nb::arg("valves"), nb::keep_alive<1, 2>())
+      .def("valves", &Feedforward::valves)
+      .def("revise", &Feedforward::revise, nb::arg("contender"), nb::arg("error"), nb::arg("valves"))
       .def("only", &Feedforward::only, nb::arg("contender"))
       .def("settle", &Feedforward::settle, nb::arg("winner"))
       .def("shares", &Feedforward::shares);

@@ -9,16 +9,16 @@
 #include "feedforward/inverse_map.h"
 #include "feedforward/kept_samples.h"
 #include "feedforward/motion.h"
-#include "feedforward/plays.h"
 #include "feedforward/pressure_cascade.h"
 #include "feedforward/proof.h"
 #include "feedforward/supervisor.h"
+#include "feedforward/valve_state.h"
 #include "feedforward/valve_table.h"
 #include "identification/spline_narx.h"
 
 namespace leglab::feedforward {
 
-struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, PlaySettings {
+struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, ValveSettings {
   double control_period = 0.0;  // [s]
   int interval = 1;             // periods from one learned sample to the next
   double stop_time = 0.0;       // adaptation stops then [s]
@@ -63,14 +63,15 @@ class AdaptiveFeedforward {
         reference_(std::move(reference)), tables_(std::move(tables)), cascade_(std::move(valves)),
         supervisor_(settings_, settings_.control_period, map_.speed()),
         contenders_(settings_, settings_.sample(), tables_.size()),
-        plays_(settings_, settings_.control_period, settings_.sample(), window_, tables_.size()) {
+        valves_(settings_, settings_.control_period, settings_.sample(), tables_) {
     const std::size_t n = tables_.size();
     motion_.resize(4 * n);
     feedforward_ = error_ = sent_ = flow_ = last_ = before_last_ = std::vector<double>(n);
     seen_position_ = seen_velocity_ = feedforward_;
   }
 
-  // The second map is needed where pressures are measured, the third where there are plays.
+  // The second map is needed where pressures are measured, the third where states of valves are
+  // proposed.
   void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {},
              std::vector<Learner*> slope_learners = {}) {
     learners_ = std::move(learners);
@@ -84,40 +85,39 @@ class AdaptiveFeedforward {
     supervisor_.clear();
     proofs_ = proofs(learners_);
     contenders_.clear();
-    plays_.reset();
-    play_ = 0;
+    valves_.reset();
     count_ = 0;
     frozen_ = false;
   }
 
   // Another map beside the one that is learned, with the log odds that it is the better one; it
-  // learns and is used by how well it predicts, until `reset` or `settle`. `play` is the place of the
-  // width that it takes the valves to have; the one in use where it is -1.
-  void propose(std::vector<Learner*> learners, double odds, double error, int play = -1) {
-    contenders_.add(learners, proofs(learners), odds, error, play < 0 ? play_ : play);
+  // learns and is used by how well it predicts, until `reset` or `settle`. `shapes` (joints) are of
+  // the state that it takes the valves to have; the one in use without.
+  void propose(std::vector<Learner*> learners, double odds, double error,
+               const ValveShape* shapes = nullptr) {
+    const int place = shapes ? valves_.propose(shapes, window_) : ValveStates::in_use;
+    contenders_.add(learners, proofs(learners), odds, error, place);
   }
 
   // Whether it takes data sheets and pressures.
   bool with_pressures() const { return cascade_.any(); }
 
-  // Width of hysteresis that the map in use takes a valve to have [valve command].
-  double play(std::size_t j) const { return plays_.width(play_, j); }
+  // State that the map in use takes a valve to have.
+  ValveShape valve(std::size_t j) const { return valves_.shape(ValveStates::in_use, j); }
 
   // No contender but this one goes on, beside the map without any.
   void only(int contender) { contenders_.only(contender); }
 
-  // The caller has set a contender's parameters.
-  void revise(int contender, double error) { contenders_.revise(contender, error); }
+  // The caller has set a contender's parameters; its state of the valves, where it has one.
+  void revise(int contender, double error, const ValveShape* shapes = nullptr) {
+    if (shapes) valves_.revise(contenders_.valves(contender), shapes, window_);
+    contenders_.revise(contender, error);
+  }
 
   // No contender is left; the caller has copied the one that won, counted from 1, or none, 0.
   void settle(int winner) {
-    if (winner > 0) {
-      proofs_ = contenders_.proofs(winner - 1);
-      if (const int play = contenders_.play(winner - 1); play != play_) {
-        plays_.use(play);
-        play_ = play > 0 ? plays_.used() : 0;
-      }
-    }
+    if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
+    valves_.settle(winner > 0 ? contenders_.valves(winner - 1) : ValveStates::in_use, window_);
     contenders_.clear();
   }
 
@@ -164,9 +164,12 @@ class AdaptiveFeedforward {
       const double derivative =
           settings_.velocity_gain[j] * (seen_velocity_[j] - measured_velocity[j]);
       out.feedback[j] = proportional + derivative;
-      double sum = wish + out.feedback[j];
-      if (plays_.any()) sum += 0.5 * width(j) * plays_.direction(j, sum);
-      out.command[j] = std::isfinite(sum) ? sum : wish;
+      const double sum = wish + out.feedback[j], wanted = std::isfinite(sum) ? sum : wish;
+      valves_.turn(j, wanted);
+      const bool plain = supervisor_.fallback(j) || !contenders_.any();
+      out.command[j] = !valves_.any() ? wanted
+                       : plain ? valves_.command(ValveStates::in_use, j, wanted)
+                               : command(j, share, wanted - learned);
       out.error[j] = error_[j];
       out.fallback[j] = supervisor_.fallback(j) ? 1.0 : 0.0;
     }
@@ -205,13 +208,25 @@ class AdaptiveFeedforward {
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // Width of the valves' hysteresis that is in use [valve command].
-  double width(std::size_t j) const {
-    double sum = plays_.width(play_, j) * contenders_.weight()[0];
-    for (std::size_t k = 1; k < contenders_.weight().size(); ++k) {
-      sum += plays_.width(contenders_.play(int(k) - 1), j) * contenders_.weight()[k];
+  // What to send in a contest: each map's own command, by its own state, for a flow as a share of
+  // full speed beyond what it predicts, and a command beside it.
+  double command(std::size_t j, double share, double beside) const {
+    const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
+    const auto sent = [&](int place, double excess) {
+      const double wanted = allowed(tables_[j].command(motion_[j], share + excess)) + beside;
+      return valves_.command(place, j, wanted);
+    };
+    double alike = weight[0], excess = alike * said[0], sum = 0.0;
+    for (std::size_t k = 1; k < weight.size(); ++k) {
+      const int place = contenders_.valves(int(k) - 1);
+      if (place == ValveStates::in_use) {
+        alike += weight[k];
+        excess += weight[k] * said[k];
+      } else if (weight[k] > 0.0) {
+        sum += weight[k] * sent(place, said[k]);
+      }
     }
-    return sum;
+    return alike > 0.0 ? sum + alike * sent(ValveStates::in_use, excess / alike) : sum;
   }
 
   // The motion asked in one period is measured in the next, and sampled in the window's middle.
@@ -232,16 +247,9 @@ class AdaptiveFeedforward {
       flow_[j] = cascade_.any() ? cascade_.share(j, position[j], sent_[j])
                                 : tables_[j].share(position[j], sent_[j]);
     }
-    if (jumps(position)) {
-      window_.clear();
-      plays_.clear();
-    }
+    if (jumps(position)) window_.clear();
     window_.push(position, flow_.data(), sent_.data());
-    if (plays_.any()) {
-      plays_.take(position, sent_.data(), [&](std::size_t j, double spool) {
-        return tables_[j].share(position[j], spool);
-      });
-    }
+    valves_.take(position, sent_.data(), window_);
     if (cascade_.any()) cascade_.push(window_);
     ++count_;
     const bool stopped = frozen_ || time >= settings_.stop_time;
@@ -249,7 +257,7 @@ class AdaptiveFeedforward {
     window_.middle(motion_.data(), flow_.data());
     map_.take(motion_.data());
     if (!(map_.largest_share() >= settings_.least_speed)) return;  // also for NaN
-    if (plays_.any()) plays_.middle();
+    valves_.middle(window_);
     if (cascade_.any()) cascade_.middle(window_);
     for (int j = 0; j < map_.joints(); ++j) learn_joint(j);
     contenders_.judge();
@@ -272,7 +280,7 @@ class AdaptiveFeedforward {
 
   void learn_joint(int i) {
     const std::size_t j = std::size_t(i);
-    if (play_ > 0) flow_[j] = plays_.flow(play_, j);
+    if (valves_.worn()) flow_[j] = valves_.flow(ValveStates::in_use, j);
     map_.inputs(i, settings_.forward ? flow_[j] : map_.share(i), inputs_);
     double excess = flow_[j] - map_.share(i);
     const bool usable = window_.largest_command(i) < settings_.saturation &&
@@ -287,22 +295,23 @@ class AdaptiveFeedforward {
     if (learners_[j]->state().learned > learned) {
       proofs_[j].take(count_, excess, learners_[j]->rls().theta());
     }
-    const auto found_with = [&](int play) {
-      return play == play_ ? excess : excess + plays_.flow(play, j) - flow_[j];
+    const auto found_with = [&](int valves) {
+      const bool same = valves == ValveStates::in_use;
+      return same ? excess : excess + valves_.flow(valves, j) - flow_[j];
     };
     contenders_.take(j, inputs_, found_with, usable, error_[j], count_);
-    if (play_ > 0) learn_width(j, usable);
+    if (valves_.worn()) learn_state(j, usable);
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
-  // The width of a hysteresis is one more parameter of the map (least squares by blocks): a map of
+  // The size of a valve's state is one more parameter of the map (least squares by blocks): a map of
   // the motion says what part of it the others can tell, and they make room for it.
-  void learn_width(std::size_t j, bool usable) {
-    const double slope = plays_.slope(j);
+  void learn_state(std::size_t j, bool usable) {
+    const double slope = valves_.slope(j);
     Learner& told = *slope_learners_[j];
     const double beyond = slope - told.update(inputs_, slope, usable);
     if (!usable) return;
-    const double by = plays_.learn(j, error_[j], beyond);
+    const double by = valves_.learn(j, error_[j], beyond);
     double* theta = learners_[j]->rls().theta();
     for (int k = 0; k < learners_[j]->parameters(); ++k) theta[k] += by * told.rls().theta()[k];
   }
@@ -317,8 +326,7 @@ class AdaptiveFeedforward {
   std::vector<Proof> proofs_;
   Supervisor supervisor_;
   Contenders<Learner> contenders_;
-  Plays plays_;
-  int play_ = 0;  // place of the widths that the learners' map is for
+  ValveStates valves_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_;
   std::vector<double> last_, before_last_;  // readings [rad]
   std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it

@@ -39,25 +39,27 @@ class Contenders {
     error_.assign(1, 0.0);
     sum_.assign(1, 0.0);
     ratio_.assign(1, 0.0);
+    said_.assign(1, 0.0);
   }
 
   bool any() const { return !others_.empty(); }
   const std::vector<double>& weight() const { return weight_; }
 
   // With log odds, the mean squared error that it would have made until now over that of the map
-  // without it, and the play that it takes the valves to have.
+  // without it, and the place of the state that it takes the valves to have.
   void add(std::vector<Learner*> learners, std::vector<Proof> proofs, double odds, double error,
-           int play) {
-    others_.push_back({std::move(learners), std::move(proofs), odds, play});
+           int valves) {
+    others_.push_back({std::move(learners), std::move(proofs), odds, valves});
     error_.push_back(error * error_[0]);
     sum_.push_back(0.0);
     ratio_.push_back(0.0);
     weight_.push_back(0.0);
+    said_.push_back(0.0);
     trust(int(others_.size()) - 1);
     weigh();
   }
 
-  int play(int which) const { return others_[std::size_t(which)].play; }
+  int valves(int which) const { return others_[std::size_t(which)].valves; }
   const std::vector<Proof>& proofs(int which) const { return others_[std::size_t(which)].proofs; }
 
   // All others are out.
@@ -71,23 +73,28 @@ class Contenders {
     const std::size_t k = std::size_t(which) + 1;
     error_[k] = error * error_[0];
     ratio_[k] = 0.0;
+    others_[k - 1].out = false;
     trust(which);
     weigh();
   }
 
   // Prediction of a joint by all, `own` that of the map without a contender.
   double used(std::size_t j, const double* inputs, long period, double own) {
-    double sum = weight_[0] * own;
+    double sum = weight_[0] * (said_[0] = own);
     for (std::size_t k = 0; k < others_.size(); ++k) {
       if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
       const double predicted = learner.peek(inputs);
-      sum += weight_[k + 1] * others_[k].proofs[j].used(period, learner.regressor(), predicted);
+      said_[k + 1] = others_[k].proofs[j].used(period, learner.regressor(), predicted);
+      sum += weight_[k + 1] * said_[k + 1];
     }
     return sum;
   }
 
-  // A sample of a joint, and the error of the map without a contender. `found` by play.
+  // The parts of what `used` has returned last, of the map without a contender first.
+  const std::vector<double>& said() const { return said_; }
+
+  // A sample of a joint, and the error of the map without a contender. `found_with` valves.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
             long period) {
@@ -95,7 +102,7 @@ class Contenders {
     for (std::size_t k = 0; k < others_.size(); ++k) {
       if (others_[k].out) continue;
       Learner& learner = *others_[k].learners[j];
-      const double found = found_with(others_[k].play);
+      const double found = found_with(others_[k].valves);
       const auto learned = learner.state().learned;
       const double error = found - learner.update(inputs, found, usable);
       if (learner.state().learned == learned) continue;
@@ -121,7 +128,7 @@ class Contenders {
     std::vector<Learner*> learners;
     std::vector<Proof> proofs;
     double odds;
-    int play;
+    int valves;
     bool out = false;
   };
 
@@ -153,7 +160,7 @@ class Contenders {
 
   double forget_, gather_, errors_, floor_, window_;
   std::vector<Other> others_;
-  std::vector<double> weight_, error_, sum_, ratio_;  // of the map without a contender, and of each
+  std::vector<double> weight_, error_, sum_, ratio_, said_;  // of the map without a contender, and of each
 };
 
 }  // namespace leglab::feedforward

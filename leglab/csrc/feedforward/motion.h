@@ -37,17 +37,25 @@ class SmoothingWindow {
   // Motion (4, joints) and smoothed flow (joints) in the middle.
   void middle(double* motion, double* flow) const {
     for (int order = 0; order < 4; ++order) smooth(position_, order, motion + order * joints_);
-    middle_flow(flow);
+    smooth(flow_, 0, flow);
   }
 
-  // Smoothed flow (joints) in the middle.
-  void middle_flow(double* flow) const { smooth(flow_, 0, flow); }
+  // Values of a series that is kept beside the window, of numbers as `size` says.
+  std::size_t size() const { return flow_.size(); }
+  const double* position(int k) const { return position_.data() + row_at(k) * joints_; }
+  const double* command(int k) const { return command_.data() + row_at(k) * joints_; }
+  void put_at(int k, const double* sample, std::vector<double>& series) const {
+    put(sample, series, row_at(k) % window_);
+  }
+  void put_latest(const double* sample, std::vector<double>& series) const {
+    put_at(window_ - 1, sample, series);
+  }
+  void middle_of(const std::vector<double>& series, double* sum) const { smooth(series, 0, sum); }
 
   // Pressures of the sample that `push` took last.
   void push_pressures(const double* a, const double* b) {
-    const int row = (next_ + window_ - 1) % window_;
-    put(a, pressure_a_, row);
-    put(b, pressure_b_, row);
+    put_latest(a, pressure_a_);
+    put_latest(b, pressure_b_);
   }
 
   // Smoothed pressures and command (joints) in the middle.
@@ -72,6 +80,8 @@ class SmoothingWindow {
       std::copy_n(sample, joints_, series.data() + std::size_t(at * joints_));
     }
   }
+
+  int row_at(int k) const { return next_ + k; }  // of a sample, the oldest first
 
   // Derivative of a series (joints) in the middle.
   void smooth(const std::vector<double>& series, int order, double* sum) const {

@@ -1,0 +1,257 @@
+// How valves differ from their calibrated maps, and the flows and commands that follow from it.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "feedforward/motion.h"
+#include "feedforward/valve_table.h"
+
+namespace leglab::feedforward {
+
+struct ValveSettings {
+  double turn = 0.0;         // change of a command that is a turn [valve command]
+  double state_step = 0.0;   // of a state, over which it is seen what more of it would do
+  double state_time = 0.0;   // time constant of a state in use; of a command's travel tenfold [s]
+  double state_noise = 0.0;  // flow of that step which is noise [share of full speed]
+};
+
+// State of one valve beyond its calibrated map, by which a command x for the calibrated valve becomes
+//   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1), and half of the play where u moves up,
+// less where it moves down, with `more` of the side that x is on [valve command; 1 for `more`].
+using ValveShape = std::array<double, 5>;
+enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
+
+// The states of all joints' valves, in use and of the contenders. A play lets the command reach the
+// spool half its width late (Krasnosel'skii and Pokrovskii 1989); its inverse, and that of the rest,
+// is `command`. What more of the state in use would change of the flow, and the map cannot tell,
+// shows how much of it there is: least mean squares of the map's errors.
+// Neither play nor dead band is wider than an eighth of the travel of its command: one that eats the
+// command predicts any motion, since it lets nothing of what was sent through.
+class ValveStates {
+ public:
+  static constexpr int in_use = -1;  // place of the state in use; proposed ones count from 0
+
+  // control_period, and from one learned sample to the next [s].
+  ValveStates(const ValveSettings& settings, double control_period, double sample,
+              const std::vector<ValveTable>& tables)
+      : settings_(settings), settle_(std::min(1.0, sample / settings.state_time)),
+        leak_(0.1 * control_period / settings.state_time), tables_(tables) {
+    last_.resize(tables.size());
+    direction_ = power_ = highest_ = lowest_ = last_;
+    reset();
+  }
+
+  void reset() {
+    for (auto* values : {&last_, &direction_, &power_, &highest_, &lowest_}) {
+      std::fill(values->begin(), values->end(), 0.0);
+    }
+    used_ = State{std::vector<ValveShape>(tables_.size())};
+    further_ = used_;
+    proposed_.clear();
+    worn_ = false;
+  }
+
+  bool any() const { return worn_ || !proposed_.empty(); }
+  bool worn() const { return worn_; }  // whether the state in use is not that of the calibration
+
+  ValveShape shape(int place, std::size_t j) const { return limited(state(place).shape[j], j); }
+
+  // Another state, (joints); returns its place.
+  int propose(const ValveShape* shapes, const SmoothingWindow& window) {
+    proposed_.emplace_back();
+    revise(int(proposed_.size()) - 1, shapes, window);
+    return int(proposed_.size()) - 1;
+  }
+
+  void revise(int place, const ValveShape* shapes, const SmoothingWindow& window) {
+    proposed_[std::size_t(place)].shape.assign(shapes, shapes + tables_.size());
+    fill(proposed_[std::size_t(place)], window);
+  }
+
+  // This state is in use from now on, and learned along what it has beyond the one before.
+  void settle(int place, const SmoothingWindow& window) {
+    if (place != in_use) {
+      State& next = proposed_[std::size_t(place)];
+      along_.assign(tables_.size(), {});
+      worn_ = false;
+      for (std::size_t j = 0; j < tables_.size(); ++j) {
+        double square = 0.0;
+        for (std::size_t k = 0; k < along_[j].size(); ++k) {
+          along_[j][k] = next.shape[j][k] - used_.shape[j][k];
+          square += along_[j][k] * along_[j][k];
+          worn_ |= next.shape[j][k] != 0.0;
+        }
+        for (double& part : along_[j]) part /= std::sqrt(std::max(square, 1e-300));
+      }
+      used_ = std::move(next);
+      std::fill(power_.begin(), power_.end(), 0.0);
+      further();
+      fill(further_, window);
+    }
+    proposed_.clear();
+  }
+
+  // Takes the positions and the commands that were sent, after `window` has.
+  void take(const double* position, const double* sent, SmoothingWindow& window) {
+    for (std::size_t j = 0; j < last_.size(); ++j) {
+      const double forgotten = leak_ * (highest_[j] - lowest_[j]);
+      highest_[j] = std::max(sent[j], highest_[j] - forgotten);
+      lowest_[j] = std::min(sent[j], lowest_[j] + forgotten);
+    }
+    each([&](State& state) {
+      pass(state, position, sent);
+      window.put_latest(state.flow.data(), state.series);
+    });
+  }
+
+  // Takes the flows in the window's middle; they stay until the next call of `take`.
+  void middle(const SmoothingWindow& window) {
+    each([&](State& state) { window.middle_of(state.series, state.flow.data()); });
+  }
+
+  double flow(int place, std::size_t j) const { return state(place).flow[j]; }
+
+  // What a little more of the state in use would change of the flow, by its size.
+  double slope(std::size_t j) const {
+    return (further_.flow[j] - used_.flow[j]) / settings_.state_step;
+  }
+
+  // Moves the state in use of a joint, after an error of its map and the part of `slope` that the map
+  // cannot tell: normalised least mean squares. Returns by how much.
+  double learn(std::size_t j, double error, double slope) {
+    power_[j] += settle_ * (slope * slope - power_[j]);
+    const double least = settings_.state_noise / settings_.state_step;
+    const double by = -settle_ * error * slope / (power_[j] + least * least);
+    const ValveShape before = used_.shape[j];
+    used_.shape[j] = limited(moved(before, along_[j], by), j);
+    further();
+    double moved_by = 0.0;
+    for (std::size_t k = 0; k < before.size(); ++k) {
+      moved_by += along_[j][k] * (used_.shape[j][k] - before[k]);
+    }
+    return moved_by;
+  }
+
+  // Notes the direction in which the command of a joint moves; call it once a period.
+  void turn(std::size_t j, double command) {
+    if (std::abs(command - last_[j]) > settings_.turn) {
+      direction_[j] = command > last_[j] ? 1.0 : -1.0;
+      last_[j] = command;
+    }
+  }
+
+  // What to send for a command to the calibrated valve.
+  double command(int place, std::size_t j, double wanted) const {
+    const ValveShape shape = this->shape(place, j);
+    return shape[SHIFT] + wanted * gain(shape, wanted) +
+           shape[DEAD_BAND] * std::clamp(wanted / knee(shape), -1.0, 1.0) +
+           0.5 * shape[PLAY] * direction_[j];
+  }
+
+ private:
+  struct State {
+    std::vector<ValveShape> shape;  // (joints)
+    std::vector<double> spool = {}, flow = {}, series = {};
+  };
+
+  const State& state(int place) const {
+    return place == in_use ? used_ : proposed_[std::size_t(place)];
+  }
+
+  template <class Do>
+  void each(const Do& act) {
+    if (worn_) {
+      act(used_);
+      act(further_);
+    }
+    for (State& state : proposed_) act(state);
+  }
+
+  static double gain(const ValveShape& shape, double command) {
+    return 1.0 + shape[command > 0.0 ? MORE_POSITIVE : MORE_NEGATIVE];
+  }
+
+  // Where a dead band begins: beyond what is no turn. So wide that the slope stays above that of a
+  // side's least gain where overlap is worn away.
+  double knee(const ValveShape& shape) const {
+    return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
+  }
+
+  // Command at which the calibrated valve would give the flow of this one with its spool there.
+  double calibrated(const ValveShape& shape, double spool) const {
+    const double beyond = spool - shape[SHIFT], far = std::abs(beyond);
+    const double w = knee(shape), slope = gain(shape, beyond);
+    const double edge = slope * w + shape[DEAD_BAND];
+    if (far <= edge) return beyond * w / edge;
+    return std::copysign((far - shape[DEAD_BAND]) / slope, beyond);
+  }
+
+  // A side's gain is at most doubled or halved, and a null within half the spool's travel.
+  ValveShape limited(ValveShape shape, std::size_t j) const {
+    const double widest = 0.125 * (highest_[j] - lowest_[j]);
+    shape[SHIFT] = std::clamp(shape[SHIFT], -0.5, 0.5);
+    shape[DEAD_BAND] = std::clamp(shape[DEAD_BAND], -widest, widest);
+    shape[PLAY] = std::clamp(shape[PLAY], 0.0, widest);
+    shape[MORE_POSITIVE] = std::clamp(shape[MORE_POSITIVE], -0.5, 1.0);
+    shape[MORE_NEGATIVE] = std::clamp(shape[MORE_NEGATIVE], -0.5, 1.0);
+    return shape;
+  }
+
+  static ValveShape moved(ValveShape shape, const ValveShape& along, double by) {
+    for (std::size_t k = 0; k < shape.size(); ++k) shape[k] += by * along[k];
+    return shape;
+  }
+
+  void further() {
+    further_ = {used_.shape, std::move(further_.spool), std::move(further_.flow),
+                std::move(further_.series)};
+    for (std::size_t j = 0; j < along_.size(); ++j) {
+      further_.shape[j] = moved(used_.shape[j], along_[j], settings_.state_step);
+    }
+  }
+
+  // The spools after these commands, and their flows.
+  void pass(State& state, const double* position, const double* sent) const {
+    for (std::size_t j = 0; j < tables_.size(); ++j) {
+      const ValveShape shape = limited(state.shape[j], j);
+      const double half = 0.5 * shape[PLAY];
+      state.spool[j] = std::clamp(state.spool[j], sent[j] - half, sent[j] + half);
+      state.flow[j] = tables_[j].share(position[j], calibrated(shape, state.spool[j]));
+    }
+  }
+
+  // What the window would hold, had this state been there all the time. Spools begin half a play
+  // behind the first command, against the way that it goes.
+  void fill(State& state, const SmoothingWindow& window) const {
+    const std::size_t n = tables_.size();
+    state.spool.resize(n);
+    state.flow.resize(n);
+    state.series.resize(window.size());
+    const double *first = window.command(0), *last = window.command(2 * window.half());
+    for (std::size_t j = 0; j < n; ++j) {
+      const double half = 0.5 * limited(state.shape[j], j)[PLAY];
+      state.spool[j] = first[j] - std::copysign(half, last[j] - first[j]);
+    }
+    for (int k = 0; k <= 2 * window.half(); ++k) {
+      pass(state, window.position(k), window.command(k));
+      window.put_at(k, state.flow.data(), state.series);
+    }
+  }
+
+  ValveSettings settings_;
+  double settle_;  // share of its error by which a state in use moves at a sample
+  double leak_;    // share by which the travel of a command is forgotten in a period
+  std::vector<ValveTable> tables_;
+  State used_, further_;  // in use, and with a little more of it
+  std::vector<State> proposed_;
+  std::vector<ValveShape> along_;  // in which a state in use is learned, of length 1 or 0
+  std::vector<double> last_, direction_, power_;
+  std::vector<double> highest_, lowest_;  // commands of late
+  bool worn_ = false;
+};
+
+}  // namespace leglab::feedforward
