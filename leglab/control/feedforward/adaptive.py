@@ -12,6 +12,7 @@ from leglab.base.settings import Configuration
 from leglab.control import Measurement, ReferencePoint
 from leglab.control.feedforward.inverse_map import ACCELERATION, JERK, InverseMap
 from leglab.control.feedforward.motion import smoothing_kernel
+from leglab.control.feedforward.thresholds import DISCREPANCY
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls, SplineNarx
 
@@ -201,6 +202,7 @@ class AdaptiveFeedforward:
                 "saturation": config.limit,
                 "forward": config.route == "forward",
                 "contest_floor": config.noise**2,
+                "state_doubt": DISCREPANCY,
                 "state_noise": config.noise,
                 "centre": (table.start + table.end) / 2,
                 "half_range": width / 2,

@@ -100,7 +100,8 @@ ff::AdaptiveSettings read_adaptive(const nb::dict& settings) {
   LEGLAB_READ_2(proof_doubt, proof_noise)
   LEGLAB_READ_3(contest_time, contest_gather, contest_errors)
   LEGLAB_READ_2(contest_floor, contest_window)
-  LEGLAB_READ_4(turn, state_step, state_time, state_noise)
+  LEGLAB_READ_3(turn, state_step, state_time)
+  LEGLAB_READ_2(state_doubt, state_noise)
   LEGLAB_READ_3(learn_lower, learn_upper, bandwidth)
   LEGLAB_READ_2(position_gain, velocity_gain)
   return out;

@@ -16,7 +16,8 @@ struct ValveSettings {
   double turn = 0.0;         // change of a command that is a turn [valve command]
   double state_step = 0.0;   // of a state, over which it is seen what more of it would do
   double state_time = 0.0;   // time constant of a state in use; of a command's travel tenfold [s]
-  double state_noise = 0.0;  // flow of that step which is noise [share of full speed]
+  double state_doubt = 0.0;  // share of the size that a state is proposed with; a deviation
+  double state_noise = 0.0;  // errors of flow that are noise [share of full speed]
 };
 
 // State of one valve beyond its calibrated map, by which a command x for the calibrated valve becomes
@@ -77,6 +78,7 @@ class ValveStates {
     if (place != in_use) {
       State& next = proposed_[std::size_t(place)];
       along_.assign(tables_.size(), {});
+      prior_.resize(tables_.size());
       worn_ = false;
       for (std::size_t j = 0; j < tables_.size(); ++j) {
         double square = 0.0;
@@ -86,9 +88,12 @@ class ValveStates {
           worn_ |= next.shape[j][k] != 0.0;
         }
         for (double& part : along_[j]) part /= std::sqrt(std::max(square, 1e-300));
+        const double noise = settings_.state_noise / settings_.state_doubt;
+        prior_[j] = noise * noise / std::max(square, 1e-300);
       }
       used_ = std::move(next);
       std::fill(power_.begin(), power_.end(), 0.0);
+      moved_.assign(power_.size(), 0.0);
       further();
       fill(further_, window);
     }
@@ -124,8 +129,7 @@ class ValveStates {
   // cannot tell: normalised least mean squares. Returns by how much.
   double learn(std::size_t j, double error, double slope) {
     power_[j] += settle_ * (slope * slope - power_[j]);
-    const double least = settings_.state_noise / settings_.state_step;
-    const double by = -settle_ * error * slope / (power_[j] + least * least);
+    const double by = -settle_ * (error * slope + prior_[j] * moved_[j]) / (power_[j] + prior_[j]);
     const ValveShape before = used_.shape[j];
     used_.shape[j] = limited(moved(before, along_[j], by), j);
     further();
@@ -133,6 +137,7 @@ class ValveStates {
     for (std::size_t k = 0; k < before.size(); ++k) {
       moved_by += along_[j][k] * (used_.shape[j][k] - before[k]);
     }
+    moved_[j] += moved_by;
     return moved_by;
   }
 
@@ -192,7 +197,7 @@ class ValveStates {
 
   // A side's gain is at most doubled or halved, and a null within half the spool's travel.
   ValveShape limited(ValveShape shape, std::size_t j) const {
-    const double widest = 0.125 * (highest_[j] - lowest_[j]);
+    const double widest = 0.25 * (highest_[j] - lowest_[j]);
     shape[SHIFT] = std::clamp(shape[SHIFT], -0.5, 0.5);
     shape[DEAD_BAND] = std::clamp(shape[DEAD_BAND], -widest, widest);
     shape[PLAY] = std::clamp(shape[PLAY], 0.0, widest);
@@ -249,7 +254,7 @@ class ValveStates {
   State used_, further_;  // in use, and with a little more of it
   std::vector<State> proposed_;
   std::vector<ValveShape> along_;  // in which a state in use is learned, of length 1 or 0
-  std::vector<double> last_, direction_, power_;
+  std::vector<double> last_, direction_, power_, prior_, moved_;
   std::vector<double> highest_, lowest_;  // commands of late
   bool worn_ = false;
 };
