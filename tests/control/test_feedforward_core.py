@@ -18,6 +18,7 @@ from tests.reference import feedforward_oracle as oracle
 
 PERIOD = 0.002
 SETTINGS = LearningConfiguration(stop_time=9.0, limit=0.9, rate_limit=40.0)
+VALVES = np.array([[0.02, 0.03, 0.04, 0.3, -0.2], [-0.01, -0.02, 0.02, 0.0, 0.1]])
 RLS = Rls(
     initial_gain=3.0,
     forgetting="variable",
@@ -54,10 +55,16 @@ def parts_of(feedforward, table, inverse_map, settings, position_gain, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("splines", "supervised", "forward"),
-    [((10, 4), True, False), ((0, 0), True, False), ((10, 4), False, False), ((10, 4), True, True)],
+    ("splines", "supervised", "forward", "worn"),
+    [
+        ((10, 4), True, False, False),
+        ((0, 0), True, False, False),
+        ((10, 4), False, False, False),
+        ((10, 4), True, True, False),
+        ((10, 4), True, False, True),
+    ],
 )
-def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
+def test_core_agrees_with_numpy(splines, supervised, forward, worn, monkeypatch):
     import leglab.control.feedforward.adaptive as module
 
     signs = np.array([1.0, -1.0])
@@ -66,10 +73,16 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
     inverse_map = InverseMap(2, RLS, velocity_splines=splines[0], position_splines=splines[1])
     route = "forward" if forward else "inverse"
     settings = SETTINGS.model_copy(update={"supervised": supervised, "route": route})
-    made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch)
+    more = {"valve_states": worn}
+    made, parts = parts_of(module, table, inverse_map, settings, 2.0 * signs, monkeypatch, **more)
     made.reset()
     made.keep(700)
-    other = oracle.Feedforward(parts, table, inverse_map.learner())
+    learners = inverse_map.learner(), inverse_map.learner()
+    other = oracle.Feedforward(parts, table, learners[0])
+    if worn:
+        made.propose(made.learner.copy(), 9.0, 1.0, VALVES)
+        made.settle()
+        other = oracle.WornFeedforward(parts, table, *learners, VALVES)
 
     rng = np.random.default_rng(4)
     mine, theirs, fallbacks = [], [], []
@@ -93,7 +106,7 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         want, seen = other.step(t, position, reference)
         feedback = 2.0 * signs * (seen[0] - position + 0.1 * (seen[1] - velocity))
         # Without a measurement the feed-forward goes alone.
-        command = made.report["feedforward"] + np.nan_to_num(feedback)
+        command = other.command(made.report["feedforward"] + np.nan_to_num(feedback))
         mine.append(np.array([made.report["feedforward"], made.report["feedback"], have]))
         theirs.append(np.array([want, feedback, command]))
         fallbacks.append(np.array([made.report["fallback"], other.fallback]))
@@ -123,11 +136,15 @@ def test_core_agrees_with_numpy(splines, supervised, forward, monkeypatch):
         np.array(theirs).swapaxes(0, 1),
         strict=True,
     ):
-        atol = 2e-9 if name == "feedforward" else 1e-12
+        # The state of a valve, by which commands are sent, is learned.
+        atol = 2e-9 if name == "feedforward" or (worn and name == "command") else 1e-12
         np.testing.assert_allclose(have, want, rtol=0, atol=atol, err_msg=name)
     have, want = np.array(fallbacks).swapaxes(0, 1)
     np.testing.assert_array_equal(have, want)
     fell_back = int(want.any(axis=1).sum())
+    if worn:
+        np.testing.assert_allclose(made.valves, other.shape, rtol=0, atol=2e-9)
+        assert (np.abs(made.valves - VALVES) > 1e-3).any()
     assert made.learner.diagnostics(0)["learned"] > 1500
     assert made.learner.diagnostics(0)["dropped"] > 0
     if supervised and splines[0] and not forward:

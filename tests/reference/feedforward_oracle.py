@@ -101,7 +101,7 @@ class Feedforward:
         self.squares = np.zeros((2, self.joints))
         self.fallback = np.zeros(self.joints, dtype=bool)
         self.kept, self.parameters = [], []  # of every sample, before it is learned
-        self.measured = ()  # pressures of both chambers [Pa], (joints,) each
+        self.measured = ()  # what else is smoothed: pressures of both chambers [Pa], (joints,) each
 
     def inputs(self, motion, flow=None):
         p, n = self.p, self.joints
@@ -162,6 +162,10 @@ class Feedforward:
         self.learner.update(inputs, np.where(usable, excess, np.nan))
         now = [self.learner.diagnostics(j)["learned"] for j in range(self.joints)]
         self.proof.take(self.count, excess, np.array(now) > counts)
+
+    def command(self, wanted):
+        """What to send (joints,) for these commands."""
+        return wanted
 
     def wanted(self, motion, inputs, v):
         """Commands for the flow that the learned map asks for."""
@@ -226,6 +230,79 @@ class Feedforward:
             self.fallback[j] = learned > plain / p["margin"] ** 2
         else:
             self.fallback[j] = learned > p["margin"] ** 2 * plain + p["noise"] ** 2
+
+
+class WornFeedforward(Feedforward):
+    """With valves in a state (joints, 5) beside that of the table; `slopes` learns what it tells."""
+
+    def __init__(self, parts, table, learner, slopes, shape):
+        super().__init__(parts, table, learner)
+        self.slopes, self.shape = slopes, np.array(shape, dtype=float)
+        size = np.linalg.norm(self.shape, axis=1)
+        self.along = self.shape / size[:, None]
+        self.prior = (parts["state_noise"] / parts["state_doubt"] / size) ** 2
+        self.spools, self.travel = np.zeros((2, self.joints)), np.zeros((2, self.joints))
+        self.power, self.moved = np.zeros(self.joints), np.zeros(self.joints)
+        self.turned, self.way = np.zeros(self.joints), np.zeros(self.joints)
+
+    def limited(self, shape, j):
+        widest = np.ptp(self.travel[:, j]) / 4
+        lower, upper = [-0.5, -widest, 0, -0.5, -0.5], [0.5, widest, widest, 1, 1]
+        return np.clip(shape, lower, upper)
+
+    def to_valve(self, shape, wanted):
+        """Command by which a valve of this state, without its play, does what is wanted of it."""
+        shift, band, _, positive, negative = shape
+        knee = max(2 * self.p["turn"], -4 * band)
+        side = np.where(wanted > 0, positive, negative)
+        return shift + wanted * (1 + side) + band * np.clip(wanted / knee, -1, 1)
+
+    def flow(self, position):
+        forget = 0.1 * self.p["control_period"] / self.p["state_time"] * np.ptp(self.travel, axis=0)
+        low, high = self.travel
+        self.travel = np.array(
+            [np.minimum(self.sent, low + forget), np.maximum(self.sent, high - forget)]
+        )
+        flows = np.empty((2, self.joints))
+        for k, more in enumerate((0.0, self.p["state_step"])):
+            for j in range(self.joints):
+                shape = self.limited(self.shape[j] + more * self.along[j], j)
+                ends = self.sent[j] + np.array([-0.5, 0.5]) * shape[2]
+                spool = self.spools[k, j] = np.clip(self.spools[k, j], *ends)
+                wanted = brentq(
+                    lambda x, s=shape, y=spool: self.to_valve(s, x) - y, -9, 9, xtol=1e-15
+                )
+                flows[k, j] = table_share(self.table, j, position[j], wanted)
+        self.measured = (flows[1],)
+        return flows[0]
+
+    def update(self, inputs, motion, excess, usable, middle):
+        error = excess - self.learner.predict(inputs)
+        slope = (middle[1] - excess - motion[1] / self.p["full_speed"]) / self.p["state_step"]
+        beyond = slope - self.slopes.predict(inputs)
+        self.learn_excess(inputs, excess, usable)
+        self.slopes.update(inputs, np.where(usable, slope, np.nan))
+        settle = min(1, self.p["interval"] * self.p["control_period"] / self.p["state_time"])
+        theta, told = (np.atleast_2d(m.parameters).copy() for m in (self.learner, self.slopes))
+        for j in np.flatnonzero(usable):
+            self.power[j] += settle * (beyond[j] ** 2 - self.power[j])
+            wish = error[j] * beyond[j] + self.prior[j] * self.moved[j]
+            by = -settle * wish / (self.power[j] + self.prior[j])
+            now = self.limited(self.shape[j] + by * self.along[j], j)
+            by = self.along[j] @ (now - self.shape[j])
+            self.shape[j], self.moved[j] = now, self.moved[j] + by
+            theta[j] += by * told[j]
+        self.learner.parameters = theta.reshape(np.shape(self.learner.parameters))
+
+    def command(self, wanted):
+        """What to send (joints,) for commands to the calibrated valves."""
+        out = np.empty(self.joints)
+        for j, x in enumerate(wanted):
+            if abs(x - self.turned[j]) > self.p["turn"]:
+                self.way[j], self.turned[j] = np.sign(x - self.turned[j]), x
+            shape = self.limited(self.shape[j], j)
+            out[j] = self.to_valve(shape, x) + 0.5 * shape[2] * self.way[j]
+        return out
 
 
 class PressureFeedforward(Feedforward):
