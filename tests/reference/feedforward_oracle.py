@@ -233,7 +233,7 @@ class Feedforward:
 
 
 class WornFeedforward(Feedforward):
-    """With valves in a state (joints, 5) beside that of the table; `slopes` learns what it tells."""
+    """With valves in a state (joints, 5); `slopes` learns what more of it does."""
 
     def __init__(self, parts, table, learner, slopes, shape):
         super().__init__(parts, table, learner)
