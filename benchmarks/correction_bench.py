@@ -3,7 +3,8 @@
 The bench of `rigs/csrc/rough_bench.h`, exact and rough specimens, becomes another one while it
 walks: by what the bank of faults has, and by what it has not. RMS error of `bsnn_arx_bank`, with
 its whole bank and with one that has not the kind, over that of `bsnn_arx`, by time after the
-change, and over any two seconds after it.
+change, and over any two seconds after it; errors of the last five seconds, over those before the
+change, of `bsnn_arx` and of the bank.
 """
 
 import argparse
@@ -153,13 +154,17 @@ def tables(found: list[dict[str, Any]]) -> str:
         ):
             rows.append([f"{name}, {what}", *(results.number(x, 3) for x in of)])
     text = results.table(head, rows)
-    head = ["change", "`bsnn_arx`, mrad", "`bsnn_arx_bank`, mrad", "named right", "in a set"]
-    head += ["by another name", "of these at 0.9"]
+    head = ["change", "`bsnn_arx`, mrad", "`bsnn_arx_bank`, mrad", "last 5 s over healthy"]
+    head += ["named right", "in a set", "by another name", "of these at 0.9"]
     rows = []
     for change in (*KNOWN, *UNKNOWN):
         own_cases = [case for case in found if case["change"] == change]
         means = [1e3 * np.mean([c[x]["rms"] for c in own_cases], axis=0) for x in (BEFORE, BANK)]
         cells = [" / ".join(results.number(x, 2) for x in mean[1:]) for mean in means]
+        floor = [
+            np.mean([c[x]["rms"][-1] / c[x]["healthy"] for c in own_cases]) for x in (BEFORE, BANK)
+        ]
+        cells.append(" / ".join(results.number(x, 2) for x in floor))
         rows.append([change, *cells, *_naming(own_cases, KNOWN.get(change, ("",))[0])])
     return f"{text}\n{results.table(head, rows)}"
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -29,6 +29,15 @@ _UNNAMED = 0.03
 # What positive or negative commands need more where a side of the valve gives three quarters of its
 # flow, which is less than a worn edge leaves.
 _SIDE = 1.0 / 3.0
+
+
+class _Proposed(NamedTuple):
+    """The maps of a proposed fault."""
+
+    number: int  # of the contender that has its shift
+    state: int | None  # of the one that has its state of the valves
+    parameters: np.ndarray  # of the first one, as proposed last, (joints, parameters)
+    shift: np.ndarray  # from the map before the change to these
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -107,7 +116,7 @@ class BankController(AdaptiveController):
         self.adaptation.keep(2 * self._config.monitor.block)
         self._stopped = self._tried = False
         self._closed: float | None = None
-        self._proposed: dict[tuple[str, str], tuple[int, np.ndarray]] = {}
+        self._proposed: dict[tuple[str, str], _Proposed] = {}
         self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
 
     def freeze(self) -> None:
@@ -140,12 +149,17 @@ class BankController(AdaptiveController):
         """Ends a contest some time after its case: the best map may have more to learn."""
         if not self.adaptation.contenders or (self.monitor.busy and self._closed is None):
             return
+        shares = self.adaptation.shares()
         if self._closed is None:
             self.adaptation.narrow()
             self._closed = time
         if self.monitor.busy or time > self._closed + self._after:
             self.adaptation.settle()
         if not self.adaptation.contenders:
+            best = int(np.argmax(shares)) - 1
+            for proposed in self._proposed.values():
+                if proposed.state == best:
+                    self.monitor.absorb(proposed.shift)
             self._proposed.clear()
             self._tried, self._closed = False, None
 
@@ -155,25 +169,27 @@ class BankController(AdaptiveController):
         before, valves = self.monitor.before, None
         if proposal.valves is not None:
             valves = adaptation.valves + proposal.valves
-        if proposal.key in self._proposed:
-            number, last = self._proposed[proposal.key]
-            self._proposed[proposal.key] = number, proposal.parameters
-            # One that predicts badly is not asked again.
-            if adaptation.shares()[1 + number] > 0.0:
-                moved = proposal.parameters - last
-                now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
-                adaptation.revise(number, moved, self._error(now))
+        last = self._proposed.get(proposal.key)
+        number = len(adaptation.contenders) if last is None else last.number
+        state = None if valves is None else number + 1
+        shift = proposal.parameters - before
+        self._proposed[proposal.key] = _Proposed(number, state, proposal.parameters, shift)
+        if last is None:
+            self._join(proposal.parameters, proposal.odds, error, proposal.gain)
             if valves is not None:
-                # With another size it is another map: one that predicted badly begins anew.
-                learner = adaptation.contenders[number + 1]
-                bad = adaptation.shares()[2 + number] == 0.0
-                moved = bad * (before - learner.parameters.reshape(before.shape))
-                adaptation.revise(number + 1, moved, error, valves)
+                self._join(before, proposal.odds, error, proposal.gain, valves)
             return
-        self._proposed[proposal.key] = len(adaptation.contenders), proposal.parameters
-        self._join(proposal.parameters, proposal.odds, error, proposal.gain)
-        if valves is not None:
-            self._join(before, proposal.odds, error, proposal.gain, valves)
+        shares = adaptation.shares()[1:]
+        # One that predicts badly is not asked again.
+        if shares[number] > 0.0:
+            moved = proposal.parameters - last.parameters
+            now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
+            adaptation.revise(number, moved, self._error(now))
+        if state is not None:
+            # With another size it is another map: one that predicted badly begins anew.
+            now = adaptation.contenders[state].parameters.reshape(before.shape)
+            moved = (shares[state] == 0.0) * (before - now)
+            adaptation.revise(state, moved, error, valves)
 
     def _join(
         self,

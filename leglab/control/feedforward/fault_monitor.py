@@ -181,6 +181,7 @@ class FaultMonitor:
         self.events: list[FaultEvent] = []
         self._core.reset(self._warm_up)
         self._case: _Case | None = None
+        self._absorbed: np.ndarray = np.zeros(1)  # shifts that states of the valves stand for
         self._standings.clear()
         self._tell(None)
 
@@ -217,7 +218,7 @@ class FaultMonitor:
         self._core.sum()
         if opens:
             base = self._core.base()
-            bank = self._standings.bank(base, self._core.regressors_before())
+            bank = self._standings.bank(base + self._absorbed, self._core.regressors_before())
             self._case = _Case(onset=self._core.onset, base=base, bank=bank)
         case = self._case
         if case is None:
@@ -233,6 +234,10 @@ class FaultMonitor:
             case.look += 1
         return self._decide(case, time)
 
+    def absorb(self, shift: np.ndarray) -> None:
+        """Takes it that a state of the valves does from now on what this shift would have done."""
+        self._absorbed = self._absorbed + shift
+
     def _close(self, case: _Case) -> None:
         """Ends a case; remembers what was told last, for a machine that is changed again."""
         self._case = None
@@ -243,7 +248,7 @@ class FaultMonitor:
         elif name.undoes is not None:
             self._standings.undo(name.undoes, case.size)
         else:
-            self._standings.add(name, case.base)
+            self._standings.add(name, case.base + self._absorbed)
 
     def _decide(self, case: _Case, time: float) -> list[ProposedMap]:
         """Asks the bank, says what stands out, and proposes what may be."""
