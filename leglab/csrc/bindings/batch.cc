@@ -5,10 +5,12 @@
 // Each thread steps on data of its own and takes a machine's state in and out: that of hundreds of
 // machines fits the caches, their whole data does not, and bare steps then take twice the time. What
 // follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
+// Nor do their models fit: machines step on one copy while their own models are equal to it.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <memory>
 #include <new>
 #include <vector>
@@ -34,8 +36,15 @@ struct Series {
   Input position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
 };
 
+bool same(const mjModel& a, const mjModel& b) {
+  return a.nbuffer == b.nbuffer && std::memcmp(a.buffer, b.buffer, std::size_t(a.nbuffer)) == 0 &&
+         std::memcmp(&a.opt, &b.opt, sizeof a.opt) == 0 &&
+         std::memcmp(&a.stat, &b.stat, sizeof a.stat) == 0;
+}
+
 struct Machine {
-  const mjModel* model = nullptr;
+  const mjModel* own = nullptr;    // which the scenario changes
+  const mjModel* model = nullptr;  // on which it steps: its own or the common one
   mjData* data = nullptr;
   Series series;
   std::unique_ptr<loop::Sensing> sensing;
@@ -83,8 +92,11 @@ class Batch {
              Array<const bool> lost, Input pressure_noise, Input position, Input velocity,
              Input acceleration) {
     Machine& m = machines_.at(i);
-    m.model = reinterpret_cast<const mjModel*>(model);
+    m.own = reinterpret_cast<const mjModel*>(model);
     m.data = reinterpret_cast<mjData*>(data);
+    if (!common_) common_.reset(mj_copyModel(nullptr, m.own));
+    if (!common_) throw std::bad_alloc();
+    choose_model(m);
     m.series = {noise, shift, pressure_noise, lost, position, velocity, acceleration};
     const std::size_t periods = noise.size() / joints_;
     require_size(periods * joints_, noise, shift, lost);
@@ -124,15 +136,23 @@ class Batch {
     const Quiet quiet;
     const nb::gil_scoped_release release;
     threads_.each(n, [&](std::size_t i, std::size_t thread) {
+      if (i + threads_.size() < n) prefetch(machines_[i + threads_.size()]);
       if (rests.data()[i]) return;
       advance(i, commands.data() + i * joints_, scratch_[thread].get());
       if (!diverged_.data()[i] && !late.data()[i]) measure(i);
     });
   }
 
+  // The same for a machine that was left out, after the change in it.
+  void measure_late(std::size_t i) {
+    choose_model(machines_.at(i));
+    measure(i);
+  }
+
+ private:
   // Reads the sensors of the present period and writes a machine's rows.
   void measure(std::size_t i) {
-    Machine& m = machines_.at(i);
+    Machine& m = machines_[i];
     const std::size_t at = i * joints_;
     m.sensing->read(m.sample.data(), disturbance(m));
     const std::size_t count = m.pressures.size();
@@ -160,7 +180,8 @@ class Batch {
     }
   }
 
- private:
+  void choose_model(Machine& m) const { m.model = same(*m.own, *common_) ? common_.get() : m.own; }
+
   std::size_t written() const {
     const std::size_t pressures = pressures_.size() ? pressures_.size() + 1 : 0;
     return joints_ * (5 + preview_.size()) + pressures;
@@ -188,6 +209,15 @@ class Batch {
     for (std::size_t j = 0; j < joints_; ++j) m.sample[j] = data->qpos[qpos_.data()[j]];
     for (std::size_t k = 0; k < m.pressures.size(); ++k) {
       m.pressures[k] = data->plugin_state[pressures_.data()[k]];
+    }
+  }
+
+  // Has the cache fetch most of a state, those of the plugins, while another machine steps.
+  static void prefetch(const Machine& m) {
+    if (!m.model) return;
+    constexpr int line = 64 / sizeof(mjtNum);
+    for (int k = 0; k < int(m.model->npluginstate); k += line) {
+      __builtin_prefetch(m.data->plugin_state + k, 1);
     }
   }
 
@@ -231,6 +261,7 @@ class Batch {
   Array<float> observation_;
   Array<bool> diverged_;
   std::vector<Machine> machines_;
+  std::unique_ptr<mjModel, void (*)(mjModel*)> common_{nullptr, mj_deleteModel};
   std::vector<std::unique_ptr<mjData, void (*)(mjData*)>> scratch_;  // one a thread
   loop::Threads threads_;
 };
@@ -248,7 +279,7 @@ NB_MODULE(batch, module) {
            nb::arg("noise"), nb::arg("shift"), nb::arg("lost"), nb::arg("pressure_noise"),
            nb::arg("position"), nb::arg("velocity"), nb::arg("acceleration"))
       .def("step", &Batch::step, nb::arg("commands"), nb::arg("late"), nb::arg("rests"))
-      .def("measure", &Batch::measure, nb::arg("machine"));
+      .def("measure", &Batch::measure_late, nb::arg("machine"));
 }
 
 }  // namespace leglab::bindings
