@@ -386,15 +386,10 @@ class Batch:
             parts.append(self._wish.clip(-1.0, 1.0))
             if self._feedforward:
                 parts.append(self._forward)
-        start = self._raw.shape[1] - joints * len(parts)
-        fine = ~self.diverged
-        for part in parts:
-            columns = self._raw[:, start : start + joints]
-            if fine.all():
-                columns[:] = part
-            else:  # where a simulation blew up, the last observation stays
-                columns[fine] = part[fine]
-            start += joints
+        columns = self._raw[:, -joints * len(parts) :]
+        # Where a simulation blew up, the last observation stays.
+        fine = ~self.diverged[:, None]
+        np.copyto(columns, np.concatenate(parts, axis=1), where=fine, casting="same_kind")
         if self._scaled is not None:
             self.observation = self._scaled(self._raw)
 

@@ -24,8 +24,9 @@ class Scale:
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Scales values in SI units, (..., size); float32, in which a batch reckons as well."""
-        scaled = (value.astype(np.float32) - self.offset) / self.unit
-        return scaled.clip(-self.limit, self.limit)
+        scaled = np.asarray(value, dtype=np.float32) - self.offset
+        scaled /= self.unit
+        return scaled.clip(-self.limit, self.limit, out=scaled)
 
 
 def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:

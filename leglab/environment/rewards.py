@@ -48,13 +48,10 @@ def tracking(transition: Transition) -> Any:
     """Mean over the joints of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
     1 up to 1 mrad, 0.1 at 51 mrad, and a long tail: the 0.001 at half a radian still tells the
-    better of two bad actions.
+    better of two bad actions. The same numbers, to the bit, as of dm_control in fewer passes.
     """
-    from dm_control.utils import rewards
-
-    bounds = (-GOOD_ERROR, GOOD_ERROR)
-    error = transition.error
-    return rewards.tolerance(error, bounds, margin=POOR_ERROR, sigmoid="long_tail").mean(axis=-1)
+    beyond = np.maximum(np.abs(transition.error) - GOOD_ERROR, 0.0) / POOR_ERROR
+    return (1.0 / ((3.0 * beyond) ** 2 + 1.0)).mean(axis=-1)
 
 
 def smooth_tracking(transition: Transition) -> Any:
