@@ -6,6 +6,15 @@
 #include "identification/scalar.h"
 #include "identification/workspace.h"
 
+// Compiles a function once more for processors with AVX2, which is taken on these: vectors of four
+// do the same additions in the same order, so the results are the same to the bit.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && __STDC_HOSTED__ && \
+    !defined(__SANITIZE_ADDRESS__)
+#define LEGLAB_AVX2_TOO [[gnu::target_clones("avx2", "default")]]
+#else
+#define LEGLAB_AVX2_TOO
+#endif
+
 namespace leglab::identification {
 
 // Which regressors are not zero; index == nullptr means all of them.
@@ -65,7 +74,7 @@ class UdFactor {
   T project(const T* phi, Support support) {
     first_ = 0;
     if (support.index == nullptr) {
-      return n_ == 6 ? project_all<6>(phi) : n_ == 7 ? project_all<7>(phi) : project_all<0>(phi);
+      return n_ == 6 ? project_all<6>(phi) : n_ == 7 ? project_all<7>(phi) : project_many(phi);
     }
     first_ = support.count > 0 ? support.index[0] : n_;
     T power = T(0);
@@ -97,7 +106,7 @@ class UdFactor {
     Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
     if (n_ == 6 && first_ == 0) rotate<6>(sweep);
     else if (n_ == 7 && first_ == 0) rotate<7>(sweep);
-    else rotate<0>(sweep);
+    else rotate_many(sweep);
     // Exactly, F can only have grown in the first two cases; rounding adds the others.
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
@@ -184,7 +193,7 @@ class UdFactor {
   }
 
   template <int N>
-  T project_all(const T* phi) {
+  [[gnu::always_inline]] T project_all(const T* phi) {
     T power = T(0);
     each_column<N>([&](int j) __attribute__((always_inline)) {
       f_[j] = dot<(N > 0 ? 2 : 4)>(phi[j], u_ + j * (j - 1) / 2, phi, j);
@@ -201,7 +210,7 @@ class UdFactor {
   };
 
   // Factor by which column j of U takes up b; advances the sweep and D.
-  T turn(Sweep& sweep, int j) {
+  [[gnu::always_inline]] T turn(Sweep& sweep, int j) {
     const T f = sweep.beta * f_[j];
     const T ratio = -f * sweep.inverse;
     T next = sweep.alpha + f * v_[j];
@@ -216,7 +225,7 @@ class UdFactor {
   }
 
   template <int N>
-  void rotate(Sweep& sweep) {
+  [[gnu::always_inline]] void rotate(Sweep& sweep) {
     T few[N + 1];  // b of N columns stays in registers
     T* __restrict b = N > 0 ? few : b_;
     for (int i = 0; N == 0 && i < first_; ++i) {
@@ -235,6 +244,9 @@ class UdFactor {
     });
     for (int i = 0; i < N; ++i) b_[i] = few[i];
   }
+
+  LEGLAB_AVX2_TOO T project_many(const T* phi) { return project_all<0>(phi); }
+  LEGLAB_AVX2_TOO void rotate_many(Sweep& sweep) { rotate<0>(sweep); }
 
   int n_ = 0;
   int first_ = 0;
