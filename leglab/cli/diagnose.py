@@ -1,5 +1,6 @@
 """`leglab diagnose`: names what the simulation is missing."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -95,8 +96,12 @@ def diagnose(
             with piece("improved.xml", result.missing):
                 better = improved_model(found, lambda line: show(description=line))
                 if better is not None:
-                    learned, errors = better.learned, better.errors
-                    result = result.with_model(better.write(folder).name, learned, errors)
+                    path, lines = better.write(folder)
+                    result = replace(
+                        result.with_model(path.name, better.learned, better.errors),
+                        changed=lines,
+                        moved=better.moved,
+                    )
         with piece("diagnosis.html", result.missing):
             write_page(result, folder, model=Path(model).stem)
         results.write_diagnosis(result, folder)

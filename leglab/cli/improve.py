@@ -74,7 +74,7 @@ def improve(
             )
         if better is not None:
             with piece("improved.xml", result.missing):
-                result = replace(result, model=better.write(partial).name)
+                result = replace(result, model=better.write(partial)[0].name)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         write_atomically(partial / "improvement.json", lambda file: file.write(text.encode()))
     if as_json:

@@ -23,11 +23,14 @@ from leglab.diagnosis.remainder.learning import (
     pays,
 )
 from leglab.diagnosis.replay.residual import Problem, robust_cost
-from leglab.diagnosis.result import NamedEffect, closed, root_mean
+from leglab.diagnosis.result import Estimate, Moved, NamedEffect, closed, root_mean
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
+
+# Shares of a tolerance that are little, tried in this order.
+_LITTLE = (1.0, 0.5, 0.2, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +71,8 @@ class ImprovedModel:
     """Parts of the improved model."""
 
     problem: Problem  #: Without what was learned
-    hypothesis: Hypothesis  #: Effects and refitted nuisances
+    hypothesis: Hypothesis  #: Effects, and what moved noticeably within tolerances
+    named: tuple[Key, ...]
     remainder: Remainder | None  #: What was learned; None for nothing
 
     def __repr__(self) -> str:
@@ -88,8 +92,24 @@ class ImprovedModel:
         ends = problem.raw_errors(self.hypothesis)[problem.judged]
         return tuple(_at_ends(ends))
 
-    def write(self, folder: Path) -> Path:
-        """Writes DIR/improved.xml."""
+    @property
+    def moved(self) -> tuple[Moved, ...]:
+        """What has moved within tolerances."""
+        library, found = self.problem.library, []
+        for key, values in sorted(self.hypothesis.items()):
+            site = library.sites[key]
+            for p, value, own in zip(site.parameters, values.tolist(), site.model, strict=True):
+                if p.tolerance > 0.0 and value != own and key not in self.named:
+                    ends = own - 1.96 * p.tolerance, own + 1.96 * p.tolerance
+                    there = Estimate(
+                        name=p.name, value=value, unit=p.unit, interval=ends, nominal=float(own)
+                    )
+                    share = (value - float(own)) / p.tolerance
+                    found.append(Moved(effect=key[0], element=key[1], estimate=there, share=share))
+        return tuple(found)
+
+    def write(self, folder: Path) -> tuple[Path, tuple[str, ...]]:
+        """Writes DIR/improved.xml; returns its path, and its differences as a unified diff."""
         parts = self.remainder.parts if self.remainder else ()
         return write_model(self.problem, self.hypothesis, folder, parts)
 
@@ -101,7 +121,7 @@ def write_improved(found: Outcome, folder: Path) -> Path | None:
         LeglabError: MuJoCo refuses the patched model.
     """
     better = improved_model(found)
-    return None if better is None else better.write(folder)
+    return None if better is None else better.write(folder)[0]
 
 
 @one_blas_thread()
@@ -123,11 +143,11 @@ def improved_model(
         with piece("remainder", result.missing):
             remainder = learn_remainder(problem, final, named=named, progress=progress)
     better = remainder.problem if remainder else problem
-    final = remainder.hypothesis if remainder else final
+    final = _noticeable(better, remainder.hypothesis if remainder else final, named)
     before, after = problem.noise_levels(problem.library.neutral()), better.noise_levels(final)
     if not pays(before[problem.judged], after[problem.judged], limits):
         return None
-    return ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
+    return ImprovedModel(problem=problem, hypothesis=final, named=named, remainder=remainder)
 
 
 def _recalibrated(
@@ -137,6 +157,29 @@ def _recalibrated(
     told = {(e.name, e.element) for e in kept}
     named = tuple(key for key in found.named if key in told)
     return named, found.written.without(*(set(found.named) - set(named)))
+
+
+def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
+    """Leaves what moved little within its tolerance where the model has it.
+
+    As little as replays of the windows that were fitted hardly show, all of it together.
+    """
+
+    def kept(share: float) -> Hypothesis:
+        values = {}
+        for key, value in problem.library.whole(fitted).items():
+            site = problem.library.sites[key]
+            little = share * np.array([p.tolerance for p in site.parameters])
+            stays = (np.abs(value - site.model) <= little) & (key not in named)
+            values[key] = np.where(stays, site.model, value)
+        return Hypothesis(values, fitted.onsets)
+
+    def level(hypothesis: Hypothesis) -> float:
+        return root_mean(problem.noise_levels(hypothesis)[~problem.held])
+
+    limit = (1.0 + problem.thresholds.smaller_share) * level(fitted)
+    candidates = (kept(share) for share in _LITTLE)
+    return next((one for one in candidates if level(one) <= limit), kept(0.0))
 
 
 @one_blas_thread()
@@ -184,8 +227,8 @@ def improve(
     remainder = None
     with piece("remainder", missing):
         remainder = learn_remainder(problem, final, named=sure, progress=progress)
-    final = remainder.hypothesis if remainder else final
     after = remainder.problem if remainder else problem.about(final)
+    final = _noticeable(after, remainder.hypothesis if remainder else final, sure)
     before = copy(problem)
     before.noise = after.noise
     pairs, held = [(before, before.library.neutral()), (after, final)], problem.held
@@ -212,7 +255,7 @@ def improve(
         units={c.column: "Pa" if c.chamber else unit(c.joint) for c in problem.channels},
         missing=missing,
     )
-    better = ImprovedModel(problem=problem, hypothesis=final, remainder=remainder)
+    better = ImprovedModel(problem=problem, hypothesis=final, named=sure, remainder=remainder)
     return outcome, better if improved else None
 
 

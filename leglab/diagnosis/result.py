@@ -33,6 +33,16 @@ class Estimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Moved:
+    """A parameter that the improved model has elsewhere within its tolerance."""
+
+    effect: str
+    element: str
+    estimate: Estimate  #: Its interval is the tolerance
+    share: float  #: How far it moved, of its tolerance, with its sign
+
+
+@dataclass(frozen=True, kw_only=True)
 class NamedEffect:
     """An effect that the simulation lacks."""
 
@@ -262,7 +272,8 @@ class Diagnosis:
         effects: Ordered by what each contributes.
         where: Worst first.
         ranking: All effects that were tried, best first.
-        nuisances: Parameters that were refitted within their tolerance.
+        moved: Parameters that the improved model has elsewhere within their tolerance.
+        changed: How the improved model differs from the model, as lines of a unified diff.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
@@ -282,7 +293,6 @@ class Diagnosis:
     ranking: tuple[Rank, ...]
     rivals: tuple[Rivals, ...]
     traces: tuple[ResidualTrace, ...]
-    nuisances: tuple[Estimate, ...]
     next_experiment: Proposal | None
     notes: tuple[str, ...]
     smaller: tuple[NamedEffect, ...] = ()
@@ -290,6 +300,8 @@ class Diagnosis:
     whole: WholeRecording | None = None
     calibration: Calibration | None = None
     model: str = ""
+    moved: tuple[Moved, ...] = ()
+    changed: tuple[str, ...] = ()
     learned: str = ""
     missing: dict[str, str] = field(default_factory=dict)
     rollouts: float = 0.0
@@ -401,6 +413,19 @@ class Diagnosis:
             "notes": self.notes,
             "learned": self.learned or None,
             "model": self.model or None,
+            "moved": [
+                {
+                    "effect": one.effect,
+                    "element": one.element,
+                    "parameter": one.estimate.name,
+                    "unit": one.estimate.unit,
+                    "from": one.estimate.nominal,
+                    "to": one.estimate.value,
+                    "share": one.share,
+                }
+                for one in self.moved
+            ],
+            "changed": self.changed,
             "missing": self.missing or None,
         }
         return {key: _plain(value) for key, value in content.items()}

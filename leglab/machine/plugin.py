@@ -183,33 +183,33 @@ def attribute_names(plugin: str) -> tuple[str, ...]:
     return (*texts, *(row[0] for row in parameters))
 
 
-def to_xml(spec: mujoco.MjSpec) -> str:
+def to_xml(spec: mujoco.MjSpec, referred: Iterable[str] = ()) -> str:
     """Writes a compiled specification as MJCF, with the plugin instances that were added to it.
 
     `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`, and
     copying or attaching a specification those that no element refers to. So each of these gets a
-    massless body that refers to it, on or beside the body of its joint.
+    massless body that refers to it, on or beside the body of its joint; not those in `referred`.
     """
     root = ElementTree.fromstring(spec.to_xml())
-    extension = root.find("extension")
-    if extension is None:
-        extension = ElementTree.SubElement(root, "extension")
     for plugin in spec.plugins:
         known = root.find(f".//extension//instance[@name='{plugin.name}']") is not None
         if known or not plugin.name:
             continue
+        extension = root.find("extension")
+        if extension is None:
+            extension = ElementTree.SubElement(root, "extension")
         parent = extension.find(f"plugin[@plugin='{plugin.plugin_name}']")
         if parent is None:
             parent = ElementTree.SubElement(extension, "plugin", plugin=plugin.plugin_name)
         instance = ElementTree.SubElement(parent, "instance", name=plugin.name)
         for key, value in plugin.config.items():
             ElementTree.SubElement(instance, "config", key=key, value=value)
-    _refer_to_instances(root)
+    _refer_to_instances(root, referred)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _refer_to_instances(root: ElementTree.Element) -> None:
+def _refer_to_instances(root: ElementTree.Element, referred: Iterable[str]) -> None:
     """Adds a body for each plugin instance that no element of the model refers to."""
     world = root.find("worldbody")
     if world is None or not (bodies := [*world.iter("body")]):
@@ -220,7 +220,7 @@ def _refer_to_instances(root: ElementTree.Element) -> None:
         joint.get("name"): body for body in reversed(bodies) for joint in body.findall("joint")
     }
     joint_of = {drive.get("name"): drive.get("joint") for drive in root.findall("actuator/*")}
-    referred = {one.get("instance") for one in root.iter("plugin")}
+    referred = {*referred, *(one.get("instance", "") for one in root.iter("plugin"))}
     for plugin in root.findall("extension/plugin"):
         for instance in plugin.findall("instance"):
             name = instance.get("name", "")
@@ -232,9 +232,7 @@ def _refer_to_instances(root: ElementTree.Element) -> None:
             if parent.find("body") is None:  # MuJoCo softens constraints of what has no child
                 parent = above.get(parent, world)
             place = ElementTree.SubElement(parent, "body", name=name + "_plugin" * (name in names))
-            ElementTree.SubElement(
-                place, "plugin", {"plugin": plugin.get("plugin", ""), "instance": name}
-            )
+            ElementTree.SubElement(place, "plugin", instance=name)
 
 
 _UNKNOWN_ATTRIBUTE = re.compile(

@@ -12,7 +12,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.plant.paths import take_out
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from leglab.diagnosis.verdict.output import write_model
+from leglab.diagnosis.verdict.output import write_model as write_lines
 from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine.plugin import to_xml
 from leglab.machine.sensors import EncoderFaults, PressureFaults
@@ -20,6 +20,14 @@ from rigs import PENDULUM, Truth
 from tests.helpers.native_models import every_plugin
 from tests.helpers.patched_models import reloaded_error
 from tests.helpers.unpleasant import of_bench, of_kinds
+
+
+
+def write_model(problem, hypothesis, folder):
+    """improved.xml of a hypothesis."""
+    write_lines(problem, hypothesis, folder)
+    return folder / "improved.xml"
+
 
 FAULTS = {
     ("command_delay", "knee_valve"): np.array([0.0063]),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leglab.diagnosis.result import Estimate
+from leglab.diagnosis.result import Estimate, Moved
 from leglab.diagnosis.verdict.output import summary_lines
 from leglab.report.diagnosis.words import (
     facts,
@@ -51,11 +51,11 @@ def test_confidence_is_told_as_it_was_computed(verdict):
 
 
 def test_unexplained_says_what_was_tried_and_learned():
-    moved = Estimate(
+    there = Estimate(
         name="supply_pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.2e7)
     )
-    still = replace(moved, name="payload_mass", unit="kg", value=2.1e7)
-    result = diagnosis("unexplained", nuisances=(moved, still), learned="a torque that repeats")
+    moved = Moved(effect="supply_pressure", element="knee_valve", estimate=there, share=-1.0)
+    result = diagnosis("unexplained", moved=(moved,), learned="a torque that repeats")
     text = section(result, "What was tried")
     assert (
         "3 possible effects, alone and together; valve deadband and payload + stiction came closest"

@@ -38,7 +38,8 @@ def machine(request, tmp_path):
 def written(machine, values, folder):
     problem = SimpleNamespace(machine=machine, library=Library(machine))
     folder.mkdir(exist_ok=True)
-    return write_model(problem, Hypothesis(values), folder)
+    write_model(problem, Hypothesis(values), folder)
+    return folder / "improved.xml"
 
 
 def usual(site):

@@ -128,7 +128,6 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
         ),
         remaining=(left("knee_position", "rad", 0.024), left("knee_pressure_a", "Pa", 4e5)),
         whole=whole(recording),
-        nuisances=(),
         next_experiment=Proposal(
             name="slow sine, 1 Hz",
             description="command slow sine, 1 Hz",

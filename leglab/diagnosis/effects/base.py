@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import ClassVar, Literal
 
-import mujoco
 import numpy as np
 
 from leglab.base import plugins
@@ -158,12 +157,13 @@ class Effect(ABC):
         """Where to fit shapes from that few trials can find, by the force left on the joint."""
         return None
 
-    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
-        """Writes into a patched model what `apply` does to the command or sensor path.
+    def write(self, change: Change, element: str, values: Values) -> None:
+        """Records the edits and parameters by which an improved model has these values.
 
-        Spec edits and plugin parameters are written for every effect.
+        Other than those of `apply` for command and sensor paths, which no replay needs, and where
+        MJCF has an attribute that does nearly the same.
         """
-        return
+        self.apply(change, element, values)
 
 
 # A parameter of an effect, of machine and element.

@@ -1,6 +1,7 @@
 """Native actuators: their gain, and what happens to a command on its way to any."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -100,10 +101,20 @@ class CommandEffect(TableEffect):
         for function in command_path(inside):
             change.command(element, function)
 
-    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
+    def write(self, change: Change, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
         if any(values.values()):
-            write_command_path(spec, machine, element, values)
+            change.edit(
+                (self.name, element, *values.values()),
+                lambda spec: write_command_path(spec, change.machine, element, values),
+            )
+
+
+def _delayed(element: str, values: Values, spec: mujoco.MjSpec) -> None:
+    actuator = spec.actuator(element)
+    actuator.delay = delay = float(actuator.delay) + values["delay"]
+    actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2
+    actuator.interp = 1  # linear: a delay need not be a multiple of the time step
 
 
 @register_effect
@@ -120,19 +131,12 @@ class CommandDelay(CommandEffect):
         """All actuators."""
         return machine.actuators
 
-    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
+    def write(self, change: Change, element: str, values: Values) -> None:
         """Writes the delay of a native actuator's command path, or MuJoCo's own for a valve."""
-        delay = values["delay"]
-        if delay == 0.0:
-            return
-        if element in machine.native_actuators():
-            write_command_path(spec, machine, element, {"delay": delay})
-            return
-        actuator = spec.actuator(element)
-        delay += float(actuator.delay)  # of the model as it was
-        actuator.delay = delay
-        actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2
-        actuator.interp = 1  # linear: a delay need not be a multiple of the time step
+        if element in change.machine.native_actuators():
+            super().write(change, element, values)
+        elif values["delay"]:
+            change.edit((self.name, element, values["delay"]), partial(_delayed, element, values))
 
 
 @register_effect

@@ -3,6 +3,8 @@
 import math
 from dataclasses import replace
 
+import mujoco
+
 from leglab.diagnosis.effects import joints
 from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register_effect
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow
@@ -10,6 +12,9 @@ from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 
 # LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
+
+# Share of the friction by which MuJoCo's friction loss holds at rest; the rest creeps.
+_HOLDS = 0.9999
 
 
 class FrictionEffect(JointEffect):
@@ -60,6 +65,17 @@ class JointCoulombFriction(FrictionEffect):
         super().apply(change, element, {"coulomb": min(own, values["coulomb"])})
         if (more := values["coulomb"] - own) > 0.0:
             insert_friction(change, element, self.name, {"coulomb": more, "static": more})
+
+    def write(self, change: Change, element: str, values: Values) -> None:
+        """Sets MuJoCo's friction loss, and where there is more of it how soon it holds."""
+        super().apply(change, element, values)
+        if values["coulomb"] > joints.native(change.machine, element, "frictionloss"):
+
+            def edit(spec: mujoco.MjSpec) -> None:
+                spec.joint(element).solref_friction = [2.0 * spec.option.timestep, 1.0]
+                spec.joint(element).solimp_friction[:2] = _HOLDS
+
+            change.edit(("solref_friction", element), edit)
 
 
 def _stribeck_velocity(machine: Machine, joint: str) -> EffectParameter:

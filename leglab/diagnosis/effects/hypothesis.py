@@ -226,11 +226,17 @@ class Library:
         """Values of a hypothesis, and of the specimen where it says nothing."""
         return {**self.specimen, **hypothesis}
 
-    def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
-        """The change that a hypothesis makes; effects apply by their order, then by name."""
+    def change(
+        self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
+    ) -> Change:
+        """The change that a hypothesis makes, in replays or as an improved model has it `written`.
+
+        Effects apply by their order, then by name.
+        """
         change = Change(machine)
         whole = self.whole(hypothesis)
         for key in sorted(whole, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]
-            site.effect.apply(change, site.element, site.named(whole[key]))
+            act = site.effect.write if written else site.effect.apply
+            act(change, site.element, site.named(whole[key]))
         return change

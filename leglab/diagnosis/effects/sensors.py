@@ -30,15 +30,19 @@ class SensorFault(TableEffect):
             for undo, gain in paths.undo(offset, scale):
                 change.correct(f"{joint}_{sensor}", undo, noise_gain=gain)
 
-    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
+    def write(self, change: Change, element: str, values: Values) -> None:
         """Adds numerics to those that are there: s (scale x true + offset) + o, s and o the old."""
-        for joint, sensor, offset, scale in self._faults(machine, element, values):
-            names = paths.numerics(joint, sensor)
-            old = paths.number_of(spec, names[0], 0.0), paths.number_of(spec, names[1], 1.0)
-            if offset:
-                paths.set_number(spec, names[0], old[0] + old[1] * offset)
-            elif scale != 1.0:
-                paths.set_number(spec, names[1], old[1] * scale)
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            for joint, sensor, offset, scale in self._faults(change.machine, element, values):
+                names = paths.numerics(joint, sensor)
+                old = paths.number_of(spec, names[0], 0.0), paths.number_of(spec, names[1], 1.0)
+                if offset:
+                    paths.set_number(spec, names[0], old[0] + old[1] * offset)
+                elif scale != 1.0:
+                    paths.set_number(spec, names[1], old[1] * scale)
+
+        change.edit((self.name, element), edit)
 
     def _faults(
         self, machine: Machine, element: str, values: Values
@@ -101,21 +105,23 @@ class SensorDelay(JointEffect):
         if values["delay"]:
             change.correct(f"{element}_position", paths.undo_delay(values["delay"]))
 
-    def write(self, spec: mujoco.MjSpec, machine: Machine, element: str, values: Values) -> None:
+    def write(self, change: Change, element: str, values: Values) -> None:
         """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
-        delay = values["delay"]
-        if not delay:
-            return
-        sensor = spec.sensor(delayed_sensor(element))
-        if sensor is None:
-            sensor = spec.add_sensor(
-                name=delayed_sensor(element),
-                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
-                objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                objname=element,
-            )
-        sensor.delay = float(sensor.delay) + delay
-        sensor.nsample = int(np.ceil(sensor.delay / spec.option.timestep)) + 1
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            sensor = spec.sensor(delayed_sensor(element))
+            if sensor is None:
+                sensor = spec.add_sensor(
+                    name=delayed_sensor(element),
+                    type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                    objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                    objname=element,
+                )
+            sensor.delay = float(sensor.delay) + values["delay"]
+            sensor.nsample = int(np.ceil(sensor.delay / spec.option.timestep)) + 1
+
+        if values["delay"]:
+            change.edit((self.name, element), edit)
 
 
 @register_effect

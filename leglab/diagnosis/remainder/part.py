@@ -100,9 +100,11 @@ class LearnedLibrary(Library):
         self.__dict__.update(library.__dict__)
         self.parts = tuple(parts)
 
-    def change(self, hypothesis: Mapping[Key, np.ndarray], machine: Machine) -> Change:
+    def change(
+        self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
+    ) -> Change:
         """The change that a hypothesis makes, with the learned parts."""
-        change = super().change(hypothesis, machine)
+        change = super().change(hypothesis, machine, written=written)
         for part in self.parts:
             part.apply(change)
         return change

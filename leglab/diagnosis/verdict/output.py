@@ -2,17 +2,27 @@
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 from rich.table import Table
 
 import leglab.machine.plugin
+from leglab.base.errors import LeglabError
 from leglab.base.output import write_atomically
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
+from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.remainder.part import Part
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
+from leglab.machine.mjcf_patch import MjcfPatch, difference_lines, differences
+
+# Of what changes, and of what the compiler derives from that: a servo's damping, from inertia.
+_PASSES = 2
+# A longer difference is read in the file.
+_SHOWN = 20
 
 
 def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
@@ -25,54 +35,65 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
 
 def write_model(
     problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
-) -> Path:
+) -> tuple[Path, tuple[str, ...]]:
     """Writes DIR/improved.xml: the model under a hypothesis, with learned parts; it loads.
 
-    Learned parts of the problem's own do not count.
+    Its text is the model's own but for what changes; as MuJoCo writes it where the file is no
+    MJCF, or replicates or attaches what changes. Learned parts of the problem's own do not count.
+
+    Returns:
+        Its path, and what differs from the model, as a unified diff.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
     """
-    machine = problem.machine
-    spec = machine.spec(whole=True)
-    _place_assets(spec, machine.path.parent)
-    change = Library.change(problem.library, hypothesis, machine)
+    machine, path = problem.machine, folder / "improved.xml"
+    given, spec = machine.spec(whole=True), machine.spec(whole=True)
+    own = [plugin.name for plugin in given.plugins]
+
+    def as_written(spec: mujoco.MjSpec) -> str:
+        spec.compile()
+        return leglab.machine.plugin.to_xml(spec, own)
+
+    change = Library.change(problem.library, hypothesis, machine, written=True)
     for _, edit in change.edits:
         edit(spec)
     plugins = {actuator.name: actuator.plugin for actuator in spec.actuators}
     plugins |= {plugin.name: plugin for plugin in spec.plugins}
     for (element, name), value in change.parameters.items():
         plugins[element].config = {**plugins[element].config, name: repr(value)}
-    for key, values in sorted(problem.library.whole(hypothesis).items()):
-        site = problem.library.sites[key]
-        site.effect.write(spec, machine, site.element, site.named(values))
     for part in parts:
         part.write(spec, machine)
-    path = folder / "improved.xml"
     try:
-        spec.compile()
-        text = leglab.machine.plugin.to_xml(spec)
-        mujoco.MjModel.from_xml_string(text)
+        base, wanted = as_written(given), as_written(spec)
     except (ValueError, mujoco.FatalError) as error:
         raise leglab.machine.plugin.load_error(error, path.name, spec) from error
-    write_atomically(path, lambda stream: stream.write(text.encode()))
-    return path
+    place, compiler = machine.path.parent.resolve(), spec.compiler
+    files = [*spec.meshes, *spec.hfields, *spec.skins, *spec.textures]
+    dirs = {"meshdir": compiler.meshdir, "texturedir": compiler.texturedir}
+    dirs = {key: f"{place / name}/" for key, name in dirs.items() if any(f.file for f in files)}
+    hinges = {joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
 
+    def written(patch: MjcfPatch) -> str:
+        before, after = patch.texts()
+        write_atomically(path, lambda stream: stream.write(after.encode()))
+        nonlocal lines
+        lines = difference_lines(before, after, machine.path.name)
+        return as_written(Machine(path).spec(whole=True))
 
-def _place_assets(spec: mujoco.MjSpec, folder: Path) -> None:
-    """Makes the files of all assets absolute: the specification is saved in another folder."""
-
-    def placed(directory: str, file: str) -> str:
-        name = Path(file).name if spec.strippath else file
-        return str((folder / directory / name).resolve()) if file else ""
-
-    for asset in (*spec.meshes, *spec.hfields, *spec.skins):
-        asset.file = placed(spec.compiler.meshdir, asset.file)
-    for texture in spec.textures:
-        directory = spec.compiler.texturedir
-        texture.file = placed(directory, texture.file)
-        texture.cubefiles = [placed(directory, file) for file in texture.cubefiles]
-    spec.strippath = False
+    lines: tuple[str, ...] = ()
+    with suppress(LookupError, ValueError, LeglabError):
+        text = machine.path.read_bytes().decode()
+        patch, found = MjcfPatch(text, place, dirs, hinges if compiler.degree else ()), base
+        for _ in range(_PASSES):
+            patch.apply(found, wanted)
+            found = written(patch)
+            if not any(differences(*map(ElementTree.fromstring, (found, wanted)))):
+                return path, lines
+    patch = MjcfPatch(base, place, dirs)
+    patch.apply(base, wanted)
+    written(patch)
+    return path, lines
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
@@ -110,6 +131,8 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
     lines = []
+    if len(result.changed) <= _SHOWN:
+        lines += result.changed
     if result.learned:
         lines.append(f"learned without a name: {result.learned}")
     if result.calibration is not None:

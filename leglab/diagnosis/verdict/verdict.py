@@ -153,7 +153,6 @@ def _told(
         ranking=_ranking(outcome.found),
         rivals=(_rivals(outcome.judged.rows[:BEST_SETS]),),
         traces=traces(problem, final),
-        nuisances=_nuisances(outcome),
         next_experiment=_next_experiment(outcome),
         notes=tuple(remarks),
         rollouts=problem.replay.rollouts,
@@ -354,18 +353,6 @@ def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
         if visible < VISIBLE and key not in outcome.named and key[1] != EVERY
     }
     return tuple(result.NotTestable(name=n, element=e, reason=r) for (n, e), r in reasons.items())
-
-
-def _nuisances(outcome: Outcome) -> tuple[result.Estimate, ...]:
-    """Refitted parameters that have a tolerance, with the range of it."""
-    found = []
-    for key, site in outcome.about.library.sites.items():
-        values = site.nominal.tolist(), outcome.final.get(key, site.nominal).tolist()
-        for p, nominal, v in zip(site.parameters, *values, strict=True):
-            low, high = nominal - 1.96 * p.tolerance, nominal + 1.96 * p.tolerance
-            if p.tolerance > 0.0 and key not in outcome.named:
-                found.append(_estimate(p.name, p.unit, v, nominal, low, high))
-    return tuple(found)
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[result.ResidualTrace, ...]:

@@ -68,7 +68,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             _remaining_table(result),
             _gap_table(result),
             *_calibration_tables(result),
-            _nuisance_table(result),
+            _moved_table(result),
             Table(
                 caption="What these recordings hardly show",
                 head=("effect", "element", "to see it"),
@@ -77,6 +77,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             ),
         ),
         improved=result.model,
+        changed=result.changed[2:],
         improved_words=words.improved_words(result),
         missing=result.missing,
         first=[figure for figure in figures if figure["name"] in _FIRST],
@@ -151,11 +152,13 @@ def _gap_table(result: Diagnosis) -> Table:
     return Table(caption=capital(caption), head=head, rows=rows, words=2)
 
 
-def _nuisance_table(result: Diagnosis) -> Table:
+def _moved_table(result: Diagnosis) -> Table:
     rows = []
-    for nuisance in result.nuisances:
-        value, ends, nominal, unit = words.parameter_numbers(nuisance)
-        rows.append([readable(nuisance.name), unit, value, ends, nominal])
-    head = ("parameter", "unit", "refitted", "tolerance, 95 %", result.nominal_words)
-    caption = "Parameters refitted within their tolerance"
-    return Table(caption=caption, head=head, rows=rows, words=2)
+    for one in result.moved:
+        value, ends, nominal, unit = words.parameter_numbers(one.estimate)
+        first = (readable(one.effect), one.element, readable(one.estimate.name), unit)
+        rows.append([*first, nominal, value, ends, f"{100.0 * one.share:.0f} %"])
+    names = ("effect", "element", "parameter", "unit", "in the model", "improved")
+    head = (*names, "tolerance, 95 %", "of its tolerance")
+    caption = "Parameters that moved within their tolerance"
+    return Table(caption=caption, head=head, rows=rows, words=4)

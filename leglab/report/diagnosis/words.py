@@ -27,9 +27,8 @@ from leglab.report.page.wording import capital, listed, number, readable
 _HARDLY = 0.05
 # More channels than this make no sentence.
 _CHANNELS = 6
-# Recalibrated parameters that are told: so many, from this share of their tolerance on.
+# Recalibrated parameters that are told.
 _RECALIBRATED = 5
-_DEPARTED = 0.3
 # Noise below this [mrad, mm or bar] is told as such.
 _UNRESOLVED = 0.001
 # Up to so many effects that cannot be told apart from nothing have a line each.
@@ -220,12 +219,12 @@ def uncertain(p: Estimate) -> bool:
 def improved_words(result: Diagnosis) -> str:
     """Contents of the improved model and how far to trust it; follows its name."""
     effects = () if result.verdict == "unexplained" else result.effects
-    holds = ["parameters recalibrated within their tolerance"]
+    holds = ["parameters recalibrated within their tolerance"] if result.moved else []
     if effects:
         holds.append(listed(tuple(readable(effect.name) for effect in effects)))
     if result.learned:
         holds.append("a learned remainder")
-    text = f"It holds {listed(tuple(holds))}"
+    text = f"It holds {listed(tuple(holds or ['the model as it was']))}"
     text += "." if effects else "; no effect without a name is in it."
     if result.learned:
         text += f" Learned: {result.learned.rstrip('.')}."
@@ -461,15 +460,10 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
         f"{number(gap.baseline)}.",
     ]
 
-    def departed(p: Estimate) -> float:
-        half = (p.interval[1] - p.interval[0]) / 2.0
-        return abs(p.value - p.nominal) / half if half > 0.0 else 0.0
-
-    moved = [p for p in result.nuisances if departed(p) > _DEPARTED]
     told = []
-    for p in sorted(moved, key=departed, reverse=True)[:_RECALIBRATED]:
-        value, _, nominal = parameter_words(p)
-        told.append(f"{readable(p.name)} {value}, {result.nominal_words} {nominal}")
+    for one in sorted(result.moved, key=lambda m: -abs(m.share))[:_RECALIBRATED]:
+        value, _, nominal = parameter_words(one.estimate)
+        told.append(f"{readable(one.estimate.name)} {value}, in the model {nominal}")
     if told:
         lines.append(f"Recalibrated: {'; '.join(told)}.")
     for effect in result.effects:
