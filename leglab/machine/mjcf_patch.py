@@ -52,7 +52,7 @@ class MjcfPatch:
         """Changes the file by what differs between two specifications, as MuJoCo writes them.
 
         Raises:
-            LookupError: The file does not have an element as MuJoCo does: it replicates or attaches.
+            LookupError: An element is not in the file as in MuJoCo: replicated, or attached.
         """
         trees = ElementTree.fromstring(base), ElementTree.fromstring(wanted)
         for place, element, changed in differences(*trees):
@@ -98,7 +98,7 @@ class MjcfPatch:
         elif node.tag == "velocity":
             node.changed |= {"kv": gain}
         else:
-            node.tag_after, node.changed = "general", {k: None for k in node.attributes}
+            node.tag_after, node.changed = "general", dict.fromkeys(node.attributes)
             node.changed |= element.attrib
 
 
@@ -224,7 +224,9 @@ class _Node:
         if self.removed and not before:
             return ""
         inside = self._inside(before)
-        closing = self.source[self.close : self.stop] or (f"</{self.tag}>" if inside and self.tag else "")
+        closing = self.source[self.close : self.stop]
+        if inside and self.tag and not closing:
+            closing = f"</{self.tag}>"
         if not before:
             closing = closing.replace(self.tag, self.tag_after)
         return self._opening(before, inside) + inside + closing
@@ -240,7 +242,8 @@ class _Node:
             if found:
                 text = text[: found.start()] + new + text[found.end() :]
             elif new:
-                text = re.sub(r"\s*(/?>)$", lambda end: f"{new}{end[1]}", text)
+                end = "/>" if text.endswith("/>") else ">"
+                text = text.removesuffix(end).rstrip() + new + end
         return re.sub(r"\s*/>$", ">", text) if inside else text
 
     def _inside(self, before: bool) -> str:
@@ -257,7 +260,8 @@ class _Node:
         outer = line[0] if line and self.tag else ""
         step = "  "
         inner = outer + step
-        if self.children and (own := re.search(r"\n([ \t]*)$", self.source[: self.children[0].start])):
+        before_first = self.source[: self.children[0].start] if self.children else ""
+        if own := re.search(r"\n([ \t]*)$", before_first):
             inner = own[1]
         lines = []
         for element in new:

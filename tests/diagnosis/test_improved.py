@@ -22,7 +22,6 @@ from tests.helpers.patched_models import reloaded_error
 from tests.helpers.unpleasant import of_bench, of_kinds
 
 
-
 def write_model(problem, hypothesis, folder):
     """improved.xml of a hypothesis."""
     write_lines(problem, hypothesis, folder)

@@ -83,7 +83,7 @@ def diagnosed(model: Path, folder: Path, *, coulomb: float = 0.0, damping: float
 
 
 def loaded_without_leglab(path: Path) -> list[float]:
-    """Friction, damping and armature of the first joint, by MuJoCo alone and from another folder."""
+    """Friction, damping and armature of the first joint, by MuJoCo alone, from elsewhere."""
     fields = ("dof_frictionloss", "dof_damping", "dof_armature")
     told = "import mujoco, sys; m = mujoco.MjModel.from_xml_path(sys.argv[1]); print(" + (
         ", ".join(f"m.{field}[0]" for field in fields) + ")"

@@ -74,26 +74,23 @@ def write_model(
     dirs = {key: f"{place / name}/" for key, name in dirs.items() if any(f.file for f in files)}
     hinges = {joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
 
-    def written(patch: MjcfPatch) -> str:
+    def written(patch: MjcfPatch) -> tuple[str, tuple[str, ...]]:
         before, after = patch.texts()
         write_atomically(path, lambda stream: stream.write(after.encode()))
-        nonlocal lines
         lines = difference_lines(before, after, machine.path.name)
-        return as_written(Machine(path).spec(whole=True))
+        return as_written(Machine(path).spec(whole=True)), lines
 
-    lines: tuple[str, ...] = ()
     with suppress(LookupError, ValueError, LeglabError):
         text = machine.path.read_bytes().decode()
         patch, found = MjcfPatch(text, place, dirs, hinges if compiler.degree else ()), base
         for _ in range(_PASSES):
             patch.apply(found, wanted)
-            found = written(patch)
-            if not any(differences(*map(ElementTree.fromstring, (found, wanted)))):
+            found, lines = written(patch)
+            if not any(differences(ElementTree.fromstring(found), ElementTree.fromstring(wanted))):
                 return path, lines
     patch = MjcfPatch(base, place, dirs)
     patch.apply(base, wanted)
-    written(patch)
-    return path, lines
+    return path, written(patch)[1]
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
@@ -130,7 +127,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 
 def summary_lines(result: Diagnosis) -> list[str]:
     """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
-    lines = []
+    lines: list[str] = []
     if len(result.changed) <= _SHOWN:
         lines += result.changed
     if result.learned:
