@@ -96,7 +96,7 @@ class ImprovedModel:
     def moved(self) -> tuple[Moved, ...]:
         """What has moved within tolerances."""
         library, found = self.problem.library, []
-        for key, values in sorted(self.hypothesis.items()):
+        for key, values in sorted(library.whole(self.hypothesis).items()):
             site = library.sites[key]
             for p, value, own in zip(site.parameters, values.tolist(), site.model, strict=True):
                 if p.tolerance > 0.0 and value != own and key not in self.named:
@@ -171,7 +171,8 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
             site = problem.library.sites[key]
             little = share * np.array([p.tolerance for p in site.parameters])
             stays = (np.abs(value - site.model) <= little) & (key not in named)
-            values[key] = np.where(stays, site.model, value)
+            if key in fitted or stays.any():
+                values[key] = np.where(stays, site.model, value)
         return Hypothesis(values, fitted.onsets)
 
     def level(hypothesis: Hypothesis) -> float:

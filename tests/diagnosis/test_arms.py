@@ -102,7 +102,7 @@ def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     assert fitted[parameter] == pytest.approx(value, rel=0.01)
     assert result.gap.after < 1.1
     better = improved_model(found)
-    assert reloaded_error(better.problem, better.hypothesis, better.write(tmp_path)) < 0.1
+    assert reloaded_error(better.problem, better.hypothesis, better.write(tmp_path)[0]) < 0.1
 
 
 @pytest.mark.slow("whole diagnoses of an arm with all effects")

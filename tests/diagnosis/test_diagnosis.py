@@ -88,7 +88,7 @@ def test_json_holds_the_contract(deadband, tmp_path):
 
 def test_improved_model_runs_and_replays_as_the_fit(deadband, tmp_path):
     better = improved_model(deadband[1])
-    path = better.write(tmp_path)
+    path = better.write(tmp_path)[0]
     model = mujoco.MjModel.from_xml_path(str(path))
     mujoco.mj_step(model, mujoco.MjData(model), 100)
     assert 'key="lap"' in path.read_text()

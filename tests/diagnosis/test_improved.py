@@ -24,8 +24,7 @@ from tests.helpers.unpleasant import of_bench, of_kinds
 
 def write_model(problem, hypothesis, folder):
     """improved.xml of a hypothesis."""
-    write_lines(problem, hypothesis, folder)
-    return folder / "improved.xml"
+    return write_lines(problem, hypothesis, folder)[0]
 
 
 FAULTS = {

@@ -299,7 +299,7 @@ def test_a_ripple_of_a_servo_joint_is_described_and_its_gap_closed(rippled):
 
 def test_the_written_model_has_the_force_and_none_beyond_the_data(rippled, tmp_path):
     _, better = rippled
-    path = better.write(tmp_path)
+    path = better.write(tmp_path)[0]
     plugin.load_plugin()
     model = mujoco.MjModel.from_xml_path(str(path))
     data_ = mujoco.MjData(model)
@@ -323,7 +323,7 @@ def test_the_written_model_has_the_force_and_none_beyond_the_data(rippled, tmp_p
 @pytest.mark.slow("a second whole diagnosis")
 def test_what_was_learned_is_not_learned_again(rippled, tmp_path):
     _, better = rippled
-    path = better.write(tmp_path)
+    path = better.write(tmp_path)[0]
     truth = Hidden(ripple=(0.4, 0.585, 1.0))
     recordings = of_kinds(SERVO_JOINT, truth, KINDS, seconds=4.0, first=10)
     result, again = improve(path, recordings, held_out=("slow",), effects=False, settings=SETTINGS)
@@ -424,7 +424,7 @@ def test_a_ripple_of_the_knee_bench_is_described_and_its_gap_closed(knee):
 @pytest.mark.slow("whole diagnosis of a bench")
 def test_the_improved_knee_bench_runs_in_leglab_run(knee, tmp_path):
     _, better = knee
-    path = better.write(tmp_path)
+    path = better.write(tmp_path)[0]
     run = CliRunner().invoke(
         app,
         ["run", "nominal", "--model", str(path), "--duration", "1", "--out", str(tmp_path / "run")],
@@ -440,7 +440,7 @@ def test_the_improved_knee_bench_runs_in_leglab_run(knee, tmp_path):
 @pytest.mark.slow("whole diagnosis of a bench")
 def test_coefficients_have_names_in_a_machine(knee, tmp_path):
     _, better = knee
-    machine = Machine(better.write(tmp_path))
+    machine = Machine(better.write(tmp_path)[0])
     spline = better.remainder.parts[0].terms["position"]
     assert machine.parameter("knee_remainder", "position_3") == pytest.approx(
         spline.coefficients[3], rel=1e-6

@@ -38,8 +38,7 @@ def machine(request, tmp_path):
 def written(machine, values, folder):
     problem = SimpleNamespace(machine=machine, library=Library(machine))
     folder.mkdir(exist_ok=True)
-    write_model(problem, Hypothesis(values), folder)
-    return folder / "improved.xml"
+    return write_model(problem, Hypothesis(values), folder)[0]
 
 
 def usual(site):
