@@ -26,9 +26,17 @@ _BLOCKS = 4
 # Odds of a valve's state that nothing names against a map that learns without knowing of any.
 _UNNAMED = 0.03
 
-# What positive or negative commands need more where a side of the valve gives three quarters of its
-# flow, which is less than a worn edge leaves.
-_SIDE = 1.0 / 3.0
+# Such states beside plays: null shift, dead band, play, what either side needs more. As large as a
+# change has to be to be worth a state: a map that learns finds the way to twice or half of it.
+_STATES = np.array(
+    [
+        (0.02, 0.0, 0.0, 0.0, 0.0),
+        (-0.02, 0.0, 0.0, 0.0, 0.0),
+        (0.0, 0.02, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 1 / 3, 0.0),
+        (0.0, 0.0, 0.0, 0.0, 1 / 3),
+    ]
+)
 
 
 class _Proposed(NamedTuple):
@@ -91,9 +99,9 @@ class BankController(AdaptiveController):
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
         self._config = config
-        self._states = np.zeros((len(config.plays) + 2, 5))
-        self._states[:-2, 2] = config.plays
-        self._states[[-2, -1], [3, 4]] = _SIDE
+        self._states = np.zeros((len(config.plays) + len(_STATES), 5))
+        self._states[: len(config.plays), 2] = config.plays
+        self._states[len(config.plays) :] = _STATES
         self._report = {**self.adaptation.report, **self.monitor.report, **self.health.report}
         self._corrects, self._stopped = config.corrects, False
 
