@@ -186,5 +186,5 @@ def _ratios(found: list[dict[str, Any]], label: str) -> np.ndarray:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--specimens", type=int, default=2, help="how many, exact and rough")
+    parser.add_argument("--specimens", type=int, default=1, help="how many, exact and rough")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
