@@ -1,4 +1,4 @@
-"""improved.xml is the user's own text but for what is named or has moved, by the command."""
+"""improved.xml differs from the user's file only where a parameter is named or has moved."""
 
 import json
 import subprocess

@@ -5,7 +5,7 @@
 // Each thread steps on data of its own and takes a machine's state in and out: that of hundreds of
 // machines fits the caches, their whole data does not, and bare steps then take twice the time. What
 // follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
-// Nor do their models fit: machines step on one copy while their own models are equal to it.
+// Their models do not fit the caches either: machines with equal models step on one copy.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
@@ -44,7 +44,7 @@ bool same(const mjModel& a, const mjModel& b) {
 
 struct Machine {
   const mjModel* own = nullptr;    // which the scenario changes
-  const mjModel* model = nullptr;  // on which it steps: its own or the common one
+  const mjModel* model = nullptr;  // stepped: its own or the common one
   mjData* data = nullptr;
   Series series;
   std::unique_ptr<loop::Sensing> sensing;

@@ -208,8 +208,8 @@ class AdaptiveFeedforward {
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // What to send in a contest: each map's own command, by its own state, for a flow as a share of
-  // full speed beyond what it predicts, and a command beside it.
+  // Mean of the commands of all maps, weighted by their shares: each map predicts the flow beyond
+  // `share` of full speed, adds the feedback `beside` and inverts its state of the valve.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {

@@ -160,7 +160,8 @@ class Contenders {
 
   double forget_, gather_, errors_, floor_, window_;
   std::vector<Other> others_;
-  std::vector<double> weight_, error_, sum_, ratio_, said_;  // of the map without a contender, and of each
+  // Of the map without a contender, and of each contender.
+  std::vector<double> weight_, error_, sum_, ratio_, said_;
 };
 
 }  // namespace leglab::feedforward

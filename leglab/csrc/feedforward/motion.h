@@ -40,7 +40,7 @@ class SmoothingWindow {
     smooth(flow_, 0, flow);
   }
 
-  // Values of a series that is kept beside the window, of numbers as `size` says.
+  // A further series of `size` numbers, of the same samples, that the caller keeps.
   std::size_t size() const { return flow_.size(); }
   const double* position(int k) const { return position_.data() + row_at(k) * joints_; }
   const double* command(int k) const { return command_.data() + row_at(k) * joints_; }

@@ -20,9 +20,9 @@ struct ValveSettings {
   double state_noise = 0.0;  // errors of flow that are noise [share of full speed]
 };
 
-// State of one valve beyond its calibrated map, by which a command x for the calibrated valve becomes
-//   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1), and half of the play where u moves up,
-// less where it moves down, with `more` of the side that x is on [valve command; 1 for `more`].
+// State of one worn valve. The command u that gives the flow of the calibrated valve at command x is
+//   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1) + play/2 sign(du/dt)
+// with `more` of the sign of x [valve command; 1 for `more`] and the width w of `knee`.
 using ValveShape = std::array<double, 5>;
 enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 
@@ -30,8 +30,8 @@ enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 // spool half its width late (Krasnosel'skii and Pokrovskii 1989); its inverse, and that of the rest,
 // is `command`. What more of the state in use would change of the flow, and the map cannot tell,
 // shows how much of it there is: least mean squares of the map's errors.
-// Neither play nor dead band is wider than an eighth of the travel of its command: one that eats the
-// command predicts any motion, since it lets nothing of what was sent through.
+// Play and dead band are limited to a quarter of the command's recent range: a wider one would pass
+// so little of the command that it fits any motion.
 class ValveStates {
  public:
   static constexpr int in_use = -1;  // place of the state in use; proposed ones count from 0
@@ -149,7 +149,7 @@ class ValveStates {
     }
   }
 
-  // What to send for a command to the calibrated valve.
+  // Command to the worn valve that gives the calibrated valve's flow at the command `wanted`.
   double command(int place, std::size_t j, double wanted) const {
     const ValveShape shape = this->shape(place, j);
     return shape[SHIFT] + wanted * gain(shape, wanted) +
@@ -180,8 +180,8 @@ class ValveStates {
     return 1.0 + shape[command > 0.0 ? MORE_POSITIVE : MORE_NEGATIVE];
   }
 
-  // Where a dead band begins: beyond what is no turn. So wide that the slope stays above that of a
-  // side's least gain where overlap is worn away.
+  // Half width w of the ramp through the dead band: twice the smallest change that counts as a turn.
+  // Four times a negative dead band (worn overlap), so that u(x) stays strictly increasing.
   double knee(const ValveShape& shape) const {
     return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
   }
