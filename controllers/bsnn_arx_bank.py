@@ -98,6 +98,8 @@ class BankController(AdaptiveController):
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
+        # Part of a share that is of the latest block, in a mean over a stride.
+        self._latest = min(1.0, period * config.monitor.block / (pace * STRIDE))
         self._config = config
         self._states = np.zeros((len(config.plays) + len(_STATES), 5))
         self._states[: len(config.plays), 2] = config.plays
@@ -125,6 +127,7 @@ class BankController(AdaptiveController):
         self._stopped = self._tried = False
         self._closed: float | None = None
         self._proposed: dict[tuple[str, str], _Proposed] = {}
+        self._shares = np.zeros(1)
         self._recent: deque[np.ndarray] = deque(maxlen=_BLOCKS)
 
     def freeze(self) -> None:
@@ -154,19 +157,27 @@ class BankController(AdaptiveController):
             self._propose(proposal)
 
     def _end(self, time: float) -> None:
-        """Ends a contest some time after its case: the best map may have more to learn."""
-        if not self.adaptation.contenders or (self.monitor.busy and self._closed is None):
+        """Ends a contest some time after its case: the best map may have more to learn.
+
+        The best one has the largest share in the mean over a stride: in parts of it others may.
+        """
+        if not self.adaptation.contenders:
+            self._shares = np.zeros(1)
             return
         shares = self.adaptation.shares()
+        usual = np.pad(self._shares, (0, len(shares) - len(self._shares)))
+        self._shares = usual + self._latest * (shares - usual)
+        if self.monitor.busy and self._closed is None:
+            return
+        best = int(np.argmax(self._shares))
         if self._closed is None:
-            self.adaptation.narrow()
+            self.adaptation.narrow(best)
             self._closed = time
         if self.monitor.busy or time > self._closed + self._after:
-            self.adaptation.settle()
+            self.adaptation.settle(best)
         if not self.adaptation.contenders:
-            best = int(np.argmax(shares)) - 1
             for proposed in self._proposed.values():
-                if proposed.state == best:
+                if proposed.state == best - 1:
                     self.monitor.absorb(proposed.shift)
             self._proposed.clear()
             self._tried, self._closed = False, None

@@ -280,20 +280,18 @@ class AdaptiveFeedforward:
         """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""
         return np.array(self._core.shares())
 
-    def narrow(self) -> None:
-        """Leaves `learner` and the contender with the largest share to go on.
+    def narrow(self, best: int) -> None:
+        """Leaves `learner` and a contender, by its place in `shares`, to go on.
 
         One with a state of the valves goes on alone: the other can never learn it.
         """
-        best = int(np.argmax(self.shares()))
         if best == 0 or self._with_valves[best - 1]:
-            self.settle()
+            self.settle(best)
         else:
             self._core.only(best - 1)
 
-    def settle(self) -> None:
-        """Goes on with the map that has the largest share."""
-        best = int(np.argmax(self.shares()))
+    def settle(self, best: int) -> None:
+        """Goes on with one map alone, by its place in `shares`."""
         if best > 0:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
