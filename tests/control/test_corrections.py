@@ -116,7 +116,7 @@ def test_a_map_that_won_goes_on_alone():
     other.parameters = other.parameters + 1e-3
     adaptation.propose(other, odds=9.0, error=1.0)
     np.testing.assert_allclose(adaptation.shares(), [0.1, 0.9])
-    adaptation.settle()
+    adaptation.settle(1)
     np.testing.assert_array_equal(adaptation.learner.parameters, other.parameters)
     assert adaptation.shares().tolist() == [1.0]
 
@@ -150,5 +150,6 @@ def test_hysteresis_is_found_and_undone():
 def test_no_hysteresis_is_found_where_there_is_none():
     loop = bench_loop(settings_of("bsnn_arx_bank"), [(0.0, HEALTHY), (CHANGE, SEALS)])
     loop.run()
-    loop.controller.adaptation.settle()
-    assert not loop.controller.adaptation.valves.any()
+    adaptation = loop.controller.adaptation
+    adaptation.settle(int(np.argmax(adaptation.shares())))
+    assert not adaptation.valves.any()
