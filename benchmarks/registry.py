@@ -105,8 +105,7 @@ BENCHMARKS = {
             "live_names_elsewhere",
             15,
             script="live_names",
-            options="--specimens 3 --elsewhere '12-bit encoders with 15 times the noise,squat,"
-            "squat on the ground,another fault 5 s before'",
+            options="--specimens 3 --elsewhere",
             title="Live names under other conditions, and of faults that come and go",
         ),
         _kept("health", 20),
