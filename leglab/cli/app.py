@@ -12,6 +12,7 @@ from leglab.cli.conventions import Command, Commands, execute, exit_status, expl
 from leglab.cli.convert import convert, inspect
 from leglab.cli.diagnose import diagnose
 from leglab.cli.doctor import doctor
+from leglab.cli.fit import fit
 from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
@@ -27,7 +28,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, sweep, query, benchmark, diagnose, improve, convert, inspect, video, report,
+    compare, sweep, query, benchmark, diagnose, improve, fit, convert, inspect, video, report,
     index, view, run, list_names, tune, replicate, verify, parameters, doctor,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -61,6 +61,10 @@ EXAMPLES = {
         "leglab improve knee_bench rec/*.parquet --out out/better",
         "leglab improve axis.xml log.mcap --columns map.toml --no-effects",
     ),
+    "fit": (
+        "leglab fit axis.xml log.mcap --parameter slide:armature --parameter "
+        "slide:coulomb_friction=0:50",
+    ),
     "convert": (
         "leglab convert run.parquet run.mat",
         "leglab convert log.mcap run.parquet --columns map.toml",

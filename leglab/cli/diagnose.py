@@ -108,7 +108,7 @@ def diagnose(
     if as_json:
         print_json(result.to_json(), ascii_only=False)
     else:
-        _show(result, out)
+        show_diagnosis(result, out)
 
 
 def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:
@@ -123,7 +123,7 @@ def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:
         raise SettingsError(told, given=min(both), allowed="one of both")
 
 
-def _show(result: "Diagnosis", out: Path) -> None:
+def show_diagnosis(result: "Diagnosis", out: Path) -> None:
     """Prints the verdict in words and tables."""
     from leglab.diagnosis.verdict import output as results
     from leglab.report.diagnosis.words import facts, headline, smaller_words

@@ -15,7 +15,7 @@ from leglab.base.notebook import data_frame, html_table, panels
 from leglab.base.scale import rms
 from leglab.diagnosis.thresholds import ONSET_WIDE, ROOM
 
-Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing"]
+Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing", "fitted"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,6 +278,8 @@ class Diagnosis:
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
+        covariance: Of fitted parameters: ELEMENT:EFFECT.PARAMETER of each, and [SI units] shape
+            (parameters, parameters); None of a diagnosis.
         missing: Reasons why parts of the result are missing, by part
             (`leglab.base.output.piece`).
         rollouts: Replays of all windows that it took.
@@ -303,6 +305,7 @@ class Diagnosis:
     moved: tuple[Moved, ...] = ()
     changed: tuple[str, ...] = ()
     learned: str = ""
+    covariance: tuple[tuple[str, ...], np.ndarray] | None = None
     missing: dict[str, str] = field(default_factory=dict)
     rollouts: float = 0.0
     seconds: float = 0.0
@@ -426,6 +429,8 @@ class Diagnosis:
                 for one in self.moved
             ],
             "changed": self.changed,
+            "covariance": self.covariance
+            and {"parameters": self.covariance[0], "matrix": self.covariance[1].tolist()},
             "missing": self.missing or None,
         }
         return {key: _plain(value) for key, value in content.items()}

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -106,18 +107,8 @@ def _told(
 ) -> result.Diagnosis:
     """The verdict of a judged search; `remarks` are those on the recordings."""
     final, problem, floors = outcome.final, outcome.about, outcome.floors()
-    models = {"before": Hypothesis(), "baseline": outcome.baseline, "after": final}
-    squares = {name: problem.noise_levels(h) for name, h in models.items()}
-
-    def levels(windows: np.ndarray) -> dict[str, Any]:
-        return {name: result.root_mean(square[windows]) for name, square in squares.items()}
-
-    owners = [problem.replay.recording == i for i in range(len(problem.series))]
-    recordings = tuple(
-        result.RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
-        for series, own in zip(problem.series, owners, strict=True)
-    )
-    remarks = [*remarks, *notes(problem), *by_states(problem, logged, squares["after"])]
+    errors = errors_of(problem, outcome.baseline, final)
+    remarks = [*remarks, *notes(problem), *by_states(problem, logged, problem.noise_levels(final))]
     remarks += at_limits(problem.library, {key: final[key] for key in outcome.named})
     held, shown, unnamed, compared = problem.judged, problem.judged, math.nan, None
     if outcome.named:
@@ -131,33 +122,47 @@ def _told(
                 "over all recordings"
             )
         compared = result.root_mean(without[shown]), result.root_mean(with_it[shown]), 1.0
-    gap = result.Gap(
-        held_out=tuple(r.name for r in recordings if r.held_out),
-        unnamed=unnamed,
-        compared=compared,
-        healthy=result.root_mean(floors[held]) if outcome.specimen else None,
-        **levels(held),
-    )
+    healthy = result.root_mean(floors[held]) if outcome.specimen else None
+    gap = replace(errors["gap"], unnamed=unnamed, compared=compared, healthy=healthy)
     verdict, effects, smaller = _effects(outcome, gap, shown)
     return result.Diagnosis(
         verdict=verdict,
         effects=effects,
         smaller=smaller,
-        where=isolate(problem),
         not_testable=_not_testable(outcome),
-        gap=gap,
-        recordings=recordings,
-        remaining=_remaining(problem, final),
-        whole=whole_recording(problem, final),
+        **{**errors, "gap": gap},
         calibration=_calibration(outcome.specimen) if outcome.specimen else None,
         ranking=_ranking(outcome.found),
         rivals=(_rivals(outcome.judged.rows[:BEST_SETS]),),
-        traces=traces(problem, final),
         next_experiment=_next_experiment(outcome),
         notes=tuple(remarks),
         rollouts=problem.replay.rollouts,
         seconds=perf_counter() - began,
     )
+
+
+def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict[str, Any]:
+    """Errors of a model as it was, recalibrated and after, as fields of a `Diagnosis`."""
+    models = {"before": Hypothesis(), "baseline": baseline, "after": final}
+    squares = {name: problem.noise_levels(h) for name, h in models.items()}
+
+    def levels(windows: np.ndarray) -> dict[str, Any]:
+        return {name: result.root_mean(square[windows]) for name, square in squares.items()}
+
+    owners = [problem.replay.recording == i for i in range(len(problem.series))]
+    recordings = tuple(
+        result.RecordingGap(name=series.name, held_out=bool(problem.held[own].any()), **levels(own))
+        for series, own in zip(problem.series, owners, strict=True)
+    )
+    held_out = tuple(r.name for r in recordings if r.held_out)
+    return {
+        "where": isolate(problem),
+        "gap": result.Gap(held_out=held_out, **levels(problem.judged)),
+        "recordings": recordings,
+        "remaining": _remaining(problem, final),
+        "whole": whole_recording(problem, final),
+        "traces": traces(problem, final),
+    }
 
 
 def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:

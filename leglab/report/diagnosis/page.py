@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from leglab.base.output import cannot_write, piece, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis import words
@@ -65,6 +67,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         sections=words.sections(result, model),
         tables=(
             _effects_table(result),
+            _correlation_table(result),
             _remaining_table(result),
             _gap_table(result),
             *_calibration_tables(result),
@@ -100,8 +103,19 @@ def _effects_table(result: Diagnosis) -> Table:
     names = ("effect", "element", "parameter", "unit", "value", "95 % interval")
     head = (*names, result.nominal_words, "confidence", "of the gap")
     changed = "What changed" if result.calibration else "Missing effects"
+    changed = "Fitted parameters" if result.verdict == "fitted" else changed
     # A further parameter of an effect has an empty first cell, which heads no row.
     return Table(caption=changed, head=head, rows=rows, words=4, heads=False)
+
+
+def _correlation_table(result: Diagnosis) -> Table:
+    names, matrix = result.covariance or ((), np.zeros((0, 0)))
+    spread = np.sqrt(np.diag(matrix))
+    rows = [
+        [name, *(f"{matrix[i, j] / (spread[i] * spread[j]):.2f}" for j in range(len(names)))]
+        for i, name in enumerate(names if len(names) > 1 else ())
+    ]
+    return Table(caption="Correlation of the estimates", head=("parameter", *names), rows=rows)
 
 
 def _remaining_table(result: Diagnosis) -> Table:

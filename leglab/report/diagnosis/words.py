@@ -5,7 +5,7 @@ All texts are plain: whoever puts them into a page escapes them.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -70,6 +70,8 @@ def headline(result: Diagnosis) -> str:
     """The verdict in one sentence."""
     found = listed(tuple(_at(e) for e in result.effects))
     since = result.calibration is not None
+    if result.verdict == "fitted":
+        return f"Fitted: {found}."
     if result.verdict == "named":
         start = "Changed since the healthy recordings" if since else "The simulation is missing"
         return f"{start}: {found}."
@@ -132,6 +134,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
     Of several effects each stands on a line of its own.
     """
     changed = "Changed" if result.calibration else "Missing"
+    changed = "Fitted" if result.verdict == "fitted" else changed
     if result.effects:
         told = ([_named(e), *_values(e, result.nominal_words)] for e in result.effects)
         missing = ";\n".join(f"{name}: {', '.join(v)}" if v else name for name, *v in told)
@@ -141,6 +144,8 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         sure = "; ".join(each)
         if len(each) == 1:
             sure = f"{percent(result.effects[0].confidence)} that the name is right"
+        if result.verdict == "fitted":
+            sure = ""
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
     else:
@@ -171,6 +176,15 @@ def _mostly(result: Diagnosis) -> str:
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
     """Questions a reader has about the diagnosis of a model, in the order in which they ask."""
     before, unexplained = result.calibration, result.verdict == "unexplained"
+    if result.verdict == "fitted":
+        answers = {
+            "What was looked at": _looked_at(result, model),
+            "What was fitted": _missing(result),
+            "What is left": _costs(result),
+            "Where": _where(result),
+            "Remarks": tuple(f"{capital(note).rstrip('.')}." for note in result.notes),
+        }
+        return _answered(answers)
     answers = {
         "What was looked at": _looked_at(result, model),
         "The specimen before": _before(before) if before else (),
@@ -181,6 +195,11 @@ def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
         "What cannot be told": _untold(result),
         "Next experiment": _next(result),
     }
+    return _answered(answers)
+
+
+def _answered(answers: Mapping[str, tuple[str, ...]]) -> tuple[Section, ...]:
+    """Those that have an answer."""
     return tuple(Section(title=title, lines=lines) for title, lines in answers.items() if lines)
 
 
@@ -365,11 +384,14 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
     judged = "No recording was kept apart: the verdict is judged on the data of the fit."
     if held:
         judged = f"{listed(held)} was kept from all fits; the verdict is judged on it."
+    tried = f"{len(result.ranking)} possible effects tried, alone and together"
+    if result.verdict == "fitted":
+        judged = judged.replace("the verdict is", "the fit is")
+        tried = f"{sum(len(e.parameters) for e in result.effects)} parameters, no search"
     return (
         f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(names)}.",
         judged,
-        f"{len(result.ranking)} possible effects tried, alone and together, "
-        f"{result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s.",
+        f"{tried}, {result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s.",
     )
 
 

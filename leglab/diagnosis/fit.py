@@ -1,0 +1,287 @@
+"""Fits parameters of the user's choice to recordings: least squares on replays, without a search.
+
+Bounds are the only prior. Errors of neighbouring windows are alike, so the covariance is that of
+parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika 73, 13).
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from leglab.base.errors import SettingsError
+from leglab.base.recording import Recording
+from leglab.base.threads import one_blas_thread
+from leglab.diagnosis import result
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
+from leglab.diagnosis.intake.recordings import split_held_out
+from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.evidence import parts_of
+from leglab.diagnosis.likelihood.unknowns import Unknowns
+from leglab.diagnosis.plant.model import Machine
+from leglab.diagnosis.replay.residual import Problem, robust_weight
+from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.thresholds import DEFAULT, FINE
+from leglab.diagnosis.verdict.notes import notes
+from leglab.diagnosis.verdict.verdict import errors_of
+
+# Weights of windows follow from the fit with the weights before.
+_ROUNDS = 2
+
+
+class Wanted(NamedTuple):
+    """A parameter to fit, as `ELEMENT:NAME`, or `ELEMENT:NAME=LOWER:UPPER` in SI units."""
+
+    element: str  #: Joint, actuator, body or plugin instance
+    name: str  #: Of the effect, of its parameter, or EFFECT.PARAMETER
+    lower: float = -inf
+    upper: float = inf
+
+    @classmethod
+    def parse(cls, text: str) -> "Wanted":
+        """Reads it from text.
+
+        Raises:
+            LeglabError: It is not of this form.
+        """
+        what, _, bounds = text.partition("=")
+        element, _, name = what.partition(":")
+        try:
+            lower, upper = map(float, bounds.split(":")) if bounds else (-inf, inf)
+        except ValueError:
+            lower, upper = inf, -inf
+        if not (element and name and lower < upper):
+            raise SettingsError(
+                f"--parameter {text!r} is no parameter; allowed: ",
+                given=text,
+                allowed="ELEMENT:NAME or ELEMENT:NAME=LOWER:UPPER, as knee:coulomb_friction=0.1:5",
+            )
+        return cls(element, name, lower, upper)
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterFit:
+    """Fitted parameters.
+
+    Attributes:
+        result: Estimates, their covariance, errors and figures, as the page shows them.
+        problem: Recordings and machine.
+        hypothesis: The fitted values.
+    """
+
+    result: result.Diagnosis
+    problem: Problem
+    hypothesis: Hypothesis
+
+
+@one_blas_thread()
+def fit(
+    model: str | Path | Machine,
+    recordings: Mapping[str, Recording],
+    parameters: Sequence[Wanted],
+    *,
+    held_out: Iterable[str] | None = None,
+    settings: DiagnosisSettings | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ParameterFit:
+    """Fits parameters of a model to recordings.
+
+    Args:
+        model: MJCF file, the name of a model that ships with leglab, or its machine.
+        recordings: By name.
+        parameters: What is fitted, with bounds.
+        held_out: Names of the recordings that no fit sees; None for the choice of `split_held_out`.
+        settings: Threads and thresholds.
+        progress: Called with a line on what is being done.
+
+    Raises:
+        LeglabError: Model or recordings cannot be used, or a parameter is not of the machine.
+    """
+    began, settings = perf_counter(), settings or DiagnosisSettings()
+    machine = model if isinstance(model, Machine) else Machine(model)
+    places = [_place(Library(machine), wanted) for wanted in parameters]
+    if held_out is None:
+        recordings, held_out = split_held_out(machine, recordings, (), settings.thresholds)
+    effects = tuple({key[0] for key, _ in places})
+    problem = set_up(machine, recordings, held_out, replace(settings, effects=effects))
+    fitted = _Fitted(problem, places, parameters)
+    for round_ in range(_ROUNDS):
+        fitted.solve(progress, round_)
+    return fitted.told(began)
+
+
+def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
+    """The parameter of the library that is meant: effect, element and number."""
+    own = [
+        (key, i, p)
+        for key, site in sorted(library.sites.items())
+        if key[1] == wanted.element
+        for i, p in enumerate(site.parameters)
+    ]
+    ways: tuple[Callable[[Key, str], bool], ...] = (
+        lambda key, name: f"{key[0]}.{name}" == wanted.name,
+        lambda key, _: key[0] == wanted.name,
+        lambda _, name: name == wanted.name,
+    )
+    for way in ways:
+        found = [(k, i) for k, i, p in own if p.role == "strength" and way(k, p.name)]
+        found = found or [(k, i) for k, i, p in own if way(k, p.name)]
+        if len(found) == 1:
+            return found[0]
+    elements = ", ".join(sorted({element for _, element in library.sites}))
+    names = ", ".join(f"{key[0]}.{p.name}" for key, _, p in own)
+    asked = f"{wanted.element}:{wanted.name}"
+    told = f"--parameter {asked!r} names no parameter of this machine, or several; allowed: "
+    allowed = f"of {wanted.element}: {names}" if own else f"an element of {elements}"
+    raise SettingsError(told, given=asked, allowed=allowed)
+
+
+class _Fitted:
+    """Least squares over departures of single unknowns, in smallest trials."""
+
+    def __init__(
+        self, problem: Problem, places: Sequence[tuple[Key, int]], wanted: Sequence[Wanted]
+    ) -> None:
+        self._problem, self._places = problem, places
+        self._remarks: list[str] = []
+        unknowns = Unknowns.of(problem.library)
+        self._errors = Errors(problem, unknowns, problem.fitted)
+        self._unknowns = [unknowns.places.index((place,)) for place in places]
+        ends = np.array([self._bounds(*pair) for pair in zip(places, wanted, strict=True)])
+        self._lower, self._upper = ends.T
+        self._z = np.clip(np.zeros(len(places)), self._lower, self._upper)
+        self._weight = np.ones(int(problem.fitted.sum()))
+
+    def _bounds(self, place: tuple[Key, int], wanted: Wanted) -> tuple[float, float]:
+        key, i = place
+        p = self._problem.library.sites[key].parameters[i]
+        lower, upper = max(wanted.lower, p.lower), min(wanted.upper, p.upper)
+        if np.isfinite(wanted[2:]).any() and (lower, upper) != wanted[2:]:
+            self._remarks.append(
+                f"{wanted.element}:{wanted.name} is fitted within [{lower:g}, {upper:g}] {p.unit}: "
+                "the effect has no other values"
+            )
+        if not lower < upper:
+            raise SettingsError(
+                f"--parameter {wanted.element}:{wanted.name}: the bounds leave nothing; allowed: ",
+                given=f"{wanted.lower:g}:{wanted.upper:g}",
+                allowed=f"within [{p.lower:g}, {p.upper:g}] {p.unit}",
+            )
+        return p.from_nominal(lower) / p.scale, p.from_nominal(upper) / p.scale
+
+    def _hypothesis(self, z: np.ndarray) -> Hypothesis:
+        by = dict(zip(self._unknowns, z.tolist(), strict=True))
+        return self._errors.unknowns.moved(Hypothesis(), by)
+
+    def _white(self, errors: np.ndarray) -> np.ndarray:
+        """Weighted whitened errors, (windows, size)."""
+        noise = self._problem.noise.whitening[self._errors.chosen]
+        white = np.einsum("wij,wj->wi", noise, errors[:, : self._errors.size])
+        return np.asarray(np.sqrt(self._weight)[:, None] * white)
+
+    def _residual(self, z: np.ndarray) -> np.ndarray:
+        return self._white(self._errors.at(self._hypothesis(z)))
+
+    def _jacobian(self, z: np.ndarray) -> np.ndarray:
+        """Differences over small steps, away from an upper bound, (windows, size, parameters)."""
+        step = np.maximum(FINE[0], FINE[1] * np.abs(z))
+        step = np.where(z + step > self._upper, -step, step)
+        points = [z, *(z + row for row in np.diag(step))]
+        found = self._errors.each([self._hypothesis(point) for point in points])
+        here, *moved = map(self._white, found)
+        return np.stack([(one - here) / h for one, h in zip(moved, step, strict=True)], axis=2)
+
+    def solve(self, progress: Callable[[str], None], round_: int) -> None:
+        """Fits, and weighs windows anew by how unusual their errors are."""
+        count = len(self._places)
+
+        def flat(z: np.ndarray) -> np.ndarray:
+            white = self._residual(z).ravel()
+            progress(f"round {round_ + 1} of {_ROUNDS}: {np.sqrt(np.mean(white**2)):.4g}")
+            return white
+
+        found = least_squares(
+            flat,
+            self._z,
+            jac=lambda z: self._jacobian(z).reshape(-1, count),
+            bounds=(self._lower, self._upper),
+            x_scale="jac",
+            ftol=1e-6,
+            xtol=1e-6,
+        )
+        self._z = found.x
+        square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
+        self._weight = robust_weight(square / max(float(np.median(square)), 1.0))
+
+    def _covariance(self) -> np.ndarray:
+        """Of the departures, by parts of the recordings, (parameters, parameters)."""
+        jacobian, white = self._jacobian(self._z), self._residual(self._z)
+        part = parts_of(self._errors.recording)
+        bread = np.linalg.pinv(np.einsum("wip,wiq->pq", jacobian, jacobian))
+        slopes = np.einsum("wip,wi->wp", jacobian, white)
+        sums = np.stack([slopes[part == k].sum(axis=0) for k in range(int(part.max()) + 1)])
+        few = len(sums) / max(len(sums) - 1, 1)
+        # Never surer than noise alone allows.
+        return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
+
+    def told(self, began: float) -> ParameterFit:
+        """The fit, with what its page shows."""
+        problem, library = self._problem, self._problem.library
+        final, covariance = self._hypothesis(self._z), self._covariance()
+        rows = [library.sites[key].parameters[i] for key, i in self._places]
+        values = np.array([final[key][i] for key, i in self._places])
+        steps = np.array([p.step(v) for p, v in zip(rows, values.tolist(), strict=True)])
+        covariance = covariance * np.outer(steps, steps)
+        parts = int(parts_of(self._errors.recording).max())
+        half = float(student.ppf(0.975, max(parts, 1))) * np.sqrt(np.diag(covariance))
+        names = tuple(
+            f"{key[1]}:{key[0]}.{p.name}" for (key, _), p in zip(self._places, rows, strict=True)
+        )
+        near = DEFAULT.same * np.maximum(np.abs(self._z), 1.0)
+        ends = (self._z <= self._lower + near) | (self._z >= self._upper - near)
+        bound = [name for name, end in zip(names, ends, strict=True) if end]
+        estimates: dict[Key, list[result.Estimate]] = {}
+        for (key, i), p, value, h in zip(
+            self._places, rows, values.tolist(), half.tolist(), strict=True
+        ):
+            interval = max(p.lower, value - h), min(p.upper, value + h)
+            nominal = float(library.sites[key].nominal[i])
+            estimates.setdefault(key, []).append(
+                result.Estimate(
+                    name=p.name, unit=p.unit, value=value, nominal=nominal, interval=interval
+                )
+            )
+        remarks = self._remarks + [f"{name} ended at a bound" for name in bound]
+        told = result.Diagnosis(
+            verdict="fitted",
+            effects=tuple(
+                result.NamedEffect(
+                    name=key[0],
+                    element=key[1],
+                    group=library.sites[key].effect.group,
+                    physics=library.sites[key].effect.physics,
+                    onset=(),
+                    confidence=np.nan,
+                    contribution=np.nan,
+                    parameters=tuple(own),
+                    indistinguishable_from=(),
+                )
+                for key, own in estimates.items()
+            ),
+            **errors_of(problem, Hypothesis(), final),
+            not_testable=(),
+            ranking=(),
+            rivals=(),
+            next_experiment=None,
+            notes=(*notes(problem), *remarks),
+            covariance=(names, covariance),
+            rollouts=problem.replay.rollouts,
+            seconds=perf_counter() - began,
+        )
+        return ParameterFit(told, problem, final)
