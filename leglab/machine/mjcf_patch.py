@@ -150,7 +150,9 @@ def _same(old: str | None, new: str | None) -> bool:
         pairs = [*zip(map(float, old.split()), map(float, new.split()), strict=True)]
     except ValueError:
         return False
-    return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=1e-12) for a, b in pairs)
+    # A component of a vector is compared with the whole: leakages are of 1e-13, directions round.
+    rounding = _SAME * max((abs(a) for a, _ in pairs), default=0.0) if len(pairs) > 1 else 0.0
+    return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=rounding) for a, b in pairs)
 
 
 def _parsed(text: str, folder: Path, file: Path | None = None) -> "_Node":

@@ -58,6 +58,13 @@ def test_every_effect_is_written_at_its_bounds(machine, tmp_path):
                     pytest.fail(f"{key} {p.name} = {end:g}: {error}")
 
 
+def test_a_leakage_of_1e_13_is_written(tmp_path):
+    path = written(
+        Machine("knee_bench"), {("internal_leakage", "knee_valve"): np.array([3e-14])}, tmp_path
+    )
+    assert Machine(path).parameter("knee_valve", "internal_leakage") == pytest.approx(3e-14)
+
+
 def test_an_improved_model_is_improved_again_and_again(machine, tmp_path):
     for turn in range(3):
         sites = Library(machine).sites
