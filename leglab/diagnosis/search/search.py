@@ -12,6 +12,7 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.likelihood.twins import scale_twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
@@ -184,6 +185,17 @@ def search(
             again.add((late.keys, point.keys))
             there = Candidate(late.members, {}, point.columns, point.spread, point.weight)
             run(there, beside=True, renewals=thresholds.RENEWALS)
+            continue
+        # What moves alike whatever was recorded is a rival of every good set.
+        twins = (
+            Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
+            for r in near
+            for names, moves in scale_twins(problem, u, r.fit.members, r.fit.columns.x)
+            if frozenset(names) not in tried
+        )
+        if twin := next(twins, None):
+            tried.add(frozenset(twin.members))
+            run(twin, beside=True, renewals=thresholds.RENEWALS)
             continue
         # What was proposed last is a rival now, or was in vain.
         vain = (
