@@ -32,6 +32,7 @@ def _limit(unit: str, of: str, size: float, most: float, inner: float = 0.0) -> 
         lower=inner + _LEAST * min(size, most - inner),
         upper=most,
         trials=tuple(inner + share * (most - inner) for share in _SHARES),
+        inverse=True,  # a step is a share of the limit, however small it is beside what is asked
         limit_of=of,
     )
 

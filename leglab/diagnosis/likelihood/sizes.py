@@ -164,10 +164,9 @@ def _limited(p: EffectParameter, largest: float) -> EffectParameter:
     most = min(p.nominal, largest)
     if most <= p.lower:
         return p  # nothing comes near a limit
-    # The secant of the largest trial of other parameters ends at twice its size; one more trial
-    # reaches the rest.
-    shares = (*TRIALS, 1.0 - TRIALS[-1])
-    trials = tuple(t for t in (most * (1.0 - share) for share in shares) if t > p.lower)
+    # A little, some or much is cut off, or left.
+    shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
+    trials = tuple(most * share for share in shares if most * share > p.lower)
     return replace(p, nominal=most, upper=most, trials=trials or p.trials)
 
 
