@@ -1,6 +1,6 @@
 """Limits of a drive: of its command, and of the force that it puts on its joint."""
 
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -22,7 +22,9 @@ _SHARES, _UNLIMITED = (0.98, 0.9, 0.5, 0.2), 1e6
 _LEAST = 0.01  # of what matters: a lower limit is a drive that is off
 
 
-def _limit(unit: str, of: str, size: float, most: float, inner: float = 0.0) -> EffectParameter:
+def _limit(
+    unit: str, of: Literal["command", "force"], size: float, most: float, inner: float = 0.0
+) -> EffectParameter:
     """A limit from `inner` to `most`, at which it changes nothing; `size` is what matters."""
     most = min(most, inner + _UNLIMITED * size)
     return EffectParameter(

@@ -86,15 +86,20 @@ class SpeedGainAsymmetry(CommandGainAsymmetry):
 
 
 @register_effect
-class CommandDeadbandAsymmetry(CommandDeadband):
+class CommandDeadbandAsymmetry(CommandEffect):
     """A valve's edges overlap more on one side, or its null has moved within its overlap."""
 
     name = "command_deadband_asymmetry"
     physics = "u - d_1 beyond d_1 > 0, u + d_2 beyond -d_2 < 0, nothing between"
     source = "overlapped spools: null shift within 2 % (type 30 data sheets)"
+    excitation = "commands through zero"
     contains = ("command_deadband",)
     by_direction = (("dead_band_positive", "dead_band_negative"),)
     rows = tuple(
         SizedRow(name, "ctrl", (0.01, 0.05, 0.2), upper=0.5, size=command_size)
         for name in by_direction[0]
     )
+
+    def elements(self, machine: Machine) -> tuple[str, ...]:
+        """Native actuators but position servos."""
+        return CommandDeadband().elements(machine)
