@@ -1,6 +1,7 @@
 """Native valves and stages that pass commands of either sign in another way."""
 
 import mujoco
+import numpy as np
 
 from leglab.diagnosis.effects.base import EffectParameter, Values, register_effect
 from leglab.diagnosis.effects.command import (
@@ -12,6 +13,7 @@ from leglab.diagnosis.effects.command import (
 )
 from leglab.diagnosis.effects.joints import SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
+from leglab.diagnosis.plant.paths import COMMAND_PATH
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _GAINS = ("gain_positive", "gain_negative")
@@ -35,6 +37,32 @@ class _Gain(CommandEffect):
     excitation = "commands of different size"
     source = "gains of valves: within 10 % (type 30 data sheets), and of their amplifiers"
 
+    def write(self, change: Change, element: str, values: Values) -> None:
+        """Writes both gains into the actuator's command path, and ends `ctrlrange` where they do.
+
+        A replay holds what reaches the actuator within its range, MuJoCo what is sent.
+        """
+        super().write(change, element, values)
+        model = change.machine.base.model.actuator(element)
+
+        def edit(spec: mujoco.MjSpec) -> None:
+            actuator, config = spec.actuator(element), _path_of(spec, element)
+            ends = []
+            for side, end in zip(("negative", "positive"), model.ctrlrange, strict=True):
+                both = (config.get(name, 0.0) for name in ("dead_band", f"dead_band_{side}"))
+                band, gain = sum(map(float, both)), values[f"gain_{side}"]
+                ends.append(end / gain + np.copysign(band, end))
+            actuator.ctrlrange = np.clip(ends, *actuator.ctrlrange)
+
+        if model.ctrllimited[0] and max(values.values()) > 1.0:
+            change.edit((self.name, element, "ctrlrange", *values.values()), edit)
+
+
+def _path_of(spec: mujoco.MjSpec, actuator: str) -> dict[str, str]:
+    """Parameters of an actuator's command path."""
+    paths = (dict(p.config) for p in spec.plugins if p.plugin_name == COMMAND_PATH)
+    return next((config for config in paths if config.get("actuator") == actuator), {})
+
 
 @register_effect
 class CommandGain(_Gain):
@@ -54,7 +82,7 @@ class CommandGain(_Gain):
         super().apply(change, element, dict.fromkeys(_GAINS, values["gain"]))
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Writes both gains into the actuator's command path."""
+        """Writes the gain to both sides."""
         super().write(change, element, dict.fromkeys(_GAINS, values["gain"]))
 
 

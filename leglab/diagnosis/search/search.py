@@ -120,6 +120,9 @@ def search(
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
     without = cache(lambda fit, key: at.without(fit.columns, fit.members, key))
+    # Beside most sets nothing comes near a limit, and a tangent does not show it.
+    limits = [jump for jump in trials(u) if u.limits[jump[0]]]
+    limited = cache(lambda fit: at.jumped(fit.columns, limits))
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
     unexplained = fitter.rms(errors)
@@ -204,7 +207,7 @@ def search(
             else vain + 1
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
-        then = None if done else next_candidate(fitter, ranks, tried, without)
+        then = None if done else next_candidate(fitter, ranks, tried, without, limited)
         if then is None:
             best = ranks[0].fit
             # What does without an effect of the best set is fitted from there.
