@@ -143,8 +143,8 @@ def next_candidate(
             row.fit.columns, row.fit.spread, row.fit.weight, kappa
         )
         add(there, row.fit.members, row.fit, 0.0)
-    if (columns := limited(best)).jumps:
-        add(fitter.evidence(columns, best.spread, best.weight, kappa), best.members, best, 0.0)
+    if (beside := limited(best)).jumps:
+        add(fitter.evidence(beside, best.spread, best.weight, kappa), best.members, best, 0.0)
     for row in [r for r in ranks[:BEST_SETS] if r.fit is best or r.fit.ended]:
         fit = row.fit
         out = fit.members if fit is best else fit.ended
