@@ -162,8 +162,8 @@ def next_candidate(
     if not found:
         return None
     score, fit, evidence = max(found, key=lambda entry: entry[0].log)
-    start, columns = evidence.departures(score), evidence.columns
-    return Candidate(score.unknowns, start, columns, fit.spread, fit.weight, score.log)
+    start = evidence.departures(score)
+    return Candidate(score.unknowns, start, evidence.columns, fit.spread, fit.weight, score.log)
 
 
 def both_ways(
