@@ -127,11 +127,12 @@ _FILES = {"scenarios": "*.py", "controllers": "*.py", "models": "*.xml"}
 # names are listed.
 _EFFECTS = (
     "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt", "cogging",
-    "command_bandwidth", "command_bias", "command_deadband", "command_delay", "command_hysteresis",
-    "encoder_scale", "force_offset", "joint_flexibility", "load_dependent_friction",
-    "pressure_dependent_friction", "pressure_sensor_offset", "pressure_sensor_scale",
-    "quadratic_damping", "sensor_delay", "spring_hardening", "spring_offset", "valve_gain",
-    "valve_gain_asymmetry", "valve_null_leakage",
+    "command_bandwidth", "command_bias", "command_deadband", "command_deadband_asymmetry",
+    "command_delay", "command_gain", "command_gain_asymmetry", "command_hysteresis",
+    "command_saturation", "encoder_scale", "force_offset", "force_saturation", "joint_flexibility",
+    "load_dependent_friction", "pressure_dependent_friction", "pressure_sensor_offset",
+    "pressure_sensor_scale", "quadratic_damping", "sensor_delay", "servo_stiffness",
+    "spring_hardening", "spring_offset", "valve_gain", "valve_gain_asymmetry", "valve_null_leakage",
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,

@@ -22,9 +22,9 @@ double play(double before, double input, double width) {
   return std::clamp(before, input - 0.5 * width, input + 0.5 * width);
 }
 
-double dead_band(double input, double half_width) {
-  if (half_width == 0.0) return input;
-  return std::abs(input) <= half_width ? 0.0 : input - std::copysign(half_width, input);
+// What a valve, or a stage, of another dead band and gain to either side passes on.
+double passed(double input, double half_width, double gain) {
+  return gain * std::copysign(std::max(std::abs(input) - half_width, 0.0), input);
 }
 
 }  // namespace
@@ -64,7 +64,9 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
 
   u = p.gain_ * u + p.bias_;
   const double behind_play = started ? play(s.play_output_, u, p.hysteresis_) : u;
-  const double x = dead_band(behind_play, p.dead_band_);
+  const bool positive = behind_play > 0.0;
+  const double width = p.dead_band_ + (positive ? p.dead_band_positive_ : p.dead_band_negative_);
+  const double x = passed(behind_play, width, positive ? p.gain_positive_ : p.gain_negative_);
   if (p.time_constant_ == 0.0) return {behind_play, x, x};
   // Mean of the exact response over the step.
   const double before = started ? s.lag_output_ : x;

@@ -158,6 +158,9 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
     const mjtNum* held = mj_readCtrl(m, d, actuator_, d->time, &between, m->actuator_history[2 * actuator_ + 1]);
     command_ = held ? *held : between;
   }
+  if (m->actuator_ctrllimited[actuator_] && !(m->opt.disableflags & mjDSBL_CLAMPCTRL)) {
+    command_ = std::clamp(command_, m->actuator_ctrlrange[2 * actuator_], m->actuator_ctrlrange[2 * actuator_ + 1]);
+  }
   if (residual_ >= 0) {
     command_ += instance_of<Residual>(d, residual_)
                     ->at(m, d, {d->actuator_length[actuator_], v_, d->actuator_force[actuator_], command_});

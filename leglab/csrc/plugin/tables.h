@@ -64,6 +64,10 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
   X(bias, "ctrl", 0.0, -1e6, 1e6, true, "added to the command")                                    \
   X(hysteresis, "ctrl", 0.0, 0.0, 1e6, true, "full width of a play")                               \
   X(dead_band, "ctrl", 0.0, 0.0, 1e6, true, "half width: below it nothing, above it u - dead_band") \
+  X(dead_band_positive, "ctrl", 0.0, 0.0, 1e6, true, "added to the half width for u > 0")           \
+  X(dead_band_negative, "ctrl", 0.0, 0.0, 1e6, true, "added to the half width for u < 0")           \
+  X(gain_positive, "1", 1.0, 0.0, 100.0, true, "factor on what passes the dead band for u > 0")     \
+  X(gain_negative, "1", 1.0, 0.0, 100.0, true, "factor on what passes the dead band for u < 0")     \
   X(time_constant, "s", 0.0, 0.0, 10.0, true, "first-order lag: bandwidth 1/(2 pi time_constant)") \
   X(servo_dead_band, "ctrl", 0.0, 0.0, 1e6, true,                                                  \
     "half width: position errors of a servo within it give no force, those beyond it less of it")   \

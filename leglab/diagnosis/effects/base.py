@@ -34,6 +34,8 @@ class EffectParameter:
         role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
             while all strengths are nominal.
         faults: On which side of the nominal value they lie; the other is a better part's.
+        limit_of: Of a limit, of the "command" or "force": its nominal value is the largest that the
+            recordings show, and trials are shares of that; "" of what is none.
         inverse: Whether motion departs in proportion to 1/value: a bandwidth acts by its lag, a
             stiffness by how far it gives way.
     """
@@ -49,6 +51,7 @@ class EffectParameter:
     role: Literal["strength", "shape"] = "strength"
     faults: Side = "either"
     inverse: bool = False
+    limit_of: Literal["", "command", "force"] = ""
 
     def __post_init__(self) -> None:
         if not self.lower <= self.nominal <= self.upper:

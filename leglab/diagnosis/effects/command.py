@@ -29,7 +29,8 @@ def write_command_path(
 ) -> None:
     """Adds to parameters of an actuator's `leglab.command_path`; inserts one if there is none.
 
-    Two delays, offsets, dead bands or plays in a row are one of their sum; two lags nearly.
+    Two delays, offsets, dead bands or plays in a row are one of their sum, two lags nearly, and two
+    gains one of their product.
     """
     path = next(
         (
@@ -40,7 +41,12 @@ def write_command_path(
         None,
     )
     old = {"actuator": actuator} if path is None else dict(path.config)
-    new = {name: float(old.get(name, 0.0)) + value for name, value in values.items()}
+    new = {
+        name: float(old.get(name, 1.0)) * value
+        if name.startswith("gain")
+        else float(old.get(name, 0.0)) + value
+        for name, value in values.items()
+    }
     if "delay" in new:
         longest = float(old.get("max_delay", _SHORTEST_HISTORY))
         new["max_delay"] = max(longest, new["delay"])
@@ -103,7 +109,8 @@ class CommandEffect(TableEffect):
 
     def write(self, change: Change, element: str, values: Values) -> None:
         """Writes the parameter into the actuator's command path."""
-        if any(values.values()):
+        rows = plugin_tables()[COMMAND_PATH].parameters
+        if any(value != rows[name].nominal for name, value in values.items()):
             change.edit(
                 (self.name, element, *values.values()),
                 lambda spec: write_command_path(spec, change.machine, element, values),

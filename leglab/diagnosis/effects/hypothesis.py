@@ -37,6 +37,11 @@ class Site:
         """Values of the model as it is, (parameters,)."""
         return np.array([p.nominal for p in self.parameters])
 
+    def changes(self, values: np.ndarray) -> bool:
+        """Whether values, (parameters,), change the model: some strength is not the model's."""
+        each = zip(self.parameters, values.tolist(), strict=True)
+        return any(p.role == "strength" and value != p.nominal for p, value in each)
+
     @property
     def lower(self) -> np.ndarray:
         """Bounds, (parameters,)."""
@@ -114,7 +119,7 @@ def _taken(
 
     Those of a large machine follow from its forces, and may go beyond.
     """
-    usual = {p.name: p.trials[0] if p.trials else p.nominal for p in parameters}
+    usual = {p.name: p.nominal for p in parameters}
 
     def takes(name: str, value: float) -> bool:
         change = Change(machine)
@@ -137,6 +142,7 @@ def _taken(
         trials = tuple(t for t in p.trials if lower <= t <= upper)
         return replace(p, lower=lower, upper=upper, trials=trials)
 
+    usual |= {p.name: p.trials[0] for p in parameters if p.trials and takes(p.name, p.trials[0])}
     return tuple(bounded(p) for p in parameters)
 
 
@@ -237,6 +243,8 @@ class Library:
         whole = self.whole(hypothesis)
         for key in sorted(whole, key=lambda k: (self.sites[k].effect.order, k)):
             site = self.sites[key]
+            if not site.changes(whole[key]):
+                continue
             act = site.effect.write if written else site.effect.apply
             act(change, site.element, site.named(whole[key]))
         return change

@@ -1,6 +1,7 @@
 """Inertia of drives, payloads and the attitude of the base."""
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,17 +52,17 @@ class Payload(Effect):
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Bodies with a name and mass that a joint moves."""
+        """Bodies with mass that a joint moves; one without a name goes by its first joint's."""
         model = machine.base.model
-        return tuple(
-            model.body(i).name
-            for i in range(1, model.nbody)
-            if model.body_jntnum[i] and model.body_mass[i] > 0 and model.body(i).name
-        )
+        found = []
+        for i in range(1, model.nbody):
+            if model.body_jntnum[i] and model.body_mass[i] > 0:
+                found.append(model.body(i).name or model.joint(model.body_jntadr[i]).name)
+        return tuple(dict.fromkeys(found))
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
         """Mass and distance."""
-        body = machine.base.model.body(element)
+        body = moved_body(machine, element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
         # Links are lighter than drawn as often as heavier; a fault is a load.
         mass = EffectParameter(
@@ -82,7 +83,7 @@ class Payload(Effect):
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
-        own = change.machine.base.model.body(element)
+        own = moved_body(change.machine, element)
         centre = own.ipos
         reach = float((centre @ centre) ** 0.5)
         position = centre * (distance / reach) if reach > 0.0 else centre
@@ -90,19 +91,28 @@ class Payload(Effect):
         name = change.machine.free_name(f"{element}_payload")
 
         def add(spec: mujoco.MjSpec) -> None:
+            body = spec.body(element) or spec.joint(element).parent
             if mass < 0.0:
-                body, share = spec.body(element), 1.0 + mass / own.mass[0]
+                share = 1.0 + mass / own.mass[0]
                 body.mass, body.inertia = share * own.mass[0], share * own.inertia
                 body.ipos, body.iquat, body.explicitinertial = own.ipos, own.iquat, True
                 body.fullinertia = np.full(6, np.nan)
                 return
-            load = spec.body(element).add_body(name=name, pos=position)
+            load = body.add_body(name=name, pos=position)
             load.mass = mass
             load.ipos = [0.0, 0.0, 0.0]  # left alone, MuJoCo puts the body's position here again
             load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo wants a positive one; a point has none
             load.explicitinertial = True
 
         change.edit(("payload", element, mass, distance), add)
+
+
+def moved_body(machine: Machine, element: str) -> Any:
+    """MuJoCo's view of a body by its name, or by that of its first joint."""
+    model = machine.base.model
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element) < 0:
+        return model.body(int(model.joint(element).bodyid[0]))
+    return model.body(element)
 
 
 @register_effect

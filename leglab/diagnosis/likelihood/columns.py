@@ -23,6 +23,8 @@ from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
 
 # Effect that scales what a drive pushes with.
 DRIVE_GAIN = "actuator_gain"
+# Effects that limit a drive's command, and its force on a joint.
+COMMAND_LIMIT, FORCE_LIMIT = "command_saturation", "force_saturation"
 # An unknown, and by how much it moves at once, in trials.
 Jump = tuple[int, float]
 
@@ -104,6 +106,11 @@ class Errors:
         if scaled:
             own = hypothesis.get(gain, problem.library.sites[gain].nominal)
             hypothesis = hypothesis.with_values(gain, LOUDER * own)
+        elif louder is not None:
+            hypothesis = _limits_scaled(hypothesis, [(COMMAND_LIMIT, louder)])
+        if louder is not None:
+            driven = problem.machine.driven[louder]
+            hypothesis = _limits_scaled(hypothesis, [(FORCE_LIMIT, joint) for joint in driven])
         made = problem.library.change(hypothesis, problem.replay.machine)
         if louder is not None and not scaled:
             made.commands.setdefault(louder, []).insert(0, lambda u, _: LOUDER * u)
@@ -242,6 +249,14 @@ def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
     replay = _served[0].problem.replay
     before = replay.rollouts
     return _served[0].at(hypothesis), replay.rollouts - before
+
+
+def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
+    """A hypothesis whose limits of a louder drive are `LOUDER` times what they are, too."""
+    for key in limits:
+        if key in hypothesis:
+            hypothesis = hypothesis.with_values(key, LOUDER * hypothesis[key])
+    return hypothesis
 
 
 def _size(pushed: np.ndarray) -> np.ndarray:

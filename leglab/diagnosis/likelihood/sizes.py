@@ -58,6 +58,8 @@ class Shown:
     #: Half the range of what each actuator acts on, by actuator; its command, or of a position
     #: servo the error of its position.
     commands: Mapping[str, float]
+    #: Largest of each "command" by actuator, and of each "force" of drives by joint.
+    largest: Mapping[tuple[str, str], float]
     period: float  #: Sampling period [s]
     change: float  #: Shortest time in which a command changes by its size, rms u / rms du/dt [s]
     correlation: float  #: Longest time at which a command's autocorrelation falls to a half [s]
@@ -69,8 +71,10 @@ class Shown:
             for joint, own in self.joints.items()
         }
         commands = {a: max(own, other.commands[a]) for a, own in self.commands.items()}
+        largest = {of: max(own, other.largest[of]) for of, own in self.largest.items()}
         period, change = max(self.period, other.period), min(self.change, other.change)
-        return Shown(joints, commands, period, change, max(self.correlation, other.correlation))
+        correlation = max(self.correlation, other.correlation)
+        return Shown(joints, commands, largest, period, change, correlation)
 
 
 def shown(problem: Problem) -> Shown:
@@ -81,6 +85,11 @@ def shown(problem: Problem) -> Shown:
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
     errors: dict[str, list[np.ndarray]] = {a: [] for a in position_servos(machine)}
+    # A command at its largest is known even where it is held out: there a limit changes nothing.
+    largest = {
+        ("command", a): max(float(np.abs(s.columns[f"{a}_command"]).max()) for s in problem.series)
+        for a in machine.actuators
+    }
     longest = 0.0
     for _, measured, states in replay.along(change, problem.fitted):
         samples = measured.samples
@@ -89,7 +98,9 @@ def shown(problem: Problem) -> Shown:
         inertia = np.abs(np.einsum("nij,nj->ni", found.inertia, slope))
         for j, d in zip(machine.joints, dofs(model, machine.joints), strict=True):
             q, v = measured.position[j][samples], measured.velocity[j][samples]
-            force = np.maximum(np.abs(found.load[:, d]), np.abs(found.bias[:, d]))
+            drive = np.abs(found.load[:, d])
+            largest["force", j] = max(largest.get(("force", j), 0.0), float(drive.max(initial=0.0)))
+            force = np.maximum(drive, np.abs(found.bias[:, d]))
             force = np.maximum(force, inertia[:, d])
             bent = q - rest_position(machine, j)
             rows[j].append(np.stack([q, bent, v, slope[:, d], force], axis=1))
@@ -111,7 +122,7 @@ def shown(problem: Problem) -> Shown:
     }
     period = problem.series[0].period
     shortest = min((change_time(c, period) for c in commands.values()), default=0.0)
-    return Shown(joints, half, period, shortest, longest)
+    return Shown(joints, half, largest, period, shortest, longest)
 
 
 def change_time(parts: Sequence[np.ndarray], period: float) -> float:
@@ -138,9 +149,25 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
     for key, site in library.sites.items():
         joint = None if site.effect.on_bodies else seen.joints.get(site.element)
         command = seen.commands.get(site.element)
-        parameters = tuple(_sized(p, _size(p, joint, command, seen), seen) for p in site.parameters)
+        parameters = tuple(
+            _limited(p, seen.largest.get((p.limit_of, site.element), 0.0))
+            if p.limit_of
+            else _sized(p, _size(p, joint, command, seen), seen)
+            for p in site.parameters
+        )
         sites[key] = replace(site, parameters=parameters)
     return library.with_sites(sites)
+
+
+def _limited(p: EffectParameter, largest: float) -> EffectParameter:
+    """A limit with trials below the largest command or force that recordings show."""
+    most = min(p.nominal, largest)
+    if most <= p.lower:
+        return p  # nothing comes near a limit
+    # A little, some or much is cut off, or left.
+    shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
+    trials = tuple(most * share for share in shares if most * share > p.lower)
+    return replace(p, nominal=most, upper=most, trials=trials or p.trials)
 
 
 def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen: Shown) -> float:

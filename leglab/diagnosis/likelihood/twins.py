@@ -3,14 +3,22 @@
 A late command and a late position sensor shift the same motion against the same command. Only a
 third signal says which: a pressure, or another joint that feels this one. A command that is
 constant in all recordings is never late, and its delay no twin of anything.
+
+All forces times one factor are the same motion as well: a heavier weight, or less inertia, friction
+and stiffness. Only a known force tells the factor: one that acts, of a drive whose gain is known.
 """
+
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Key
+from leglab.diagnosis.effects.mechanics import moved_body
+from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import ROUNDING, Machine
 from leglab.diagnosis.replay.residual import Problem
+from leglab.diagnosis.thresholds import DEFAULT, NO_FAULT
 
 _DELAYS = ("command_delay", "sensor_delay")
 
@@ -53,3 +61,90 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
         found |= set(np.flatnonzero((share > ROUNDING).any(axis=1)).tolist())
     names = (machine.all_joints[int(model.dof_jntid[k])] for k in sorted(found))
     return tuple(name for name in names if name in machine.joints)
+
+
+def scale_twins(
+    problem: Problem, u: Unknowns, members: tuple[int, ...], x: np.ndarray
+) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
+    """Sets of no more members that move as a fitted one does, by all forces times one factor.
+
+    Each factor gives one member of the fitted set back the value of the specimen. What else departs
+    by less than anybody would notice, or than its tolerance allows, is no member.
+
+    Args:
+        problem: Recordings and machine.
+        u: Unknowns.
+        members: Of the fitted set.
+        x: Departures of all unknowns there, (unknowns,).
+
+    Yields:
+        Members of the twin, and by how much unknowns move from `x` to it.
+    """
+    now = x[: u.single]
+    own = own_forces(problem, u)
+    if own is None:
+        return
+    scaling = np.array([_is_force(u, i) for i in range(u.single)]) | (own != 0.0)
+    for q in members:
+        if q >= u.single or own[q] == 0.0 or own[q] + now[q] <= 0.0:
+            continue
+        factor = own[q] / (own[q] + now[q])
+        there = np.where(scaling, factor * now + (factor - 1.0) * own, now)
+        if (there < u.lower[: u.single]).any() or (there > u.upper[: u.single]).any():
+            continue
+        least = np.maximum(NO_FAULT, DEFAULT.certain * u.tolerance[: u.single])
+        new = np.flatnonzero((np.abs(there) >= least) & u.nameable[: u.single]).tolist()
+        if 0 < len(new) <= len(members):
+            moved = {i: float(there[i] - now[i]) for i in np.flatnonzero(there != now).tolist()}
+            yield tuple(new), moved | _at_centres(problem, u, new, x)
+
+
+def own_forces(problem: Problem, u: Unknowns) -> np.ndarray | None:
+    """What a specimen has of each single unknown that a factor on all forces scales, in trials.
+
+    Its inertia, friction, stiffness, masses and gains, (single,), each under one effect: none under
+    those that hold another one as a special case. None where a force that acts has no unknown.
+    """
+    machine, library = problem.machine, problem.library
+    acting = {a for a in machine.actuators if _acts(problem, a)}
+    if machine.cylinders or any(("actuator_gain", a) not in library.sites for a in acting):
+        return None
+    own = np.zeros(u.single)
+    for i in range(u.single):
+        ((key, n),) = u.places[i]
+        site = library.sites[key]
+        if key[0] == "payload" and site.parameters[n].unit == "kg":
+            own[i] = float(moved_body(machine, key[1]).mass[0]) / u.scale[i]
+        elif (_is_force(u, i) and not site.effect.contains and not site.effect.by_direction) or (
+            key[0] == "actuator_gain" and key[1] in acting
+        ):
+            own[i] = float(site.nominal[n]) / u.scale[i]
+    return own
+
+
+def _is_force(u: Unknowns, i: int) -> bool:
+    """Whether a single unknown is a force, or one by a motion: not those that limit forces."""
+    (key, n) = u.places[i][0]
+    p = u.library.sites[key].parameters[n]
+    return p.unit.startswith(("N", "kg")) and p.role == "strength" and not p.inverse
+
+
+def _acts(problem: Problem, actuator: str) -> bool:
+    """Whether an actuator puts a force on its joints: by a command, or by its bias."""
+    biased = bool(problem.machine.base.model.actuator(actuator).biasprm.any())
+    return biased or any(s.columns[f"{actuator}_command"].any() for s in problem.series)
+
+
+def _at_centres(
+    problem: Problem, u: Unknowns, members: list[int], x: np.ndarray
+) -> dict[int, float]:
+    """Moves of the payloads among members to where the weight of their bodies is, in trials."""
+    bodies = {u.keys[q] for q in members if u.keys[q][0] == "payload"}
+    found = {}
+    for i in range(u.single):
+        if u.keys[i] in bodies and u.shape[i]:
+            reach = float(np.linalg.norm(moved_body(problem.machine, u.keys[i][1]).ipos))
+            (key, n) = u.places[i][0]
+            nominal = float(u.library.sites[key].nominal[n])
+            found[i] = (reach - nominal) / u.scale[i] - float(x[i])
+    return found

@@ -38,6 +38,7 @@ class Unknowns:
     gradual: np.ndarray  #: Whether a good machine may have a little of it
     above: np.ndarray  #: Whether faults lie above nominal
     below: np.ndarray  #: Whether faults lie below nominal
+    limits: np.ndarray  #: Whether it limits a command or force
 
     @classmethod
     def of(cls, library: Library) -> "Unknowns":
@@ -60,6 +61,7 @@ class Unknowns:
                         "gradual": site.effect.gradual,
                         "above": p.faults != "below" and up > 0.0,
                         "below": p.faults != "above" and down < 0.0,
+                        "limits": bool(p.limit_of),
                     }
                 )
         rows += _tied(library, rows)

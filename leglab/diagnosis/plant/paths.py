@@ -16,6 +16,7 @@ from leglab._native import hydraulics as native
 from leglab.machine import sensors
 
 COMMAND_PATH = "leglab.command_path"
+SIDES = ("positive", "negative")  # of commands
 # Samples to each side of an interpolation, and the shape of its window: noise keeps its size up to
 # some nine tenths of the highest frequency, which no bin sees.
 _TAPS, _KAISER = 16, 6.0
@@ -86,6 +87,8 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
     gain = float(config.get("gain", 1.0))
+    bands = [half_width + float(config.get(f"dead_band_{side}", 0.0)) for side in SIDES]
+    gains = [float(config.get(f"gain_{side}", 1.0)) for side in SIDES]
     found: list[CommandPath] = []
     if delay:
         found.append(lambda samples, period: delayed(samples, delay, period))
@@ -93,8 +96,10 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
         found.append(lambda samples, period: gain * samples + bias)
     if width:
         found.append(lambda samples, period: play(samples, width))
-    if half_width:
-        found.append(lambda samples, period: dead_band(samples, half_width))
+    if any(bands):
+        found.append(lambda samples, period: dead_band(samples, *bands))
+    if gains != [1.0, 1.0]:
+        found.append(lambda samples, period: samples * np.where(samples > 0.0, *gains))
     if time_constant:
         found.append(lambda samples, period: lagged(samples, time_constant, period))
     return found
@@ -116,9 +121,9 @@ def play(samples: np.ndarray, width: float) -> np.ndarray:
     return out
 
 
-def dead_band(samples: np.ndarray, half_width: float) -> np.ndarray:
-    """Samples less the band on both sides of zero, shape (n,)."""
-    return np.sign(samples) * np.maximum(np.abs(samples) - half_width, 0.0)
+def dead_band(samples: np.ndarray, positive: float, negative: float) -> np.ndarray:
+    """Samples less the band above and below zero, shape (n,)."""
+    return np.maximum(samples - positive, 0.0) - np.maximum(-samples - negative, 0.0)
 
 
 def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarray:

@@ -100,12 +100,14 @@ def next_candidate(
     ranks: Sequence[Ranked],
     tried: set[frozenset[int]],
     without: Callable[[Fit, Key], Columns | None],
+    limited: Callable[[Fit], Columns],
 ) -> Candidate | None:
     """The next set to fit; None where nothing promises to come near the best one.
 
     What says the same of both directions; then what adds a member to a good set, or leaves one out
     or swaps it, of the best sets and of those that ended at a bound. `tried` are the unknowns of
-    all sets that have been, and `without` linearises a fit without an effect, see `Errors.without`.
+    all sets that have been, `without` linearises a fit without an effect, see `Errors.without`, and
+    `limited` with jumps to limits, which have no tangent where nothing comes near them.
     """
     u = fitter.at.unknowns
     # What ended at a bound is a rival, but no yardstick: it would be another machine beyond.
@@ -125,15 +127,15 @@ def next_candidate(
             start = {q: -float(x[q]) for q in fit.members if q not in simpler}
             start |= {q: value - float(x[q]) for q, value in simpler.items()}
             return Candidate(tuple(simpler), start, fit.columns, fit.spread, fit.weight)
-    found: list[tuple[float, tuple[int, ...], Fit, Evidence]] = []
+    found: list[tuple[Score, Fit, Evidence]] = []
 
     def add(evidence: Evidence, members: Sequence[int], fit: Fit, least: float = -np.inf) -> None:
         score = evidence.score([(q, None) for q in members])
-        found.append((score.log, tuple(members), fit, evidence))
-        for _, (q, _) in evidence.additions(score)[: 2 * SCORED]:
-            larger = evidence.score([(p, None) for p in (*members, q)])
+        found.append((score, fit, evidence))
+        for _, new in evidence.additions(score)[: 2 * SCORED]:
+            larger = evidence.score([*score.members, new])
             if larger.log > score.log + least:
-                found.append((larger.log, larger.unknowns, fit, evidence))
+                found.append((larger, fit, evidence))
 
     for row in [r for r in sound[:BEST_SETS] if r.score.log > top - BEHIND * NEAR]:
         own = (r.evidence for r in ranks if r.evidence.columns is row.fit.columns)
@@ -141,6 +143,8 @@ def next_candidate(
             row.fit.columns, row.fit.spread, row.fit.weight, kappa
         )
         add(there, row.fit.members, row.fit, 0.0)
+    if (beside := limited(best)).jumps:
+        add(fitter.evidence(beside, best.spread, best.weight, kappa), best.members, best, 0.0)
     for row in [r for r in ranks[:BEST_SETS] if r.fit is best or r.fit.ended]:
         fit = row.fit
         out = fit.members if fit is best else fit.ended
@@ -151,16 +155,15 @@ def next_candidate(
     found = [
         one
         for one in found
-        if one[0] >= top - NEAR
-        and 0 < len(one[1]) <= LARGEST_SET
-        and frozenset(one[1]) not in tried
+        if one[0].log >= top - NEAR
+        and 0 < len(one[0].members) <= LARGEST_SET
+        and frozenset(one[0].unknowns) not in tried
     ]
     if not found:
         return None
-    promise, members, fit, evidence = max(found, key=lambda entry: entry[0])
-    score = evidence.score([(q, None) for q in members])
+    score, fit, evidence = max(found, key=lambda entry: entry[0].log)
     start = evidence.departures(score)
-    return Candidate(members, start, evidence.columns, fit.spread, fit.weight, promise)
+    return Candidate(score.unknowns, start, evidence.columns, fit.spread, fit.weight, score.log)
 
 
 def both_ways(

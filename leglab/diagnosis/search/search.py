@@ -12,6 +12,7 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
+from leglab.diagnosis.likelihood.twins import scale_twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
@@ -119,6 +120,9 @@ def search(
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
     without = cache(lambda fit, key: at.without(fit.columns, fit.members, key))
+    # Beside most sets nothing comes near a limit, and a tangent does not show it.
+    limits = [jump for jump in trials(u) if u.limits[jump[0]]]
+    limited = cache(lambda fit: at.jumped(fit.columns, limits))
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
     unexplained = fitter.rms(errors)
@@ -185,6 +189,17 @@ def search(
             there = Candidate(late.members, {}, point.columns, point.spread, point.weight)
             run(there, beside=True, renewals=thresholds.RENEWALS)
             continue
+        # What moves alike whatever was recorded is a rival of every good set.
+        twins = (
+            Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
+            for r in near
+            for names, moves in scale_twins(problem, u, r.fit.members, r.fit.columns.x)
+            if frozenset(names) not in tried
+        )
+        if twin := next(twins, None):
+            tried.add(frozenset(twin.members))
+            run(twin, beside=True, renewals=thresholds.RENEWALS)
+            continue
         # What was proposed last is a rival now, or was in vain.
         vain = (
             0
@@ -192,7 +207,7 @@ def search(
             else vain + 1
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
-        then = None if done else next_candidate(fitter, ranks, tried, without)
+        then = None if done else next_candidate(fitter, ranks, tried, without, limited)
         if then is None:
             best = ranks[0].fit
             # What does without an effect of the best set is fitted from there.

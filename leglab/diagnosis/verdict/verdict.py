@@ -253,6 +253,9 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > DEFAULT.explained else 0.0) * change
+    # Of a limit by a share of itself: what it departs from is the largest that was recorded.
+    limits = [i for i, p in enumerate(parameters) if p.limit_of]
+    law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
     rows = [(p.name, p.unit, p.lower, p.upper) for p in parameters]
     units = {p.name: p.unit for p in parameters}
