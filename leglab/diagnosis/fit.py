@@ -155,7 +155,9 @@ class _Fitted:
         self._unknowns = [unknowns.places.index((place,)) for place in places]
         ends = np.array([self._bounds(*pair) for pair in zip(places, wanted, strict=True)])
         self._lower, self._upper = ends.T
-        self._z = np.clip(np.zeros(len(places)), self._lower, self._upper)
+        # Within bounds: beside one, a reflective trust region takes steps of next to nothing.
+        inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
+        self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
 
     def _bounds(self, place: tuple[Key, int], wanted: Wanted) -> tuple[float, float]:

@@ -1,0 +1,85 @@
+"""`leglab fit`: parameters of the user's choice, with bounds and covariance."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from leglab import data
+from leglab.base.errors import SettingsError
+from leglab.cli.app import app
+from leglab.diagnosis.fit import Wanted, fit
+from rigs import PENDULUM, Truth
+from tests.helpers.unpleasant import of_kinds
+
+DAMPING = 0.08  # of the rig's model [N m s/rad]
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """Of a pendulum with twice its damping and a constant force."""
+    truth = Truth(viscous_factor=2.0, offset=0.3)
+    return of_kinds(PENDULUM, truth, ("multisine", "fast", "slow"), seconds=4.0)
+
+
+@pytest.fixture
+def files(logs, tmp_path):
+    paths = [tmp_path / f"{name}.parquet" for name in logs]
+    for path, log in zip(paths, logs.values(), strict=True):
+        data.write(log, path)
+    return list(map(str, paths))
+
+
+def test_intervals_hold_the_truth_and_the_command_writes_it(files, tmp_path):
+    out = tmp_path / "out"
+    wanted = ["--parameter", "hinge:viscous_friction", "--parameter", "hinge:force_offset=-1:1"]
+    told = CliRunner().invoke(
+        app, ["fit", str(PENDULUM.model), *files, *wanted, "--held-out", "fast", "--out", str(out)]
+    )
+    assert told.exit_code == 0, told.output
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert content["verdict"] == "fitted"
+    estimates = {e["name"]: p for e in content["effects"] for p in e["parameters"].values()}
+    for name, true in (("viscous_friction", 2 * DAMPING), ("force_offset", 0.3)):
+        low, high = estimates[name]["interval"]
+        assert low <= true <= high
+        assert high - low < 0.05 * true
+    assert content["gap"]["after"] < 1.3
+    names = ["hinge:viscous_friction.damping", "hinge:force_offset.force"]
+    assert content["covariance"]["parameters"] == names
+    spread = np.sqrt(np.diag(content["covariance"]["matrix"]))
+    assert (spread > 0.0).all()
+    damping = mujoco.MjModel.from_xml_path(str(out / "improved.xml")).dof_damping[0]
+    assert damping == pytest.approx(estimates["viscous_friction"]["value"], rel=1e-4)
+    page = (out / "diagnosis.html").read_text()
+    assert "Correlation of the estimates" in page
+    assert "Confidence is the probability" not in page
+
+
+def test_bounds_hold_and_are_told(logs):
+    fitted = fit(PENDULUM.model, logs, [Wanted.parse("hinge:force_offset=0:0.1")], held_out=())
+    ((value,),) = fitted.hypothesis.values()
+    assert value == pytest.approx(0.1, rel=1e-3)
+    assert "hinge:force_offset.force ended at a bound" in fitted.result.notes
+
+
+@pytest.mark.parametrize("text", ["hinge", "hinge:armature=1", "hinge:armature=2:1", ":armature"])
+def test_what_is_no_parameter_is_refused(text):
+    with pytest.raises(SettingsError, match="is no parameter; allowed: ELEMENT:NAME"):
+        Wanted.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [
+        ("elbow:armature", "an element of .*hinge"),
+        ("hinge:coulom", "of hinge: armature.inertia"),
+        ("hinge:cogging", "cogging.sine, cogging.cosine"),
+        ("hinge:armature=-2:-1", "within \\[0, "),
+    ],
+)
+def test_unknown_parameters_are_told_what_there_is(logs, text, allowed):
+    with pytest.raises(SettingsError, match=allowed):
+        fit(PENDULUM.model, logs, [Wanted.parse(text)])
