@@ -264,6 +264,20 @@ def test_what_machines_of_one_kind_differ_by_is_no_fault():
     assert result.gap.after < 1.0
 
 
+@pytest.mark.parametrize("factor", [1.2, 1.3])
+def test_nothing_is_missing_only_while_a_damping_is_within_its_tolerance_of_a_tenth(factor):
+    effects = ("viscous_friction", "force_offset", "armature")
+    logs = {
+        kind: record(PENDULUM, kind, Truth(viscous_factor=factor), seed=seed, seconds=4.0)
+        for seed, kind in enumerate(("multisine", "fast", "slow"))
+    }
+    settings = DiagnosisSettings(effects=effects, threads=1)
+    result, _ = diagnose(PENDULUM.model, logs, held_out=("slow",), settings=settings)
+    assert result.gap.before > 10.0
+    assert (result.verdict == "nothing_missing") == (factor < 1.25)
+    assert [e.name for e in result.effects] == ["viscous_friction"] * (factor > 1.25)
+
+
 def test_nothing_is_missing_where_nothing_is_hidden():
     result = told("nothing")
     assert result.verdict == "nothing_missing"

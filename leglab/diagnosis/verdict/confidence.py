@@ -79,8 +79,17 @@ def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
             continue
         if specimen:
             return specimen.as_it_was(sets.at.problem)
-        return as_noise(sets.channel_squares(row.left).mean(axis=1), sets.at.recording)
+        left = sets.channel_squares(row.left).mean(axis=1)
+        return _within_tolerances(row) and as_noise(left, sets.at.recording)
     return False
+
+
+def _within_tolerances(row: Row) -> bool:
+    """Tests whether no parameter goes beyond its tolerance, as in 19 of 20 good machines."""
+    u = row.evidence.unknowns
+    known = np.flatnonzero(u.tolerance[: u.single])
+    away = u.departures(row.hypothesis)[known] / u.tolerance[known]
+    return bool((np.abs(away) <= norm.isf(0.025 / max(known.size, 1))).all())
 
 
 def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
