@@ -66,7 +66,8 @@ class ErrorTrace:
             for factor in (1, 2, 5):
                 value = factor * 10.0**exponent
                 if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
-                    wide = factor == 1 or self._high - self._low < 1.7
+                    # Within two decades there may be one power of ten alone.
+                    wide = factor == 1 or self._high - self._low < 2.0
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
         _draw_frame(draw, rect, "tracking error", ticks, self._note)
         for time in _nice_ticks(*self._span, 9):
