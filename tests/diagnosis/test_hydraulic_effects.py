@@ -300,7 +300,7 @@ def test_a_light_thin_rod_on_a_slide_of_its_name_may_be_a_tenth_lighter(tmp_path
     path.write_text(spec.to_xml())
     rod = Machine(path)
     strong = Motion(position=0.5, deflection=0.5, velocity=1.0, acceleration=0.1, force=1e3)
-    seen = Shown({"rod": strong}, {"push": 1.0}, period=1e-3, change=0.1, correlation=0.3)
+    seen = Shown({"rod": strong}, {"push": 1.0}, {}, period=1e-3, change=0.1, correlation=0.3)
     library = sized(Library(rod), rod, seen)
     lightest = library.sites["payload", "rod"].lower[0]
     assert lightest == pytest.approx(-1e-4)
