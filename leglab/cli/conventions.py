@@ -62,6 +62,7 @@ EXAMPLES = {
         "leglab improve axis.xml log.mcap --columns map.toml --no-effects",
     ),
     "fit": (
+        "leglab fit knee_bench rec/*.parquet --parameter knee_valve:viscous_friction",
         "leglab fit axis.xml log.mcap --parameter slide:armature --parameter "
         "slide:coulomb_friction=0:50",
     ),
