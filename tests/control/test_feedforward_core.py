@@ -81,7 +81,7 @@ def test_core_agrees_with_numpy(splines, supervised, forward, worn, monkeypatch)
     other = oracle.Feedforward(parts, table, learners[0])
     if worn:
         made.propose(made.learner.copy(), 9.0, 1.0, VALVES)
-        made.settle()
+        made.settle(1)
         other = oracle.WornFeedforward(parts, table, *learners, VALVES)
 
     rng = np.random.default_rng(4)
