@@ -92,11 +92,8 @@ def test_a_perfect_model_lacks_nothing(name):
     ("name", "hidden", "expected"),
     _rigs([(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases]),
 )
-def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path, request):
+def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     effect, element, parameter, value = expected
-    if name == "servo_joint" and effect == "spring_stiffness":
-        short = "the fit of a spring beside a servo ends at 6.7 noise levels"
-        request.applymarker(pytest.mark.xfail(reason=short, strict=True))
     result, found = verdict(RIGS[name], hidden)
     assert result.verdict == "named"
     assert list(named(result)) == [(effect, element)]

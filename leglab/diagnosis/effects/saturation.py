@@ -47,6 +47,7 @@ class CommandSaturation(TableEffect):
     group = "valve and command"
     physics = "min(max(u, -limit), limit), of the command as it is sent"
     source = "stops of spools, current limits of amplifiers; MuJoCo's ctrlrange"
+    gradual = False  # no good machine clips a little
     excitation = "commands beyond the limit"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
@@ -87,6 +88,7 @@ class ForceSaturation(Effect):
     group = "valve and command"
     physics = "min(max(F, -limit), limit), of the force of the drives on the joint"
     source = "current limits of motors, slipping clutches; MuJoCo's forcerange, actuatorfrcrange"
+    gradual = False  # no good machine clips a little
     excitation = "forces beyond the limit"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
