@@ -106,6 +106,12 @@ def fit(
     began, settings = perf_counter(), settings or DiagnosisSettings()
     machine = model if isinstance(model, Machine) else Machine(model)
     places = [_place(Library(machine), wanted) for wanted in parameters]
+    if twice := next(
+        (w for w, p in zip(parameters, places, strict=True) if places.count(p) > 1), None
+    ):
+        asked = f"{twice.element}:{twice.name}"
+        told = f"--parameter {asked} is given more than once; allowed: "
+        raise SettingsError(told, given=asked, allowed="once")
     if held_out is None:
         recordings, held_out = split_held_out(machine, recordings, (), settings.thresholds)
     effects = tuple({key[0] for key, _ in places})
