@@ -76,14 +76,14 @@ def cause_rows(model: str | None = None) -> list[dict[str, str]]:
         healthy = cause.healthy_magnitude(values)
         sizes = {
             kind: "; ".join(
-                " ".join(f"{size:g}" for size in cause.magnitudes(getattr(side, kind), healthy))
+                " ".join(f"{size:.4g}" for size in cause.magnitudes(getattr(side, kind), healthy))
                 for side in cause.sides
             )
             for kind in ("bank", "benchmark")
         }
         names = {"live": cause.name, "effect": cause.effect}
         what = {"attributes": ", ".join(cause.parameters), "size": cause.meaning}
-        rows.append({**names, **what, "healthy": f"{healthy:g}", **sizes})
+        rows.append({**names, **what, "healthy": f"{healthy:.4g}", **sizes})
     return rows
 
 

@@ -30,8 +30,9 @@ def fit(
     parameter: Annotated[
         list[str],
         typer.Option(
-            help="Parameter to fit, ELEMENT:NAME or ELEMENT:NAME=LOWER:UPPER in SI units, "
-            "repeatable; names are those of docs/reference/effects.md."
+            metavar="ELEMENT:NAME[=LOWER:UPPER]",
+            help="Parameter to fit, with bounds in SI units, repeatable; names are those of "
+            "docs/reference/effect_table.md.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/fit"),

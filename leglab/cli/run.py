@@ -74,7 +74,7 @@ def run(
         told = [event.told() for event in result.record.events]
         told += [trend.told() for trend in result.record.health]
         for line in [*told, *notes]:
-            terminal.output.print(line, soft_wrap=True)
+            terminal.output.print(line, soft_wrap=True, markup=False)
         terminal.tell(f"written to {folder}")
     failure = result.record.failure or ("interrupted when the run was over" if late else "")
     if failure:

@@ -25,13 +25,13 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.evidence import parts_of
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Machine
-from leglab.diagnosis.replay.residual import Problem, robust_weight
+from leglab.diagnosis.replay.residual import Problem, robust_weight, whitened
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.thresholds import DEFAULT, FINE
 from leglab.diagnosis.verdict.notes import notes
 from leglab.diagnosis.verdict.verdict import errors_of
 
-# Weights of windows follow from the fit with the weights before.
+# Fits: the first weighs all windows alike, and its errors give the weights of the second.
 _ROUNDS = 2
 
 
@@ -50,18 +50,19 @@ class Wanted(NamedTuple):
         Raises:
             LeglabError: It is not of this form.
         """
-        what, _, bounds = text.partition("=")
+        what, given, bounds = text.partition("=")
         element, _, name = what.partition(":")
+        allowed = "ELEMENT:NAME or ELEMENT:NAME=LOWER:UPPER, as knee:coulomb_friction=0.1:5"
         try:
-            lower, upper = map(float, bounds.split(":")) if bounds else (-inf, inf)
+            lower, upper = map(float, bounds.split(":")) if given else (-inf, inf)
         except ValueError:
-            lower, upper = inf, -inf
-        if not (element and name and lower < upper):
-            raise SettingsError(
-                f"--parameter {text!r} is no parameter; allowed: ",
-                given=text,
-                allowed="ELEMENT:NAME or ELEMENT:NAME=LOWER:UPPER, as knee:coulomb_friction=0.1:5",
-            )
+            element = ""
+        if not (element and name):
+            told = f"--parameter {text!r} is no parameter; allowed: "
+            raise SettingsError(told, given=text, allowed=allowed)
+        if not lower < upper:
+            told = f"--parameter {text!r}: the lower bound is not below the upper one; allowed: "
+            raise SettingsError(told, given=bounds, allowed=allowed)
         return cls(element, name, lower, upper)
 
 
@@ -123,7 +124,7 @@ def fit(
 
 
 def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
-    """The parameter of the library that is meant: effect, element and number."""
+    """Returns effect, element and number of a parameter that the user names."""
     own = [
         (key, i, p)
         for key, site in sorted(library.sites.items())
@@ -135,15 +136,18 @@ def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
         lambda key, _: key[0] == wanted.name,
         lambda _, name: name == wanted.name,
     )
+    asked, several = f"{wanted.element}:{wanted.name}", own
+    told = f"--parameter {asked!r} names no parameter of this machine; allowed: "
     for way in ways:
-        found = [(k, i) for k, i, p in own if p.role == "strength" and way(k, p.name)]
-        found = found or [(k, i) for k, i, p in own if way(k, p.name)]
+        found = [row for row in own if row[2].role == "strength" and way(row[0], row[2].name)]
+        found = found or [row for row in own if way(row[0], row[2].name)]
         if len(found) == 1:
-            return found[0]
+            return found[0][:2]
+        if found:
+            told, several = f"--parameter {asked!r} names several parameters; allowed: ", found
+            break
     elements = ", ".join(sorted({element for _, element in library.sites}))
-    names = ", ".join(f"{key[0]}.{p.name}" for key, _, p in own)
-    asked = f"{wanted.element}:{wanted.name}"
-    told = f"--parameter {asked!r} names no parameter of this machine, or several; allowed: "
+    names = ", ".join(f"{key[0]}.{p.name}" for key, _, p in several)
     allowed = f"of {wanted.element}: {names}" if own else f"an element of {elements}"
     raise SettingsError(told, given=asked, allowed=allowed)
 
@@ -156,17 +160,24 @@ class _Fitted:
     ) -> None:
         self._problem, self._places = problem, places
         self._remarks: list[str] = []
+        self._rows = [problem.library.sites[key].parameters[i] for key, i in places]
         unknowns = Unknowns.of(problem.library)
         self._errors = Errors(problem, unknowns, problem.fitted)
         self._unknowns = [unknowns.places.index((place,)) for place in places]
-        ends = np.array([self._bounds(*pair) for pair in zip(places, wanted, strict=True)])
-        self._lower, self._upper = ends.T
-        # Within bounds: beside one, a reflective trust region takes steps of next to nothing.
+        self._ends = [self._bounds(*pair) for pair in zip(places, wanted, strict=True)]
+        self._lower, self._upper = np.array(
+            [
+                [p.from_nominal(end) / p.scale for end in ends]
+                for p, ends in zip(self._rows, self._ends, strict=True)
+            ]
+        ).T
+        # A reflective trust region takes tiny steps from a start at a bound.
         inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
         self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
 
     def _bounds(self, place: tuple[Key, int], wanted: Wanted) -> tuple[float, float]:
+        """Bounds that both the user and the effect allow [SI units]."""
         key, i = place
         p = self._problem.library.sites[key].parameters[i]
         lower, upper = max(wanted.lower, p.lower), min(wanted.upper, p.upper)
@@ -181,7 +192,7 @@ class _Fitted:
                 given=f"{wanted.lower:g}:{wanted.upper:g}",
                 allowed=f"within [{p.lower:g}, {p.upper:g}] {p.unit}",
             )
-        return p.from_nominal(lower) / p.scale, p.from_nominal(upper) / p.scale
+        return lower, upper
 
     def _hypothesis(self, z: np.ndarray) -> Hypothesis:
         by = dict(zip(self._unknowns, z.tolist(), strict=True))
@@ -190,8 +201,7 @@ class _Fitted:
     def _white(self, errors: np.ndarray) -> np.ndarray:
         """Weighted whitened errors, (windows, size)."""
         noise = self._problem.noise.whitening[self._errors.chosen]
-        white = np.einsum("wij,wj->wi", noise, errors[:, : self._errors.size])
-        return np.asarray(np.sqrt(self._weight)[:, None] * white)
+        return np.sqrt(self._weight)[:, None] * whitened(noise, errors[:, : self._errors.size])
 
     def _residual(self, z: np.ndarray) -> np.ndarray:
         return self._white(self._errors.at(self._hypothesis(z)))
@@ -239,57 +249,61 @@ class _Fitted:
         return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
 
     def told(self, began: float) -> ParameterFit:
-        """The fit, with what its page shows."""
-        problem, library = self._problem, self._problem.library
-        final, covariance = self._hypothesis(self._z), self._covariance()
-        rows = [library.sites[key].parameters[i] for key, i in self._places]
-        values = np.array([final[key][i] for key, i in self._places])
-        steps = np.array([p.step(v) for p, v in zip(rows, values.tolist(), strict=True)])
-        covariance = covariance * np.outer(steps, steps)
-        parts = int(parts_of(self._errors.recording).max())
-        half = float(student.ppf(0.975, max(parts, 1))) * np.sqrt(np.diag(covariance))
+        """Returns the fit, with errors and figures for its page."""
+        problem, final = self._problem, self._hypothesis(self._z)
+        values = [float(final[key][i]) for key, i in self._places]
+        steps = np.array([p.step(v) for p, v in zip(self._rows, values, strict=True)])
+        covariance = self._covariance() * np.outer(steps, steps)
         names = tuple(
-            f"{key[1]}:{key[0]}.{p.name}" for (key, _), p in zip(self._places, rows, strict=True)
+            f"{key[1]}:{key[0]}.{p.name}"
+            for (key, _), p in zip(self._places, self._rows, strict=True)
         )
         near = DEFAULT.same * np.maximum(np.abs(self._z), 1.0)
         ends = (self._z <= self._lower + near) | (self._z >= self._upper - near)
-        bound = [name for name, end in zip(names, ends, strict=True) if end]
-        estimates: dict[Key, list[result.Estimate]] = {}
-        for (key, i), p, value, h in zip(
-            self._places, rows, values.tolist(), half.tolist(), strict=True
-        ):
-            interval = max(p.lower, value - h), min(p.upper, value + h)
-            nominal = float(library.sites[key].nominal[i])
-            estimates.setdefault(key, []).append(
-                result.Estimate(
-                    name=p.name, unit=p.unit, value=value, nominal=nominal, interval=interval
-                )
-            )
-        remarks = self._remarks + [f"{name} ended at a bound" for name in bound]
+        bound = [f"{name} ended at a bound" for name, end in zip(names, ends, strict=True) if end]
         told = result.Diagnosis(
             verdict="fitted",
-            effects=tuple(
-                result.NamedEffect(
-                    name=key[0],
-                    element=key[1],
-                    group=library.sites[key].effect.group,
-                    physics=library.sites[key].effect.physics,
-                    onset=(),
-                    confidence=np.nan,
-                    contribution=np.nan,
-                    parameters=tuple(own),
-                    indistinguishable_from=(),
-                )
-                for key, own in estimates.items()
-            ),
+            effects=self._effects(values, covariance),
             **errors_of(problem, Hypothesis(), final),
             not_testable=(),
             ranking=(),
             rivals=(),
             next_experiment=None,
-            notes=(*notes(problem), *remarks),
+            notes=(*notes(problem), *self._remarks, *bound),
             covariance=(names, covariance),
             rollouts=problem.replay.rollouts,
             seconds=perf_counter() - began,
         )
         return ParameterFit(told, problem, final)
+
+    def _effects(
+        self, values: Sequence[float], covariance: np.ndarray
+    ) -> tuple[result.NamedEffect, ...]:
+        """Fitted effects with the estimates of their parameters, without names and confidence."""
+        sites, parts = self._problem.library.sites, int(parts_of(self._errors.recording).max())
+        half = float(student.ppf(0.975, max(parts, 1))) * np.sqrt(np.diag(covariance))
+        estimates: dict[Key, list[result.Estimate]] = {}
+        rows = zip(self._places, self._rows, self._ends, values, half.tolist(), strict=True)
+        for (key, i), p, (lower, upper), value, h in rows:
+            estimate = result.Estimate(
+                name=p.name,
+                unit=p.unit,
+                value=value,
+                nominal=float(sites[key].nominal[i]),
+                interval=(max(lower, value - h), min(upper, value + h)),
+            )
+            estimates.setdefault(key, []).append(estimate)
+        return tuple(
+            result.NamedEffect(
+                name=key[0],
+                element=key[1],
+                group=sites[key].effect.group,
+                physics=sites[key].effect.physics,
+                onset=(),
+                confidence=np.nan,
+                contribution=np.nan,
+                parameters=tuple(own),
+                indistinguishable_from=(),
+            )
+            for key, own in estimates.items()
+        )

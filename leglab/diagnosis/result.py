@@ -317,6 +317,11 @@ class Diagnosis:
         return f"Diagnosis({self.verdict}: {told}{share})"
 
     @property
+    def recalibrated(self) -> bool:
+        """Whether parameters moved within their tolerances; `leglab fit` moves none but its own."""
+        return self.verdict != "fitted"
+
+    @property
     def nominal_words(self) -> str:
         """Where the nominal values of effects were: healthy recordings tell the specimen's own."""
         return "in the model" if self.calibration is None else "before"

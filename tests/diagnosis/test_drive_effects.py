@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from leglab.cli.app import app
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
-from leglab.diagnosis.likelihood.twins import scale_twins
+from leglab.diagnosis.likelihood.twins import own_forces, scale_twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Machine
 
-# Beside the checkout, or beside the folder of its worktrees.
+# In the folder of the checkout, or in that of its worktrees.
 INPUTS = [folder / "shared" / "inputs" / "make.py" for folder in Path(__file__).parents[3:]]
 SERVO = '<position name="knee" joint="knee" kp="60" kv="3"/>'
 MOTOR = '<motor name="knee" joint="knee" ctrlrange="-20 20"/>'
@@ -215,7 +215,7 @@ def test_all_forces_times_a_factor_are_a_twin(tmp_path):
     }
     x = u.departures(Hypothesis(less))
     members = tuple(np.flatnonzero(x).tolist())
-    twins = list(scale_twins(problem, u, members, x))
+    twins = list(scale_twins(problem, u, own_forces(problem, u), members, x))
     assert {u.names(names) for names, _ in twins} == {frozenset({("payload", "shank")})}
     for _, moves in twins:
         found = u.moved(Hypothesis(less), moves)
@@ -224,6 +224,6 @@ def test_all_forces_times_a_factor_are_a_twin(tmp_path):
         assert (mass, distance) == pytest.approx((2.0 / share - 2.0, 0.2))
         for key in less:
             np.testing.assert_allclose(found[key], library.sites[key].model)
-    # A force that is known tells which one it is.
+    # A known force tells the factor.
     problem.series[0].columns["knee_command"] = still + 1.0
-    assert not list(scale_twins(problem, u, members, x))
+    assert own_forces(problem, u) is None

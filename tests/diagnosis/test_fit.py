@@ -55,19 +55,34 @@ def test_intervals_hold_the_truth_and_the_command_writes_it(files, tmp_path):
     assert damping == pytest.approx(estimates["viscous_friction"]["value"], rel=1e-4)
     page = (out / "diagnosis.html").read_text()
     assert "Correlation of the estimates" in page
-    assert "Confidence is the probability" not in page
+    assert "<title>Fit of pendulum" in page
+    for text in (page, told.output):
+        assert "onfidence" not in text
+        assert "recalibrated" not in text
 
 
 def test_bounds_hold_and_are_told(logs):
     fitted = fit(PENDULUM.model, logs, [Wanted.parse("hinge:force_offset=0:0.1")], held_out=())
     ((value,),) = fitted.hypothesis.values()
     assert value == pytest.approx(0.1, rel=1e-3)
+    (estimate,) = fitted.result.effects[0].parameters
+    assert 0.0 <= estimate.interval[0] < estimate.interval[1] <= 0.1
     assert "hinge:force_offset.force ended at a bound" in fitted.result.notes
 
 
-@pytest.mark.parametrize("text", ["hinge", "hinge:armature=1", "hinge:armature=2:1", ":armature"])
-def test_what_is_no_parameter_is_refused(text):
-    with pytest.raises(SettingsError, match="is no parameter; allowed: ELEMENT:NAME"):
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("hinge", "is no parameter"),
+        (":armature", "is no parameter"),
+        ("hinge:armature=1", "is no parameter"),
+        ("hinge:armature=", "is no parameter"),
+        ("hinge:armature=2:1", "the lower bound is not below the upper one"),
+        ("hinge:armature=0:nan", "the lower bound is not below the upper one"),
+    ],
+)
+def test_what_is_no_parameter_is_refused(text, told):
+    with pytest.raises(SettingsError, match=f"{told}; allowed: ELEMENT:NAME"):
         Wanted.parse(text)
 
 
@@ -76,10 +91,16 @@ def test_what_is_no_parameter_is_refused(text):
     [
         ("elbow:armature", "an element of .*hinge"),
         ("hinge:coulom", "of hinge: armature.inertia"),
-        ("hinge:cogging", "cogging.sine, cogging.cosine"),
+        ("hinge:cogging", "several parameters; allowed: of hinge: cogging.sine, cogging.cosine"),
         ("hinge:armature=-2:-1", "within \\[0, "),
     ],
 )
 def test_unknown_parameters_are_told_what_there_is(logs, text, allowed):
     with pytest.raises(SettingsError, match=allowed):
         fit(PENDULUM.model, logs, [Wanted.parse(text)])
+
+
+def test_a_parameter_is_fitted_once(logs):
+    twice = [Wanted.parse("hinge:armature"), Wanted.parse("hinge:armature.inertia")]
+    with pytest.raises(SettingsError, match="given more than once; allowed: once"):
+        fit(PENDULUM.model, logs, twice)

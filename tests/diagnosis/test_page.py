@@ -446,7 +446,8 @@ def test_where_is_told_without_pressures():
     )
     lines = summary_lines(diagnosis(where=(place,)))
     assert (
-        lines[0] == "motion of slide: 40 noise levels off, worst near zero velocity (-1 to 1 m/s)"
+        lines[0]
+        == "motion of slide: 40 noise levels off as it was, worst near zero velocity (-1 to 1 m/s)"
     )
 
 

@@ -209,7 +209,7 @@ class AdaptiveFeedforward {
   }
 
   // Mean of the commands of all maps, weighted by their shares: each map predicts the flow beyond
-  // `share` of full speed, adds the feedback `beside` and inverts its state of the valve.
+  // `share` of full speed, adds the feedback command `beside` and inverts its state of the valve.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {

@@ -16,16 +16,22 @@ from leglab.diagnosis.effects.base import (
 from leglab.diagnosis.effects.command import command_size
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Where no recording says how large commands and forces are: a little, some, half, most of them. A
-# model without a limit has one at so many times what matters.
-_SHARES, _UNLIMITED = (0.98, 0.9, 0.5, 0.2), 1e6
-_LEAST = 0.01  # of what matters: a lower limit is a drive that is off
+# Trials before recordings show how large commands and forces are, as shares of the model's limit:
+# from a limit that clips peaks alone to one that clips most of a motion.
+_SHARES = (0.98, 0.9, 0.5, 0.2)
+# Limit of a model that has none, in usual commands or forces: beyond all that is recorded.
+_UNLIMITED = 1e6
+# Lowest limit, in usual commands or forces: a drive with less moves nothing.
+_LEAST = 0.01
 
 
 def _limit(
     unit: str, of: Literal["command", "force"], size: float, most: float, inner: float = 0.0
 ) -> EffectParameter:
-    """A limit from `inner` to `most`, at which it changes nothing; `size` is what matters."""
+    """A limit from `inner` to `most`, at which it changes nothing.
+
+    `size` is the usual command or force.
+    """
     most = min(most, inner + _UNLIMITED * size)
     return EffectParameter(
         "limit",
@@ -34,7 +40,7 @@ def _limit(
         lower=inner + _LEAST * min(size, most - inner),
         upper=most,
         trials=tuple(inner + share * (most - inner) for share in _SHARES),
-        inverse=True,  # a step is a share of the limit, however small it is beside what is asked
+        inverse=True,  # steps are shares of the limit
         limit_of=of,
     )
 
@@ -82,7 +88,7 @@ class CommandSaturation(TableEffect):
 
 @register_effect
 class ForceSaturation(Effect):
-    """Native drives put no more than so much force on their joint."""
+    """The force of native drives on their joint has an upper limit."""
 
     name = "force_saturation"
     group = "valve and command"

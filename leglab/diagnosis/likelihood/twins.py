@@ -64,7 +64,7 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
 
 
 def scale_twins(
-    problem: Problem, u: Unknowns, members: tuple[int, ...], x: np.ndarray
+    problem: Problem, u: Unknowns, own: np.ndarray, members: tuple[int, ...], x: np.ndarray
 ) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
     """Sets of no more members that move as a fitted one does, by all forces times one factor.
 
@@ -74,6 +74,7 @@ def scale_twins(
     Args:
         problem: Recordings and machine.
         u: Unknowns.
+        own: Of the specimen, see `own_forces`, (single,).
         members: Of the fitted set.
         x: Departures of all unknowns there, (unknowns,).
 
@@ -81,9 +82,6 @@ def scale_twins(
         Members of the twin, and by how much unknowns move from `x` to it.
     """
     now = x[: u.single]
-    own = own_forces(problem, u)
-    if own is None:
-        return
     scaling = np.array([_is_force(u, i) for i in range(u.single)]) | (own != 0.0)
     for q in members:
         if q >= u.single or own[q] == 0.0 or own[q] + now[q] <= 0.0:

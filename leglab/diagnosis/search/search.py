@@ -12,7 +12,7 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors, trials
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
-from leglab.diagnosis.likelihood.twins import scale_twins
+from leglab.diagnosis.likelihood.twins import own_forces, scale_twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, lessens, thinned
 from leglab.diagnosis.search.beam import beam, without_idle
@@ -120,8 +120,8 @@ def search(
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
     without = cache(lambda fit, key: at.without(fit.columns, fit.members, key))
-    # Beside most sets nothing comes near a limit, and a tangent does not show it.
-    limits = [jump for jump in trials(u) if u.limits[jump[0]]]
+    # A tangent shows a limit only where commands or forces come near it.
+    forces, limits = own_forces(problem, u), [jump for jump in trials(u) if u.limits[jump[0]]]
     limited = cache(lambda fit: at.jumped(fit.columns, limits))
     simpler = set[tuple[Fit, Key]]()
     compared, erring = Compared(fitter), fits[0]
@@ -189,11 +189,11 @@ def search(
             there = Candidate(late.members, {}, point.columns, point.spread, point.weight)
             run(there, beside=True, renewals=thresholds.RENEWALS)
             continue
-        # What moves alike whatever was recorded is a rival of every good set.
+        # A set that moves alike in any recording is a rival of every good set.
         twins = (
             Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
-            for r in near
-            for names, moves in scale_twins(problem, u, r.fit.members, r.fit.columns.x)
+            for r in (near if forces is not None else ())
+            for names, moves in scale_twins(problem, u, forces, r.fit.members, r.fit.columns.x)
             if frozenset(names) not in tried
         )
         if twin := next(twins, None):

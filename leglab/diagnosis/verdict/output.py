@@ -106,11 +106,13 @@ def summary_tables(result: Diagnosis) -> list[Table]:
             value, nominal = f"{p.value:.4g}", f"{p.nominal:.4g}"
             head.add_row(name, f"{p.name} \\[{p.unit}]", value, interval, nominal)
             name = ""
-    columns = ("recording", "before", "recalibrated", "after", "")
+    recalibrated = ("recalibrated",) if result.recalibrated else ()
+    columns = ("recording", "before", *recalibrated, "after", "")
     title = "normalised replay error (noise alone gives 1)"
     gaps = Table(*columns, title=title, title_justify="left")
     for row in result.recordings:
-        errors = (f"{error:.2f}" for error in (row.before, row.baseline, row.after))
+        baseline = (row.baseline,) if result.recalibrated else ()
+        errors = (f"{error:.2f}" for error in (row.before, *baseline, row.after))
         gaps.add_row(row.name, *errors, "held out" * row.held_out)
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     title = f"error {horizon}after a measured start, held-out recordings"
@@ -146,7 +148,8 @@ def summary_lines(result: Diagnosis) -> list[str]:
     for where in result.where:
         kind = where.residual if where.residual == "motion" else f"{where.residual} balance"
         region = where.region if where.region.startswith("everywhere") else f"worst {where.region}"
-        lines.append(f"{kind} of {where.element}: {where.level:.3g} noise levels off, {region}")
+        level = f"{where.level:.3g} noise levels off as it was"
+        lines.append(f"{kind} of {where.element}: {level}, {region}")
     if result.next_experiment is not None:
         proposal = result.next_experiment
         lines.append(f"to tell {' from '.join(proposal.rivals)}: {proposal.description}")

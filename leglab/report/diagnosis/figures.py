@@ -272,7 +272,8 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
         axes.axvline(floor, color=DARK_GREY, linestyle="--", linewidth=1.0, zorder=1)
         for i, row in enumerate(rows):
             axes.plot([row.before, row.after], [i, i], color=LIGHT_GREY, linewidth=1.6, zorder=2)
-            axes.plot(row.baseline, i, "d", color=DARK_GREY, markersize=5, zorder=3)
+            if result.recalibrated:
+                axes.plot(row.baseline, i, "d", color=DARK_GREY, markersize=5, zorder=3)
             axes.plot(row.before, i, "o", color=VERMILION, markersize=7, zorder=4)
             axes.plot(row.after, i, "o", color=BLUE, markersize=7, zorder=5)
             sides = (6, -6) if row.before >= row.after else (-6, 6)
@@ -280,9 +281,11 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
                 beside = "left" if side > 0 else "right"
                 axes.annotate(number(value), (value, i), xytext=(side, 0), ha=beside, **_VALUE)
         axes.set_xlabel("replay error [noise levels]")
-        marks = [_mark("as it was", VERMILION), _mark("recalibrated", DARK_GREY, "d")]
+        marks = [_mark("as it was", VERMILION)]
+        marks += [_mark("recalibrated", DARK_GREY, "d")] if result.recalibrated else []
         noise = Line2D([], [], color=DARK_GREY, linestyle="--", label="noise alone")
-        lines = [*marks, _mark("with what was found", BLUE), noise]
+        found = "with what was found" if result.recalibrated else words.after_words(result)
+        lines = [*marks, _mark(found, BLUE), noise]
         add_head(figure, "Gap between simulation and recording", lines, **_LEGEND)
     held = "; * was kept from all fits" if any(r.held_out for r in rows) else ""
     return CaptionedFigure(

@@ -61,6 +61,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
         "diagnosis.html",
         kind="diagnosis",
         model=model,
+        kind_of_result="Diagnosis" if result.recalibrated else "Fit",
         verdict=readable(result.verdict),
         headline=words.headline(result),
         facts=[(term, text.splitlines()) for term, text in words.facts(result)],
@@ -92,16 +93,18 @@ def _effects_table(result: Diagnosis) -> Table:
     rows = []
     for effect, smaller in result.all_effects:
         first = [f"{readable(effect.name)}{' (smaller)' * smaller}", effect.element]
-        last = [words.percent(effect.confidence), words.percent(effect.contribution)]
+        shares = (effect.confidence, effect.contribution) if result.recalibrated else ()
+        last = [words.percent(share) for share in shares]
         for parameter in effect.estimates:
             value, ends, nominal, unit = words.parameter_numbers(parameter)
             name = f"{readable(parameter.name)}{', uncertain' * words.uncertain(parameter)}"
             rows.append([*first, name, unit, value, ends, nominal, *last])
-            first = last = ["", ""]
+            first, last = ["", ""], [""] * len(last)
         if not effect.estimates:
             rows.append([*first, *[""] * 5, *last])
     names = ("effect", "element", "parameter", "unit", "value", "95 % interval")
-    head = (*names, result.nominal_words, "confidence", "of the gap")
+    shares = ("confidence", "of the gap") if result.recalibrated else ()
+    head = (*names, result.nominal_words, *shares)
     changed = "What changed" if result.calibration else "Missing effects"
     changed = "Fitted parameters" if result.verdict == "fitted" else changed
     # A further parameter of an effect has an empty first cell, which heads no row.
@@ -159,10 +162,12 @@ def _calibration_tables(result: Diagnosis) -> tuple[Table, ...]:
 def _gap_table(result: Diagnosis) -> Table:
     rows = []
     for r in words.in_order(result):
-        errors = map(number, (r.before, r.baseline, r.after))
+        baseline = (r.baseline,) if result.recalibrated else ()
+        errors = map(number, (r.before, *baseline, r.after))
         rows.append([r.name, "held out" if r.held_out else "fitted", *errors])
     caption = f"{result.gap.metric} (noise alone gives {number(result.gap.noise_floor)})"
-    head = ("recording", "use", "before", "recalibrated", "after")
+    recalibrated = ("recalibrated",) if result.recalibrated else ()
+    head = ("recording", "use", "before", *recalibrated, "after")
     return Table(caption=capital(caption), head=head, rows=rows, words=2)
 
 

@@ -71,7 +71,7 @@ def headline(result: Diagnosis) -> str:
     found = listed(tuple(_at(e) for e in result.effects))
     since = result.calibration is not None
     if result.verdict == "fitted":
-        return f"Fitted: {found}."
+        return f"Parameters of {found} are fitted."
     if result.verdict == "named":
         start = "Changed since the healthy recordings" if since else "The simulation is missing"
         return f"{start}: {found}."
@@ -140,12 +140,10 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
         missing = ";\n".join(f"{name}: {', '.join(v)}" if v else name for name, *v in told)
         if result.verdict == "unexplained":
             missing = f"nothing that can be named; nearest comes {missing}"
-        each = [f"{_at(effect)} {percent(effect.confidence)}" for effect in result.effects]
-        sure = "; ".join(each)
-        if len(each) == 1:
-            sure = f"{percent(result.effects[0].confidence)} that the name is right"
-        if result.verdict == "fitted":
-            sure = ""
+        sized = [effect for effect in result.effects if math.isfinite(effect.confidence)]
+        sure = "; ".join(f"{_at(effect)} {percent(effect.confidence)}" for effect in sized)
+        if len(sized) == 1 == len(result.effects):
+            sure = f"{percent(sized[0].confidence)} that the name is right"
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
     else:
@@ -300,6 +298,8 @@ def joint_of(channel: str) -> str:
 
 def after_words(result: Diagnosis) -> str:
     """Additions of the simulation "after" to the nominal model."""
+    if not result.recalibrated:
+        return "with the fitted parameters"
     if result.effects:
         return "with what was found"
     return "with the smaller differences" if result.smaller else "recalibrated"
@@ -504,10 +504,9 @@ def _tried(result: Diagnosis) -> tuple[str, ...]:
 def _costs(result: Diagnosis) -> tuple[str, ...]:
     gap = result.gap
     place = f"On {listed(gap.held_out)}" if gap.held_out else "On the recordings of the fit"
-    error = (
-        f"{place} the simulation is off by {number(gap.before)} noise levels; recalibrated within "
-        f"tolerance, by {number(gap.baseline)}"
-    )
+    error = f"{place} the simulation is off by {number(gap.before)} noise levels"
+    if result.recalibrated:
+        error += f"; recalibrated within tolerance, by {number(gap.baseline)}"
     if result.effects or result.smaller:
         error += f"; {after_words(result)}, by {number(gap.after)}"
     floor = f"Noise of the sensors alone gives {number(gap.noise_floor)}"
