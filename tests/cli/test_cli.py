@@ -60,6 +60,14 @@ def test_run_writes_everything(tmp_path, capsys):
     assert recording.duration == pytest.approx(4.0)
 
 
+def test_a_fault_that_is_named_while_running_stands_with_its_effect(tmp_path, capsys):
+    arguments = ["run", "seal_wear", "--model", "knee_bench", "--controller", "bsnn_arx_bank"]
+    words = [*arguments, "--no-figures", "--out", str(tmp_path / "run")]
+    status, printed, _ = leglab(*words, capsys=capsys)
+    assert status == 0
+    assert "seal_wear [internal_leakage] " in printed
+
+
 def test_list_as_json(capsys):
     status, printed, _ = leglab("list", "--json", capsys=capsys)
     names = json.loads(printed)
