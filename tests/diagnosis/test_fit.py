@@ -1,6 +1,7 @@
 """`leglab fit`: parameters of the user's choice, with bounds and covariance."""
 
 import json
+from html import unescape
 
 import mujoco
 import numpy as np
@@ -56,6 +57,8 @@ def test_intervals_hold_the_truth_and_the_command_writes_it(files, tmp_path):
     page = (out / "diagnosis.html").read_text()
     assert "Correlation of the estimates" in page
     assert "<title>Fit of pendulum" in page
+    assert "\N{REPLACEMENT CHARACTER}" not in page
+    assert "\n".join(content["changed"][2:]) in unescape(page)
     for text in (page, told.output):
         assert "onfidence" not in text
         assert "recalibrated" not in text

@@ -417,4 +417,4 @@ def test_a_little_of_an_effect_that_good_machines_have_changes_little():
         assert moved(i, 1e-5) < 0.05 * moved(i, 0.3) + 0.01, unknowns.keys[i]
     # Of what is there or is not, the first trace says it is there.
     absent = [i for i in range(unknowns.single) if not unknowns.gradual[i] and unknowns.nameable[i]]
-    assert {unknowns.keys[i][0] for i in absent} == {"backlash"}
+    assert {unknowns.keys[i][0] for i in absent} == {"backlash", "command_saturation"}

@@ -97,8 +97,11 @@ def summary_tables(result: Diagnosis) -> list[Table]:
     """Verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
     before = "model" if result.calibration is None else result.nominal_words
+    words = (word for e, _ in result.all_effects for word in (e.name, e.element))
+    longest = max(map(len, words), default=None)
     for name in ("effect", "parameter", "value", "95 % interval", before):
-        head.add_column(name, no_wrap=name != "effect")
+        wide = longest if name == "effect" else None
+        head.add_column(name, no_wrap=name != "effect", min_width=wide)
     for effect, smaller in result.all_effects:
         name = f"{'smaller: ' * smaller}[bold]{effect.name}[/bold] at {effect.element}"
         for p in effect.parameters:

@@ -103,8 +103,8 @@ def _effects_table(result: Diagnosis) -> Table:
         if not effect.estimates:
             rows.append([*first, *[""] * 5, *last])
     names = ("effect", "element", "parameter", "unit", "value", "95 % interval")
-    shares = ("confidence", "of the gap") if result.recalibrated else ()
-    head = (*names, result.nominal_words, *shares)
+    told = ("confidence", "of the gap") if result.recalibrated else ()
+    head = (*names, result.nominal_words, *told)
     changed = "What changed" if result.calibration else "Missing effects"
     changed = "Fitted parameters" if result.verdict == "fitted" else changed
     # A further parameter of an effect has an empty first cell, which heads no row.
@@ -115,10 +115,11 @@ def _correlation_table(result: Diagnosis) -> Table:
     names, matrix = result.covariance or ((), np.zeros((0, 0)))
     spread = np.sqrt(np.diag(matrix))
     rows = [
-        [name, *(f"{matrix[i, j] / (spread[i] * spread[j]):.2f}" for j in range(len(names)))]
+        [f"{i + 1}: {name}", *(f"{r:.2f}" for r in matrix[i] / (spread[i] * spread))]
         for i, name in enumerate(names if len(names) > 1 else ())
     ]
-    return Table(caption="Correlation of the estimates", head=("parameter", *names), rows=rows)
+    head = ("parameter", *(str(i + 1) for i in range(len(names))))
+    return Table(caption="Correlation of the estimates", head=head, rows=rows)
 
 
 def _remaining_table(result: Diagnosis) -> Table:
