@@ -97,17 +97,17 @@ def scale_twins(
             yield tuple(new), moved | _at_centres(problem, u, new, x)
 
 
-def own_forces(problem: Problem, u: Unknowns) -> np.ndarray | None:
-    """What a specimen has of each single unknown that a factor on all forces scales, in trials.
+def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
+    """Values of a specimen that a factor on all forces scales, in trials; else zeros.
 
     Its inertia, friction, stiffness, masses and gains, (single,), each under one effect: none under
-    those that hold another one as a special case. None where a force that acts has no unknown.
+    those that hold another one as a special case. All are zero where an acting force has no
+    unknown.
     """
-    machine, library = problem.machine, problem.library
+    machine, library, own = problem.machine, problem.library, np.zeros(u.single)
     acting = {a for a in machine.actuators if _acts(problem, a)}
     if machine.cylinders or any(("actuator_gain", a) not in library.sites for a in acting):
-        return None
-    own = np.zeros(u.single)
+        return own
     for i in range(u.single):
         ((key, n),) = u.places[i]
         site = library.sites[key]

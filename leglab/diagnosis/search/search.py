@@ -192,7 +192,7 @@ def search(
         # A set that moves alike in any recording is a rival of every good set.
         twins = (
             Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
-            for r in (near if forces is not None else ())
+            for r in near
             for names, moves in scale_twins(problem, u, forces, r.fit.members, r.fit.columns.x)
             if frozenset(names) not in tried
         )
