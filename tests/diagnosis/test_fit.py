@@ -64,6 +64,15 @@ def test_intervals_hold_the_truth_and_the_command_writes_it(files, tmp_path):
         assert "recalibrated" not in text
 
 
+def test_an_effect_that_is_not_fitted_widens_the_interval(logs):
+    wanted = [Wanted.parse("hinge:viscous_friction"), Wanted.parse("hinge:force_offset")]
+    both, alone = (
+        fit(PENDULUM.model, logs, some, held_out=()).result.covariance[1][0, 0]
+        for some in (wanted, wanted[:1])
+    )
+    assert alone > 25.0 * both
+
+
 def test_bounds_hold_and_are_told(logs):
     fitted = fit(PENDULUM.model, logs, [Wanted.parse("hinge:force_offset=0:0.1")], held_out=())
     ((value,),) = fitted.hypothesis.values()

@@ -62,7 +62,8 @@ def test_a_leakage_of_1e_13_is_written(tmp_path):
     path = written(
         Machine("knee_bench"), {("internal_leakage", "knee_valve"): np.array([3e-14])}, tmp_path
     )
-    assert Machine(path).parameter("knee_valve", "internal_leakage") == pytest.approx(3e-14)
+    found = Machine(path).parameter("knee_valve", "internal_leakage")
+    assert found == pytest.approx(3e-14, rel=1e-6, abs=0.0)
 
 
 def test_an_improved_model_is_improved_again_and_again(machine, tmp_path):
