@@ -25,7 +25,6 @@ from rigs.rough_bench import RoughBench, exact_specimen, specimen
 CHANGE, DURATION = 10.0, 20.0  # s
 WINDOWS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.2), (1.2, 2.4), (2.0, 5.0), (5.0, 10.0))  # after it, s
 HEALTHY = (-5.0, 0.0)  # s
-FIRST_SEED = 8300  # of no run that a setting was chosen by
 BEFORE, BANK, WITHOUT = "bsnn_arx", "bsnn_arx_bank", "kind left out"
 REFERENCES = ("walking_stride", "random_stride")
 
@@ -126,7 +125,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """All cases."""
     cases = [
         (change, reference, rough, seed)
-        for seed in range(FIRST_SEED, FIRST_SEED + options.specimens)
+        for seed in range(options.seed, options.seed + options.specimens)
         for change in (*KNOWN, *UNKNOWN)
         for reference in REFERENCES
         for rough in (False, True)
@@ -187,4 +186,5 @@ def _ratios(found: list[dict[str, Any]], label: str) -> np.ndarray:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--specimens", type=int, default=1, help="how many, exact and rough")
+    parser.add_argument("--seed", type=int, default=41000, help="of the first specimen")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time")

@@ -95,6 +95,7 @@ class Outcome:
     seconds: float  #: Time of the diagnosis on one thread
     #: Earliest and latest onset [s], in the order of `onsets`.
     onset_intervals: tuple[tuple[float, float], ...] = ()
+    changed: tuple[str, ...] = ()  #: How improved.xml differs from the model
 
     @property
     def first(self) -> bool:
@@ -187,6 +188,7 @@ def run_case(case: Case, seed: int) -> Outcome:
         before=content["gap"]["before"],
         after=content["gap"]["after"],
         seconds=perf_counter() - began,
+        changed=tuple(content["changed"]),
     )
 
 
