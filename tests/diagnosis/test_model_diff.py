@@ -98,6 +98,8 @@ def test_of_a_friction_one_line_differs(tmp_path):
     model.write_text(PLAIN)
     out, told = diagnosed(model, tmp_path, coulomb=0.5)
     assert [effect["name"] for effect in told["effects"]] == ["coulomb_friction"]
+    # Tuning alone has no friction, and gains little.
+    assert told["gap"]["recalibrated"] > 0.8 * told["gap"]["before"] > 10.0 * told["gap"]["after"]
     text = (out / "improved.xml").read_text()
     before, after = PLAIN.splitlines(), text.splitlines()
     differ = [(old, new) for old, new in zip(before, after, strict=True) if old != new]

@@ -18,7 +18,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.improve import improve
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.remainder.forms import choose_form
-from leglab.diagnosis.remainder.learning import learn_remainder, pays
+from leglab.diagnosis.remainder.learning import learn_remainder, pays, with_parts, worsens
 from leglab.diagnosis.remainder.part import Part, Periodicity
 from leglab.diagnosis.remainder.splines import CubicSpline, basis, clamped, nearest, roughness
 from leglab.diagnosis.remainder.words import describe
@@ -370,6 +370,17 @@ def test_nothing_is_claimed_that_held_out_recordings_do_not_bear_out():
     # Without held-out recordings nothing can be proved.
     free = set_up(PENDULUM.model, recordings, (), SETTINGS)
     assert learn_remainder(free, Hypothesis()) is None
+
+
+def test_what_makes_an_error_larger_where_nobody_fitted_is_no_gain():
+    truth, nothing = Truth(ripple=(0.5, 0.6, 0.2)), Hypothesis()
+    recordings = of_kinds(PENDULUM, truth, ("fast", "stairs", "slow"), seconds=4.0)
+    for held_out, bad in ((truth, False), (Truth(), True)):
+        recordings["slow"] = record(PENDULUM, "slow", held_out, seed=9, seconds=4.0)
+        problem = set_up(PENDULUM.model, recordings, ("slow",), SETTINGS)
+        if not bad:
+            parts = learn_remainder(problem, nothing).parts
+        assert worsens(problem, nothing, with_parts(problem, parts), nothing) is bad
 
 
 def test_play_is_no_static_force_and_is_said_to_have_a_memory():

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.replay.following import _gains, follow
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.verdict.verdict import diagnose
-from leglab.diagnosis.verdict.whole import _gains, follow, whole_recording
+from leglab.diagnosis.verdict.whole import whole_recording
 from rigs import PENDULUM, SERVO_JOINT, SLIDE_AXIS, Hidden, Truth
 from tests.helpers.unpleasant import of_kinds, thinned
 

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from leglab.base.scale import rms
 from leglab.diagnosis.balance.balances import balances
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.remainder.forms import Form, choose_form, worthwhile
 from leglab.diagnosis.remainder.part import LearnedLibrary, Part
 from leglab.diagnosis.remainder.words import Described, describe
+from leglab.diagnosis.replay.following import follow
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight, thinned
 from leglab.diagnosis.result import closed, root_mean
 from leglab.diagnosis.thresholds import ALIKE, Thresholds
@@ -126,6 +128,8 @@ def _proved(
     if not pays(before[held], after[held], limits) or levels[1] >= levels[0]:
         return None
     final, unit = joined(learned).about(beside), problem.machine.unit
+    if worsens(problem, without, final, beside):
+        return None
     cost = float(robust_cost(after, limits.robust_limit).mean())
     return Remainder(
         parts=tuple(part for part, _ in learned),
@@ -135,6 +139,28 @@ def _proved(
         closed_fraction=closed(*levels) or 0.0,
         memory=cost > limits.explained and has_memory(final, beside),
     )
+
+
+def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hypothesis) -> bool:
+    """Whether an error that a user sees becomes larger by what was learned, where nobody fitted.
+
+    Whitened errors leave out what start states explain. Errors in their units do not: of channels
+    at the end of windows, and of joints in whole recordings. Sensors hide as much as their noise.
+    """
+    held, noise = problem.held, problem.sensor_noise
+    recordings = np.unique(problem.replay.recording[held]).tolist()
+    joints = {c.joint: k for k, c in enumerate(problem.channels) if not c.chamber}
+    hidden = [rms(noise[recordings], axis=0), noise[recordings][:, list(joints.values())].ravel()]
+
+    def errors(problem: Problem, hypothesis: Hypothesis) -> np.ndarray:
+        found = rms(problem.raw_errors(hypothesis)[held][:, :, -1], axis=0).tolist()
+        for i in recordings:
+            course = follow(problem, hypothesis, i)
+            found += [course.deviation(joint) if course else 0.0 for joint in joints]
+        return np.array(found)
+
+    before, after = errors(problem, without), errors(learned, beside)
+    return not (after <= np.hypot(before, np.concatenate(hidden))).all()
 
 
 def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:

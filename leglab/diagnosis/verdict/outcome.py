@@ -39,8 +39,8 @@ class Outcome:
         if judged.verdict == "nothing_missing":
             row = nothing
         self.row = row  #: the set whose values are told
-        #: Nothing missing, all parameters within what machines differ by.
-        self.baseline = nothing.hypothesis
+        #: Nothing missing: all parameters within what machines differ by.
+        self.nothing = nothing.hypothesis
         self.final = row.hypothesis  #: the told set, all parameters as fitted beside it
         #: The problem where start states are as uncertain as the told set makes them.
         self.about = problem.about(self.final)
@@ -56,6 +56,8 @@ class Outcome:
             )
         )
         #: What an improved model carries is the told effects, and what has a tolerance.
+        #: What tuning alone gains: parameters with a tolerance, as fitted without any effect.
+        self.baseline = self.nothing
         if specimen is not None:
             self.written = self.final.only(self.named)
             if judged.verdict == "nothing_missing" and not self.named:
@@ -65,6 +67,10 @@ class Outcome:
             self.written = _named_alone(problem.library, lean.columns.base, self.named)
             if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
                 self.final, self.spread = self.written, spread
+            tuned = lean
+            if row is not nothing or self.named:
+                tuned, _ = _lean(problem.about(self.nothing), fitter, nothing, ())
+            self.baseline = _named_alone(problem.library, tuned.columns.base, ())
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
         #: they can have begun, (recordings, 2), inf where an effect begins in none.
         self.onsets: dict[Key, np.ndarray] = {}

@@ -98,7 +98,7 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
     problem = outcome.problem
     if outcome.specimen or not problem.held.any():
         return True
-    squares = problem.noise_levels(outcome.baseline)
+    squares = problem.noise_levels(outcome.nothing)
     return as_noise(squares[problem.held], problem.replay.recording[problem.held])
 
 
