@@ -291,7 +291,10 @@ def _ranking(found: Found) -> tuple[result.Rank, ...]:
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:
     """Probability of each set against each other one."""
-    names = tuple(" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows)
+    joined = [" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows]
+    places = [" + ".join(f"{name} at {element}" for name, element in sorted(r.keys)) for r in rows]
+    # Sets that differ by their elements alone have these in their names.
+    names = tuple(n if joined.count(n) == 1 else p for n, p in zip(joined, places, strict=True))
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
     return result.Rivals(

@@ -493,7 +493,7 @@ def _over_time(
         for row, trace in zip(grid, shown, strict=True):
             pairs = zip(row, (trace.before, trace.after), (VERMILION, BLUE), limits, strict=True)
             for axes, values, color, limit in pairs:
-                axes.plot(*_broken(trace.time, factor * values), color=color, linewidth=0.7)
+                axes.plot(*_by_window(trace, factor * values), color=color, linewidth=0.7)
                 axes.set_ylim(-limit, limit)
                 _tick(axes, 6, 3)
             star = " *" * held.get(trace.recording, False)
@@ -524,15 +524,10 @@ def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float,
     return (most, most) if most < _ALIKE * min(low, high) else (low, high)
 
 
-def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """In the order of time, with a NaN where windows are missing: no line over a gap."""
-    order = np.argsort(time, kind="stable")
-    time, values = time[order], values[order]
-    steps = np.diff(time)
-    usual = steps[steps > 0.0]
-    longest = 3.0 * float(np.median(usual)) if usual.size else math.inf
-    gaps = np.flatnonzero(steps > longest) + 1
-    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
+def _by_window(trace: ResidualTrace, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """With a NaN between windows: each is a replay of its own, and they may overlap."""
+    ends = np.arange(trace.bins, trace.time.size, trace.bins)
+    return np.insert(trace.time, ends, np.nan), np.insert(values, ends, np.nan)
 
 
 def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> None:
