@@ -1,6 +1,7 @@
 """A better model from recordings: effects that are sure, and a learned remainder."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,15 +23,13 @@ from leglab.diagnosis.remainder.learning import (
     learn_remainder,
     pays,
 )
-from leglab.diagnosis.replay.residual import Problem, robust_cost
+from leglab.diagnosis.replay.residual import Problem, robust_cost, thinned
 from leglab.diagnosis.result import Estimate, Moved, NamedEffect, closed, root_mean
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.thresholds import WINDOWS
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
-
-# Shares of a tolerance that are little, tried in this order.
-_LITTLE = (1.0, 0.5, 0.2, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,27 +159,74 @@ def _recalibrated(
 
 
 def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
-    """Leaves what moved little within its tolerance where the model has it.
+    """Leaves what moved without a name where the model has it, as far as errors hardly show it.
 
-    As little as replays of the windows that were fitted hardly show, all of it together.
+    One after the other goes back whose absence costs least where the others make up for it, by
+    errors that are linear in what moved (backward elimination). Errors of windows that were fitted
+    may grow by a tenth, by replays of all that went.
     """
+    library, chosen = problem.library, thinned(~problem.held, WINDOWS)
+    whole = library.whole(fitted)
+    moved = [
+        (key, i, float(values[i]), float(site.model[i]), p.tolerance)
+        for key, site in sorted(library.sites.items())
+        for values in ([whole[key]] if key in whole and key not in named else [])
+        for i, p in enumerate(site.parameters)
+        if values[i] != site.model[i]
+    ]
 
-    def kept(share: float) -> Hypothesis:
-        values = {}
-        for key, value in problem.library.whole(fitted).items():
-            site = problem.library.sites[key]
-            little = share * np.array([p.tolerance for p in site.parameters])
-            stays = (np.abs(value - site.model) <= little) & (key not in named)
-            if key in fitted or stays.any():
-                values[key] = np.where(stays, site.model, value)
+    def at(back: np.ndarray) -> Hypothesis:
+        """Where each has gone back by a share, (moved,)."""
+        values = {key: whole[key].copy() for key in {*fitted, *(key for key, *_ in moved)}}
+        for share, (key, i, value, own, _) in zip(back.tolist(), moved, strict=True):
+            p = library.sites[key].parameters[i]
+            there = own if share == 1.0 else value + share * (own - value)
+            values[key][i] = min(max(there, p.lower), p.upper)
         return Hypothesis(values, fitted.onsets)
 
-    def level(hypothesis: Hypothesis) -> float:
-        return root_mean(problem.noise_levels(hypothesis)[~problem.held])
+    def errors(back: np.ndarray) -> np.ndarray:
+        return problem.residual(at(back), chosen)
 
-    limit = (1.0 + problem.thresholds.smaller_share) * level(fitted)
-    candidates = (kept(share) for share in _LITTLE)
-    return next((one for one in candidates if level(one) <= limit), kept(0.0))
+    def level(back: np.ndarray) -> float:
+        return root_mean(problem.noise_levels(at(back))[~problem.held])
+
+    count = len(moved)
+    if not count:
+        return fitted
+    stay = np.zeros(count)
+    before = errors(stay).ravel()
+    columns = np.stack([errors(one).ravel() - before for one in np.eye(count)], axis=1)
+    # Departures in tolerances; what has none is as far as it is.
+    away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
+    paths = [stay, *_going_back(before, columns, away)]
+    limit = (1.0 + problem.thresholds.smaller_share) * level(stay)
+    least = bisect_left(range(count), True, key=lambda k: level(paths[k + 1]) > limit)
+    return at(paths[least])
+
+
+def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> Iterator[np.ndarray]:
+    """Shares by which parameters have gone back, (parameters,), one more of them wholly each time.
+
+    Args:
+        before: Errors with none gone back, (errors,).
+        columns: What each changes in them by going back, (errors, parameters).
+        away: How far each has moved, in tolerances, (parameters,).
+    """
+    # Half the square of errors and departures is x'Hx/2 - s'x at shares x; one at 1 costs
+    # (1 - x_i)^2/(H^-1)_ii where the others follow.
+    curvature = columns.T @ columns + np.diag(away**2)
+    slope = away**2 - columns.T @ before
+    kept = np.ones(away.size, dtype=bool)
+    while True:
+        inverse = np.linalg.inv(curvature[np.ix_(kept, kept)])
+        share = np.ones(away.size)
+        share[kept] = inverse @ (slope[kept] - curvature[np.ix_(kept, ~kept)].sum(axis=1))
+        if not kept.all():
+            yield share
+        if not kept.any():
+            return
+        cost = (1.0 - share[kept]) ** 2 / np.diag(inverse)
+        kept[np.flatnonzero(kept)[np.argmin(cost)]] = False
 
 
 @one_blas_thread()

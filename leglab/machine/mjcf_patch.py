@@ -5,6 +5,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal, InvalidOperation
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
@@ -87,6 +88,8 @@ class MjcfPatch:
         spring = changed.get("springref")
         if spring and node.name in self._in_degrees:
             changed["springref"] = f"{math.degrees(float(spring)):.9g}"
+        if node.tag == "config" and (value := changed.get("value")):
+            changed["value"] = _six_digits(node.attributes.get("value", ""), value)
         if _OF_GENERAL.isdisjoint(changed) or node.tag in ("general", "plugin"):
             node.changed |= changed
             return
@@ -153,6 +156,16 @@ def _same(old: str | None, new: str | None) -> bool:
     # A component of a vector is compared with the whole: leakages are of 1e-13, directions round.
     rounding = _SAME * max((abs(a) for a, _ in pairs), default=0.0) if len(pairs) > 1 else 0.0
     return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=rounding) for a, b in pairs)
+
+
+def _six_digits(old: str, new: str) -> str:
+    """A number as MuJoCo writes others, rounded towards the old one: bounds hold; or the text."""
+    try:
+        value = Decimal(new)
+        rounding = ROUND_FLOOR if value > Decimal(old or "0") else ROUND_CEILING
+    except InvalidOperation:
+        return new
+    return f"{float(Context(prec=6, rounding=rounding).plus(value)):.6g}"
 
 
 def _parsed(text: str, folder: Path, file: Path | None = None) -> "_Node":

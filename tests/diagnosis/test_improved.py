@@ -202,3 +202,21 @@ def test_a_model_that_was_attached_keeps_its_paths_and_joints(tmp_path):
     assert list(machine.carried[0]) == ["left_drive"]
     assert set(machine.base.joint_of.values()) == {"left_hinge"}
     assert machine.spring_of("left_hinge") == "left_hinge_spring"
+
+
+def test_parameters_go_back_while_the_others_make_up_for_them():
+    """Against least squares; two that do the same go back first, together."""
+    rng = np.random.default_rng(0)
+    columns, before = rng.normal(size=(50, 5)), 0.1 * rng.normal(size=50)
+    columns[:, 1] = 1e-3 * rng.normal(size=50) - columns[:, 0]
+    columns[:, 2] *= 1e-3
+    away = np.array([1.0, 1.0, 0.5, 2.0, 0.3])
+    paths = list(improve._going_back(before, columns, away))
+    gone = [set(np.flatnonzero(path == 1.0).tolist()) for path in paths]
+    assert gone[2] == {0, 1, 2}
+    assert [len(one) for one in gone] == [1, 2, 3, 4, 5]
+    for path, back in zip(paths, gone, strict=True):
+        kept = [i for i in range(5) if i not in back]
+        rows = np.vstack([columns, -np.diag(away)])
+        right = -np.r_[before, away] - rows[:, sorted(back)].sum(axis=1)
+        assert path[kept] == pytest.approx(np.linalg.lstsq(rows[:, kept], right)[0])
