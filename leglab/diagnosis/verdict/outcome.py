@@ -55,9 +55,9 @@ class Outcome:
                 if key[0] == name and element in (key[1], EVERY)
             )
         )
-        #: What an improved model carries is the told effects, and what has a tolerance.
-        #: What tuning alone gains: parameters with a tolerance, as fitted without any effect.
+        #: What tuning alone gains: parameters of no told effect, fitted within their tolerances.
         self.baseline = self.nothing
+        #: What an improved model carries is the told effects, and what has a tolerance.
         if specimen is not None:
             self.written = self.final.only(self.named)
             if judged.verdict == "nothing_missing" and not self.named:
@@ -69,8 +69,9 @@ class Outcome:
                 self.final, self.spread = self.written, spread
             tuned = lean
             if row is not nothing or self.named:
-                tuned, _ = _lean(problem.about(self.nothing), fitter, nothing, ())
-            self.baseline = _named_alone(problem.library, tuned.columns.base, ())
+                about = problem.about(self.nothing)
+                tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
+            self.baseline = _within(problem.library, tuned.columns.base).without(*self.named)
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
         #: they can have begun, (recordings, 2), inf where an effect begins in none.
         self.onsets: dict[Key, np.ndarray] = {}
@@ -115,17 +116,34 @@ def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -
     return Hypothesis(values, fitted.onsets)
 
 
+def _within(library: Library, fitted: Hypothesis) -> Hypothesis:
+    """Sets parameters without a tolerance to the model's values, others to the ends of theirs."""
+    values = {}
+    for key, value in _named_alone(library, fitted, ()).items():
+        site = library.sites[key]
+        most = 1.96 * np.array([p.tolerance for p in site.parameters])
+        values[key] = np.clip(value, site.nominal - most, site.nominal + most)
+    return Hypothesis(values, fitted.onsets)
+
+
 def _lean(
-    about: Problem, fitter: Fitter, row: Row, named: tuple[Key, ...]
+    about: Problem,
+    fitter: Fitter,
+    row: Row,
+    named: tuple[Key, ...],
+    *,
+    fixed: tuple[Key, ...] = (),
 ) -> tuple[Fit, np.ndarray]:
     """The told members where the rest of the machine is as its model, but for tolerances.
 
-    What else departs a little takes a part of each effect's size with it. Beside the fit, the
-    covariance of all single unknowns there.
+    What else departs a little takes a part of each effect's size with it. Effects that are `fixed`
+    depart by none. Beside the fit, the covariance of all single unknowns there.
     """
-    at = Errors(about, fitter.at.unknowns, fitter.at.chosen)
+    u = fitter.at.unknowns
+    still = [not u.library_keys(q).isdisjoint(fixed) for q in range(len(u))]
+    at = Errors(about, replace(u, tolerance=np.where(still, 0.0, u.tolerance)), fitter.at.chosen)
     lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
-    u, old, kappa = at.unknowns, row.evidence.columns, row.evidence.kappa
+    old, kappa = row.evidence.columns, row.evidence.kappa
     values = zip(row.score.unknowns, row.score.values.tolist(), strict=True)
     kept = {q: value for q, value in values if u.library_keys(q) <= set(named)}
     # Shapes stay as they were found.
@@ -135,7 +153,7 @@ def _lean(
     there = replace(old, errors=at.at(old.base))
     start = dict(enumerate((goal - old.x[: u.single]).tolist()))
     new = Candidate(tuple(kept), start, there, row.evidence.spread, row.evidence.weight)
-    fit = lean.fit(new, kappa, renewals=RENEWALS if kept else 0, beside=True)
+    fit = lean.fit(new, kappa, renewals=RENEWALS if kept or fixed else 0, beside=True)
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
     return fit, _scatter(evidence, evidence.score([(q, None) for q in kept]))
 
