@@ -1,20 +1,25 @@
 """Calibrates the model to healthy recordings of the same machine."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.special import softmax
 
 from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
-from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.intake.series import UniformSeries
 from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.evidence import Evidence, parts_of
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import Candidate, Fitter
+from leglab.diagnosis.search.search import search, told
+from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,15 +27,19 @@ class Specimen:
     """A machine as its healthy recordings show it."""
 
     problem: Problem  #: Healthy recordings and machine
-    values: Hypothesis  #: Of all strengths
+    values: Hypothesis  #: Of all strengths and shapes, by the best set
     priors: Priors  #: Of the same machine on another day
-    spread: Spread  #: Pattern of the error that the calibrated model leaves, by healthy recording
+    #: Pattern of the error in each healthy recording where the others alone are fitted.
+    spread: Spread
     kappa: float  #: 1/design effect
-    #: Error of each healthy recording in noise levels, before and after calibration, (recordings,
-    #: 2).
+    #: Error of each healthy recording in noise levels, of the model as it is and where the others
+    #: alone are fitted, (recordings, 2).
     levels: np.ndarray
-    #: Median error of its windows after calibration, in noise levels, (recordings,).
+    #: Median error of the windows of each healthy recording where the others alone are fitted, in
+    #: noise levels, (recordings,).
     usual: np.ndarray
+    chosen: np.ndarray  #: Mask of the windows that were fitted, (windows,)
+    left_out: tuple[Hypothesis, ...]  #: Fits without each part of the recordings in turn
 
     def nearest(self, problem: Problem) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
@@ -39,18 +48,41 @@ class Specimen:
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
-    def as_it_was(self, problem: Problem) -> bool:
+    @cached_property
+    def day(self) -> float:
+        """Log deviation of an error on another day: at least that of healthy recordings."""
+        apart = np.log(self.usual)
+        return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
+
+    def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
         """Whether errors in all windows are those of the healthy specimen on another day.
 
-        In every recording: one that moves tells more than three that rest. Nothing is moved for it:
-        what a day changes may hide a fault.
+        In every recording: one that moves tells more than three that rest. `at` is where the
+        specimen is: what a day moves may hide a fault.
         """
-        level, recording = problem.noise_levels(Hypothesis()) ** 0.5, problem.replay.recording
+        level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
         largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
         # Of several recordings the largest departs by two deviations where none is ill.
-        limits = np.exp([thresholds.DAY_FACTOR, 2.0 * thresholds.DAY_FACTOR])
+        limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
+
+    def as_new(self, library: Library, kappa: float) -> Evidence:
+        """Evidence that sets have on recordings of an unchanged machine.
+
+        Each part of the healthy recordings is compared with the fit of all others, as new ones are;
+        departures are from the specimen.
+
+        Args:
+            library: Effects on the specimen.
+            kappa: Share of the log likelihood that counts.
+        """
+        problem = copy(self.problem)
+        problem.library = library
+        at = Errors(problem, Unknowns.of(library), self.chosen)
+        fitter = Fitter(at, self.priors, self.spread)
+        columns = replace(at.columns(thresholds.FINE), errors=_apart(at, self.left_out))
+        return fitter.evidence(columns, *fitter.about(columns.errors), kappa)
 
 
 def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
@@ -62,34 +94,78 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 
 
 def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
-    """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
-    unknowns = Unknowns.of(problem.library)
-    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * thresholds.WINDOWS // 2))
-    fitter = Fitter(at, Priors())
+    """Fits the model to healthy recordings, under the priors of machines as they are built.
+
+    The best set is the specimen, named or not; by how much the others near it differ is not known.
+    """
+    fitter, fits, logs, kappa = _best_sets(problem, log)
+    at, best, unknowns = fitter.at, fits[0], fitter.at.unknowns
+    # From here on the error that is left has size 1.
+    unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
+    own, n = Spread.of(at, best.columns.errors), unknowns.single
+    evidence = fitter.evidence(best.columns, own, best.weight, kappa, unit)
+    score = evidence.score([(q, None) for q in best.members])
+    log(f"healthy: {told(unknowns, score)}: {best.level:.4g} noise levels, kappa {kappa:.3f}")
+    away, share = np.stack([f.columns.x[:n] for f in fits]) - best.columns.x[:n], softmax(logs)
+    sites = problem.library.sites
+    values = Hypothesis({k: best.columns.base.get(k, s.nominal) for k, s in sites.items()})
+    priors = Priors(
+        spreads=thresholds.SPREADS + thresholds.WIDER,
+        tolerances=thresholds.DAY_TOLERANCES,
+        covariance=evidence.posterior(score) + (share * away.T) @ away,
+        sizes=thresholds.DAY_SIZES,
+        log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
+    )
+    apart = evidence.apart(score.members, score.spread)
+    left_out = [unknowns.moved(values, evidence.departures(one)) for one in apart]
+    # Windows between those that are fitted belong to the part of their neighbour.
+    place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
+    part = evidence.part[np.minimum(place, evidence.part.size - 1)]
+    squares = np.stack([problem.noise_levels(h) for h in (Hypothesis(), *left_out)])
+    squares = np.stack([squares[0], squares[1 + part, np.arange(part.size)]])
+    windows = [problem.replay.recording == i for i in range(len(problem.series))]
+    return Specimen(
+        problem=problem,
+        values=values,
+        priors=priors,
+        spread=Spread.of(at, _apart(at, left_out)),
+        kappa=kappa,
+        levels=np.sqrt([squares[:, own].mean(axis=1) for own in windows]),
+        usual=np.sqrt([np.median(squares[1, own]) for own in windows]),
+        chosen=at.chosen,
+        left_out=tuple(left_out),
+    )
+
+
+def _best_sets(
+    problem: Problem, log: Callable[[str], None]
+) -> tuple[Fitter, list[Fit], list[float], float]:
+    """Sets that explain healthy recordings, the best first, with their log evidence, and kappa.
+
+    Where machines as they are built are left more than noise, a search finds them as in new ones.
+    """
+    at = Errors(
+        problem, Unknowns.of(problem.library), thinned(problem.fitted, 3 * thresholds.WINDOWS // 2)
+    )
+    fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
     first = at.columns(thresholds.COARSE)
     spread, weight = fitter.about(first.errors)
-    kappa = thresholds.KAPPA
     for _ in range(2):
         fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
         spread, weight, first = fit.spread, fit.weight, fit.columns
         evidence = fitter.evidence(first, spread, weight, kappa)
         kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
         log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
-    # From here on the error that is left has size 1.
-    unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
-    evidence = fitter.evidence(first, Spread.of(at, first.errors), weight, kappa, unit)
-    score = evidence.score(())
-    sites = problem.library.sites
-    values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
-    priors = Priors(
-        spreads=thresholds.SPREADS + thresholds.WIDER,
-        tolerances=thresholds.DAY_TOLERANCES,
-        covariance=evidence.posterior(score),
-        sizes=thresholds.DAY_SIZES,
-        log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
-    )
-    squares = [problem.noise_levels(h) for h in (Hypothesis(), values)]
-    windows = [problem.replay.recording == i for i in range(len(problem.series))]
-    levels = np.sqrt([[square[own].mean() for square in squares] for own in windows])
-    usual = np.sqrt([np.median(squares[1][own]) for own in windows])
-    return Specimen(problem, values, priors, evidence.spread, kappa, levels, usual)
+    if fitter.explains(fit):
+        return fitter, [fit], [0.0], kappa
+    found = search(problem, log=log)
+    ranks = found.ranks
+    kappa = ranks[0].evidence.kappa
+    return found.fitter, [r.fit for r in ranks], [r.score.log for r in ranks], kappa
+
+
+def _apart(at: Errors, left_out: Sequence[Hypothesis]) -> np.ndarray:
+    """Errors of each part of the recordings by the fit without it, (windows, rows)."""
+    part = parts_of(at.recording)
+    errors = np.stack([at.at(h) for h in left_out])[part, np.arange(part.size)]
+    return np.clip(errors, -thresholds.BLOWN, thresholds.BLOWN)
