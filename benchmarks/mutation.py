@@ -68,7 +68,8 @@ FAULTS = {
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
-        "diagnosis.verdict.confidence", "if row.keys or own < POSSIBLE:", "if row.keys:",
+        "diagnosis.verdict.confidence", "if not row.keys and own >= thresholds.POSSIBLE:",
+        "if not row.keys:",
         "test_what_explains_the_recordings_as_well_stands_beside",
     ),
     "a healthy machine is not all-clear": (

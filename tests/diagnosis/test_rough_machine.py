@@ -167,7 +167,8 @@ def test_nothing_is_learned_where_nothing_is_missing(well, monkeypatch):
     found = well[1]
     assert improve.improved_model(found) is not None  # the calibration of the specimen
     assert not learned
-    improve.improved_model(told(found, verdict="unexplained"))
+    much = replace(found.result.gap, after=10.0)
+    improve.improved_model(told(found, verdict="unexplained", gap=much))
     assert learned
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import softmax
 
 from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
@@ -18,7 +17,7 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.search import search, told
+from leglab.diagnosis.search.search import search
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 
@@ -27,7 +26,7 @@ class Specimen:
     """A machine as its healthy recordings show it."""
 
     problem: Problem  #: Healthy recordings and machine
-    values: Hypothesis  #: Of all strengths and shapes, by the best set
+    values: Hypothesis  #: Of all strengths and shapes
     priors: Priors  #: Of the same machine on another day
     #: Pattern of the error in each healthy recording where the others alone are fitted.
     spread: Spread
@@ -47,6 +46,16 @@ class Specimen:
         own = np.stack([_motion(s, columns) for s in self.problem.series])
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
+
+    def surprise(self, problem: Problem) -> float:
+        """How little fitted recordings, of a problem about the model, are those of this specimen.
+
+        Negative log density of their median errors, as the healthy ones have them.
+        """
+        fitted, nearest = problem.fitted, np.array(self.nearest(problem))
+        usual = self.usual[nearest[problem.replay.recording]][fitted]
+        ratio = problem.noise_levels(self.values)[fitted] ** 0.5 / usual
+        return float(np.median(0.5 * ratio**2 + np.log(usual)))
 
     @cached_property
     def day(self) -> float:
@@ -93,26 +102,47 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     return np.log(np.concatenate([spread, rate]) + 1e-9)
 
 
-def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
+def calibrate(problem: Problem, log: Callable[[str], None]) -> list[Specimen]:
     """Fits the model to healthy recordings, under the priors of machines as they are built.
 
-    The best set is the specimen, named or not; by how much the others near it differ is not known.
+    Where that leaves more than noise they are searched as new ones are. The specimen is what any of
+    the best sets says, named or not, or no set, the most probable first.
     """
-    fitter, fits, logs, kappa = _best_sets(problem, log)
-    at, best, unknowns = fitter.at, fits[0], fitter.at.unknowns
+    at = Errors(
+        problem, Unknowns.of(problem.library), thinned(problem.fitted, 3 * thresholds.WINDOWS // 2)
+    )
+    fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
+    first = at.columns(thresholds.COARSE)
+    spread, weight = fitter.about(first.errors)
+    for _ in range(2):
+        fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
+        spread, weight, first = fit.spread, fit.weight, fit.columns
+        evidence = fitter.evidence(first, spread, weight, kappa)
+        kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
+        log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
+    if fitter.explains(fit):
+        return [_specimen(problem, fitter, fit, kappa)]
+    found = search(problem, log=log)
+    ranks, fitter = found.ranks, found.fitter
+    least, kappa = ranks[0].score.log - thresholds.NEAR, ranks[0].evidence.kappa
+    near = [r.fit for r in ranks if r.score.log > least or not r.fit.members]
+    return [_specimen(problem, fitter, fit, kappa) for fit in near]
+
+
+def _specimen(problem: Problem, fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
+    """The specimen by a fit to its healthy recordings."""
+    at, unknowns = fitter.at, fitter.at.unknowns
     # From here on the error that is left has size 1.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
-    own, n = Spread.of(at, best.columns.errors), unknowns.single
-    evidence = fitter.evidence(best.columns, own, best.weight, kappa, unit)
-    score = evidence.score([(q, None) for q in best.members])
-    log(f"healthy: {told(unknowns, score)}: {best.level:.4g} noise levels, kappa {kappa:.3f}")
-    away, share = np.stack([f.columns.x[:n] for f in fits]) - best.columns.x[:n], softmax(logs)
+    own = Spread.of(at, fit.columns.errors)
+    evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)
+    score = evidence.score([(q, None) for q in fit.members])
     sites = problem.library.sites
-    values = Hypothesis({k: best.columns.base.get(k, s.nominal) for k, s in sites.items()})
+    values = Hypothesis({k: fit.columns.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
         spreads=thresholds.SPREADS + thresholds.WIDER,
         tolerances=thresholds.DAY_TOLERANCES,
-        covariance=evidence.posterior(score) + (share * away.T) @ away,
+        covariance=evidence.posterior(score),
         sizes=thresholds.DAY_SIZES,
         log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
     )
@@ -135,33 +165,6 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
         chosen=at.chosen,
         left_out=tuple(left_out),
     )
-
-
-def _best_sets(
-    problem: Problem, log: Callable[[str], None]
-) -> tuple[Fitter, list[Fit], list[float], float]:
-    """Sets that explain healthy recordings, the best first, with their log evidence, and kappa.
-
-    Where machines as they are built are left more than noise, a search finds them as in new ones.
-    """
-    at = Errors(
-        problem, Unknowns.of(problem.library), thinned(problem.fitted, 3 * thresholds.WINDOWS // 2)
-    )
-    fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
-    first = at.columns(thresholds.COARSE)
-    spread, weight = fitter.about(first.errors)
-    for _ in range(2):
-        fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
-        spread, weight, first = fit.spread, fit.weight, fit.columns
-        evidence = fitter.evidence(first, spread, weight, kappa)
-        kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
-        log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
-    if fitter.explains(fit):
-        return fitter, [fit], [0.0], kappa
-    found = search(problem, log=log)
-    ranks = found.ranks
-    kappa = ranks[0].evidence.kappa
-    return found.fitter, [r.fit for r in ranks], [r.score.log for r in ranks], kappa
 
 
 def _apart(at: Errors, left_out: Sequence[Hypothesis]) -> np.ndarray:
