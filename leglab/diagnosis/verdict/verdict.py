@@ -207,7 +207,7 @@ def _effects(
         without = result.root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
         # Of a set that is not told apart none is surer than not.
-        confidence = min(one.confidence, 1.0 if judged.named else NAMED)
+        confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < limits.explanation_share:
             # A name does not stand while most of the error is left.
             confidence = min(confidence, explained)
