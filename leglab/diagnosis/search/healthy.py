@@ -1,8 +1,8 @@
 """Calibrates the model to healthy recordings of the same machine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,13 +11,13 @@ from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, parts_of
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.search import search
+from leglab.diagnosis.search.search import Begun, search, windows_of
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 
@@ -25,20 +25,70 @@ from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 class Specimen:
     """A machine as its healthy recordings show it."""
 
-    problem: Problem  #: Healthy recordings and machine
-    values: Hypothesis  #: Of all strengths and shapes
+    at: Errors  #: Healthy recordings and machine, the windows that were fitted
+    columns: Columns  #: Linearisation where the fit ended
+    values: Hypothesis  #: Of all strengths and shapes there
     priors: Priors  #: Of the same machine on another day
-    #: Pattern of the error in each healthy recording where the others alone are fitted.
-    spread: Spread
     kappa: float  #: 1/design effect
-    #: Error of each healthy recording in noise levels, of the model as it is and where the others
-    #: alone are fitted, (recordings, 2).
-    levels: np.ndarray
-    #: Median error of the windows of each healthy recording where the others alone are fitted, in
-    #: noise levels, (recordings,).
-    usual: np.ndarray
-    chosen: np.ndarray  #: Mask of the windows that were fitted, (windows,)
     left_out: tuple[Hypothesis, ...]  #: Fits without each part of the recordings in turn
+
+    @property
+    def problem(self) -> Problem:
+        """Healthy recordings and machine."""
+        return self.at.problem
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Errors of each part of the windows by the fit without it, (windows, rows)."""
+        out, part = np.zeros_like(self.columns.errors), parts_of(self.at.recording)
+        for r, hypothesis in enumerate(self.left_out):
+            own = part == r
+            out[own] = self.at.some(own).at(hypothesis)
+        return np.clip(out, -thresholds.BLOWN, thresholds.BLOWN)
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Pattern of the error in each healthy recording where the others alone are fitted."""
+        return Spread.of(self.at, self.errors)
+
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        """Mean square error of all windows by the fit without their part, (windows,)."""
+        at, problem = self.at, self.problem
+        # Windows between those that are fitted belong to the part of their neighbour.
+        fitted = parts_of(at.recording)
+        place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
+        part = fitted[np.minimum(place, fitted.size - 1)]
+        out = np.zeros(part.size)
+        for r, hypothesis in enumerate(self.left_out):
+            out[part == r] = np.mean(problem.residual(hypothesis, part == r) ** 2, axis=1)
+        return out
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """Error of each healthy recording in noise levels, (recordings, 2).
+
+        Of the model as it is, and where the others alone are fitted.
+        """
+        recording = self.problem.replay.recording
+        squares = np.stack([self.problem.noise_levels(Hypothesis()), self._squares])
+        count = len(self.problem.series)
+        return np.sqrt([squares[:, recording == i].mean(axis=1) for i in range(count)])
+
+    @cached_property
+    def usual(self) -> np.ndarray:
+        """Median error of windows where the others alone are fitted, by recording, (recordings,).
+
+        In noise levels.
+        """
+        recording, count = self.problem.replay.recording, len(self.problem.series)
+        return np.sqrt([np.median(self._squares[recording == i]) for i in range(count)])
+
+    @cached_property
+    def day(self) -> float:
+        """Log deviation of an error on another day: at least that of healthy recordings."""
+        apart = np.log(self.usual)
+        return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
 
     def nearest(self, problem: Problem) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
@@ -52,16 +102,16 @@ class Specimen:
 
         Negative log density of their median errors, as the healthy ones have them.
         """
-        fitted, nearest = problem.fitted, np.array(self.nearest(problem))
-        usual = self.usual[nearest[problem.replay.recording]][fitted]
-        ratio = problem.noise_levels(self.values)[fitted] ** 0.5 / usual
-        return float(np.median(0.5 * ratio**2 + np.log(usual)))
-
-    @cached_property
-    def day(self) -> float:
-        """Log deviation of an error on another day: at least that of healthy recordings."""
-        apart = np.log(self.usual)
-        return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
+        at, nearest = self.at, np.array(self.nearest(problem))
+        white = at.problem.noise.white(self.errors[:, : at.size], at.chosen)
+        squares = np.mean(white**2, axis=1)
+        usual = np.full(len(at.problem.series), np.median(squares))
+        for r in np.unique(at.recording):
+            usual[r] = np.median(squares[at.recording == r])
+        chosen = thinned(problem.fitted, thresholds.WINDOWS)
+        usual = usual[nearest[problem.replay.recording[chosen]]]
+        square = np.mean(problem.residual(self.values, chosen) ** 2, axis=1)
+        return float(np.median(0.5 * (square / usual + np.log(usual))))
 
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
         """Whether errors in all windows are those of the healthy specimen on another day.
@@ -76,7 +126,7 @@ class Specimen:
         limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
-    def as_new(self, library: Library, kappa: float) -> Evidence:
+    def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
         """Evidence that sets have on recordings of an unchanged machine.
 
         Each part of the healthy recordings is compared with the fit of all others, as new ones are;
@@ -84,13 +134,21 @@ class Specimen:
 
         Args:
             library: Effects on the specimen.
+            members: Unknowns of the sets; of all others tangents are known well enough.
             kappa: Share of the log likelihood that counts.
         """
-        problem = copy(self.problem)
+        problem, u = copy(self.problem), Unknowns.of(library)
         problem.library = library
-        at = Errors(problem, Unknowns.of(library), self.chosen)
-        fitter = Fitter(at, self.priors, self.spread)
-        columns = replace(at.columns(thresholds.FINE), errors=_apart(at, self.left_out))
+        own = sorted({i for q in members for i in u.singles(q)})
+        here = self.values, self.columns.errors
+        # Of single unknowns: about another machine departures begin elsewhere, and are no longer.
+        single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
+        tangents = np.zeros((*self.errors.shape, len(u)))
+        for q in range(len(u)):
+            tangents[:, :, q] = single[:, :, list(u.singles(q))].sum(axis=2)
+        none = np.zeros((*self.errors.shape, 0))
+        columns = Columns(Hypothesis(), np.zeros(len(u)), self.errors, tangents, (), none)
+        fitter = Fitter(Errors(problem, u, self.at.chosen), self.priors, self.spread)
         return fitter.evidence(columns, *fitter.about(columns.errors), kappa)
 
 
@@ -105,31 +163,31 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 def calibrate(problem: Problem, log: Callable[[str], None]) -> list[Specimen]:
     """Fits the model to healthy recordings, under the priors of machines as they are built.
 
-    Where that leaves more than noise they are searched as new ones are. The specimen is what any of
-    the best sets says, named or not, or no set, the most probable first.
+    Where that leaves more than noise they are searched for what describes them better. The specimen
+    is what any of the best sets says, named or not, or no set, the most probable first.
     """
-    at = Errors(
-        problem, Unknowns.of(problem.library), thinned(problem.fitted, 3 * thresholds.WINDOWS // 2)
-    )
+    unknowns = Unknowns.of(problem.library)
+    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * windows_of(unknowns) // 2))
     fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
     first = at.columns(thresholds.COARSE)
     spread, weight = fitter.about(first.errors)
+    new = Candidate((), {}, first, spread, weight)
     for _ in range(2):
-        fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
-        spread, weight, first = fit.spread, fit.weight, fit.columns
-        evidence = fitter.evidence(first, spread, weight, kappa)
+        fit = fitter.fit(new, kappa)
+        evidence = fitter.evidence(fit.columns, fit.spread, fit.weight, kappa)
         kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
         log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
+        new = Candidate((), {}, fit.columns, fit.spread, fit.weight)
     if fitter.explains(fit):
-        return [_specimen(problem, fitter, fit, kappa)]
-    found = search(problem, log=log)
-    ranks, fitter = found.ranks, found.fitter
-    least, kappa = ranks[0].score.log - thresholds.NEAR, ranks[0].evidence.kappa
-    near = [r.fit for r in ranks if r.score.log > least or not r.fit.members]
-    return [_specimen(problem, fitter, fit, kappa) for fit in near]
+        return [_specimen(fitter, fit, kappa)]
+    found = search(problem, kappa=kappa, log=log, begun=Begun(fitter, first, fit))
+    best = found.ranks[0]
+    least = best.score.log - thresholds.NEAR
+    near = [r.fit for r in found.ranks if r.score.log > least or not r.fit.members]
+    return [_specimen(fitter, fit, best.evidence.kappa) for fit in near]
 
 
-def _specimen(problem: Problem, fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
+def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
     """The specimen by a fit to its healthy recordings."""
     at, unknowns = fitter.at, fitter.at.unknowns
     # From here on the error that is left has size 1.
@@ -137,7 +195,7 @@ def _specimen(problem: Problem, fitter: Fitter, fit: Fit, kappa: float) -> Speci
     own = Spread.of(at, fit.columns.errors)
     evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)
     score = evidence.score([(q, None) for q in fit.members])
-    sites = problem.library.sites
+    sites = at.problem.library.sites
     values = Hypothesis({k: fit.columns.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
         spreads=thresholds.SPREADS + thresholds.WIDER,
@@ -147,28 +205,5 @@ def _specimen(problem: Problem, fitter: Fitter, fit: Fit, kappa: float) -> Speci
         log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
     )
     apart = evidence.apart(score.members, score.spread)
-    left_out = [unknowns.moved(values, evidence.departures(one)) for one in apart]
-    # Windows between those that are fitted belong to the part of their neighbour.
-    place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
-    part = evidence.part[np.minimum(place, evidence.part.size - 1)]
-    squares = np.stack([problem.noise_levels(h) for h in (Hypothesis(), *left_out)])
-    squares = np.stack([squares[0], squares[1 + part, np.arange(part.size)]])
-    windows = [problem.replay.recording == i for i in range(len(problem.series))]
-    return Specimen(
-        problem=problem,
-        values=values,
-        priors=priors,
-        spread=Spread.of(at, _apart(at, left_out)),
-        kappa=kappa,
-        levels=np.sqrt([squares[:, own].mean(axis=1) for own in windows]),
-        usual=np.sqrt([np.median(squares[1, own]) for own in windows]),
-        chosen=at.chosen,
-        left_out=tuple(left_out),
-    )
-
-
-def _apart(at: Errors, left_out: Sequence[Hypothesis]) -> np.ndarray:
-    """Errors of each part of the recordings by the fit without it, (windows, rows)."""
-    part = parts_of(at.recording)
-    errors = np.stack([at.at(h) for h in left_out])[part, np.arange(part.size)]
-    return np.clip(errors, -thresholds.BLOWN, thresholds.BLOWN)
+    left_out = tuple(unknowns.moved(values, evidence.departures(one)) for one in apart)
+    return Specimen(at, fit.columns, values, priors, kappa, left_out)

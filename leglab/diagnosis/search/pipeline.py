@@ -161,7 +161,7 @@ def searched(
     # Of what explains the healthy recordings, that which explains new ones best: what changed is
     # what none of them does.
     made = calibrate(_sized(before, seen), progress)
-    specimen = min(made, key=lambda one: one.surprise(later))
+    specimen = min(made, key=lambda one: one.surprise(later)) if len(made) > 1 else made[0]
     problem = _problem(
         machine, admitted, settings, specimen=specimen.values, beside=earlier.recordings
     )

@@ -207,8 +207,9 @@ class Sets:
 
         As many of these count as of the new ones, and what a set costs counts once.
         """
-        count = self.at.recording.size / specimen.chosen.sum()
-        before = specimen.as_new(self.unknowns.library, self.best.kappa * count)
+        count = self.at.recording.size / specimen.at.recording.size
+        members = {q for row in rows for q in row.score.unknowns}
+        before = specimen.as_new(self.unknowns.library, members, self.best.kappa * count)
         nothing, found = before.score(()).log, []
         for row in rows:
             cost = before.odds(row.score.unknowns)
