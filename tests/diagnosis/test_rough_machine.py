@@ -12,6 +12,7 @@ from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.search.pipeline import DiagnosisSettings
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.verdict import diagnose
+from leglab.report.diagnosis.words import headline
 from rigs import PENDULUM, Truth
 from rigs.rough_bench import exact_specimen, references
 from rigs.rough_bench import record as record_bench
@@ -77,6 +78,16 @@ def test_a_rough_machine_that_is_as_healthy_as_before_gets_no_name(well):
     assert result.verdict == "nothing_missing"
     assert result.effects == ()
     assert result.smaller == ()
+
+
+def test_an_unchanged_machine_is_told_so_whatever_explains_its_errors(healthy):
+    """On another day, with thinner grease, by all effects: some set always lessens the errors."""
+    day = Truth(**{**ROUGH, "viscous_factor": 1.2})
+    later = of_kinds(ROUGH_RIG, day, (HELD_OUT, "fast", "stairs"), seconds=4.0)
+    asked = {"held_out": (HELD_OUT,), "settings": DiagnosisSettings(threads=1)}
+    result, _ = diagnose(PENDULUM.model, later, healthy=healthy, **asked)
+    assert headline(result).startswith("Nothing has changed")
+    assert result.effects == result.smaller == ()
 
 
 def test_the_gap_is_that_of_the_held_out_recordings(ill):

@@ -97,22 +97,6 @@ class Specimen:
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
-    def surprise(self, problem: Problem) -> float:
-        """How little fitted recordings, of a problem about the model, are those of this specimen.
-
-        Negative log density of their median errors, as the healthy ones have them.
-        """
-        at, nearest = self.at, np.array(self.nearest(problem))
-        white = at.problem.noise.white(self.errors[:, : at.size], at.chosen)
-        squares = np.mean(white**2, axis=1)
-        usual = np.full(len(at.problem.series), np.median(squares))
-        for r in np.unique(at.recording):
-            usual[r] = np.median(squares[at.recording == r])
-        chosen = thinned(problem.fitted, thresholds.WINDOWS)
-        usual = usual[nearest[problem.replay.recording[chosen]]]
-        square = np.mean(problem.residual(self.values, chosen) ** 2, axis=1)
-        return float(np.median(0.5 * (square / usual + np.log(usual))))
-
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
         """Whether errors in all windows are those of the healthy specimen on another day.
 
@@ -160,31 +144,37 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     return np.log(np.concatenate([spread, rate]) + 1e-9)
 
 
-def calibrate(problem: Problem, log: Callable[[str], None]) -> list[Specimen]:
+def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> Specimen:
     """Fits the model to healthy recordings, under the priors of machines as they are built.
 
-    Where that leaves more than noise they are searched for what describes them better. The specimen
-    is what any of the best sets says, named or not, or no set, the most probable first.
+    Where that leaves more than noise, and more of new recordings than of healthy ones that were
+    left out, the healthy ones are searched for what describes them better, named or not. What
+    changed is what none of the best sets explains: if one does the specimen is that, else the best.
+
+    Args:
+        problem: Healthy recordings and machine.
+        later: New recordings and the same machine.
+        log: Called with what is being done.
     """
     unknowns = Unknowns.of(problem.library)
     at = Errors(problem, unknowns, thinned(problem.fitted, 3 * windows_of(unknowns) // 2))
     fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
     first = at.columns(thresholds.COARSE)
-    spread, weight = fitter.about(first.errors)
-    new = Candidate((), {}, first, spread, weight)
+    new = Candidate((), {}, first, *fitter.about(first.errors))
     for _ in range(2):
         fit = fitter.fit(new, kappa)
         evidence = fitter.evidence(fit.columns, fit.spread, fit.weight, kappa)
         kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
         log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
         new = Candidate((), {}, fit.columns, fit.spread, fit.weight)
-    if fitter.explains(fit):
-        return [_specimen(fitter, fit, kappa)]
-    found = search(problem, kappa=kappa, log=log, begun=Begun(fitter, first, fit))
-    best = found.ranks[0]
-    least = best.score.log - thresholds.NEAR
-    near = [r.fit for r in found.ranks if r.score.log > least or not r.fit.members]
-    return [_specimen(fitter, fit, best.evidence.kappa) for fit in near]
+    specimen = _specimen(fitter, fit, kappa)
+    if fitter.explains(fit) or specimen.as_it_was(later, specimen.values):
+        return specimen
+    ranks = search(problem, kappa=kappa, log=log, begun=Begun(fitter, first, fit)).ranks
+    least, kappa = ranks[0].score.log - thresholds.NEAR, ranks[0].evidence.kappa
+    near = [r.fit for r in ranks if r.score.log > least]
+    made = [_specimen(fitter, fit, kappa) for fit in near]
+    return next((one for one in made if one.as_it_was(later, one.values)), made[0])
 
 
 def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:

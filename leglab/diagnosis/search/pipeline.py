@@ -158,10 +158,7 @@ def searched(
     later = _problem(machine, admitted, whole, beside=earlier.recordings)
     seen = shown(before).or_larger(shown(later))
     progress("calibration of the specimen")
-    # Of what explains the healthy recordings, that which explains new ones best: what changed is
-    # what none of them does.
-    made = calibrate(_sized(before, seen), progress)
-    specimen = min(made, key=lambda one: one.surprise(later)) if len(made) > 1 else made[0]
+    specimen = calibrate(_sized(before, seen), later, progress)
     problem = _problem(
         machine, admitted, settings, specimen=specimen.values, beside=earlier.recordings
     )

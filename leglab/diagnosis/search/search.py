@@ -73,9 +73,11 @@ def search(
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    at = begun.fitter.at if begun else Errors(problem, u, thinned(looked_at, windows_of(u)))
-    u = at.unknowns
-    fitter = begun.fitter if begun else Fitter(at, priors or Priors(), fixed)
+    if begun:
+        fitter, at, u = begun.fitter, begun.fitter.at, begun.fitter.at.unknowns
+    else:
+        at = Errors(problem, u, thinned(looked_at, windows_of(u)))
+        fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = begun.first.errors if begun else at.at(Hypothesis())
     as_it_is, clear = fitter.level(errors), fitter.clear(errors)
@@ -168,7 +170,7 @@ def search(
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
-        behind = (1.0 if begun else thresholds.BEHIND) * thresholds.NEAR
+        behind = 0.0 if begun else thresholds.BEHIND * thresholds.NEAR
         if begun and fitter.explains(ranks[0].fit):
             break
         if not begun and not fitter.explains(least_left.fit):
@@ -180,7 +182,7 @@ def search(
         near = [
             r
             for r in ranks
-            if r.score.log + r.fit.gained > top - behind
+            if r.score.log + r.fit.gained >= top - behind
             or (not begun and r.fit.level <= noise and len(r.fit.members) <= small)
         ]
         most = thresholds.HOPELESS * least_left.fit.level
@@ -226,9 +228,9 @@ def search(
             else vain + 1
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
-        # A description that promises to be no more probable is none the better.
-        least = thresholds.NEAR if begun else -thresholds.NEAR
-        then = None if done else next_candidate(fitter, ranks, tried, without, limited, least)
+        # A description that hardly promises to be more probable is none the better.
+        ahead = thresholds.NEAR if begun else -thresholds.NEAR
+        then = None if done else next_candidate(fitter, ranks, tried, without, limited, ahead)
         if then is None and begun:
             break
         if then is None:
