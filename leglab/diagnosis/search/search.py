@@ -34,7 +34,7 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class Begun:
+class Within:
     """A fit of recordings within what machines differ by."""
 
     fitter: Fitter  #: With which they were fitted
@@ -55,7 +55,7 @@ def search(
     kappa: float = thresholds.KAPPA,
     onsets: np.ndarray | None = None,
     log: Callable[[str], None] = lambda _: None,
-    begun: Begun | None = None,
+    within: Within | None = None,
 ) -> Found:
     """Finds and fits the sets of effects that explain recordings.
 
@@ -66,23 +66,23 @@ def search(
         kappa: 1/design effect at first.
         onsets: Time at which what is missing begins [s], (recordings,); None for throughout.
         log: Called with what is being done.
-        begun: A fit of no set, where any good description of the recordings will do: no rival of
+        within: A fit of no set, where any good description of the recordings will do: no rival of
             one is sought. None for all sets that can be the cause.
     """
     u = Unknowns.of(problem.library)
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    if begun:
-        fitter, at, u = begun.fitter, begun.fitter.at, begun.fitter.at.unknowns
+    if within:
+        fitter, at, u = within.fitter, within.fitter.at, within.fitter.at.unknowns
     else:
         at = Errors(problem, u, thinned(looked_at, windows_of(u)))
         fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
-    errors = begun.first.errors if begun else at.at(Hypothesis())
+    errors = within.first.errors if within else at.at(Hypothesis())
     as_it_is, clear = fitter.level(errors), fitter.clear(errors)
     # Where noise alone is left no large fault hides, for that would show: first order is exact.
-    first = begun.first if begun else at.columns(thresholds.FINE if clear else thresholds.COARSE)
+    first = within.first if within else at.columns(thresholds.FINE if clear else thresholds.COARSE)
     first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
@@ -132,8 +132,8 @@ def search(
         if run(new, beside=clear).level <= DEFAULT.explained:
             least = max(least, new.promise - room)
             fewest = min(fewest, len(new.members))
-    if begun:
-        fits.append(begun.fit)
+    if within:
+        fits.append(within.fit)
     elif not clear:
         run(nothing)
     vain, more, last = 0, 0, frozenset[Key]()
@@ -170,10 +170,10 @@ def search(
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
-        behind = 0.0 if begun else thresholds.BEHIND * thresholds.NEAR
-        if begun and fitter.explains(ranks[0].fit):
+        behind = 0.0 if within else thresholds.BEHIND * thresholds.NEAR
+        if within and fitter.explains(ranks[0].fit):
             break
-        if not begun and not fitter.explains(least_left.fit):
+        if not within and not fitter.explains(least_left.fit):
             behind += DEFAULT.smaller_share * (
                 top - next(r.score.log for r in ranks if not r.fit.members)
             )
@@ -183,7 +183,7 @@ def search(
             r
             for r in ranks
             if r.score.log + r.fit.gained >= top - behind
-            or (not begun and r.fit.level <= noise and len(r.fit.members) <= small)
+            or (not within and r.fit.level <= noise and len(r.fit.members) <= small)
         ]
         most = thresholds.HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
@@ -213,7 +213,7 @@ def search(
         # A set that moves alike in any recording is a rival of every good set.
         twins = (
             Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
-            for r in ([] if begun else near)
+            for r in ([] if within else near)
             for names, moves in scale_twins(problem, u, forces, r.fit.members, r.fit.columns.x)
             if frozenset(names) not in tried
         )
@@ -229,9 +229,9 @@ def search(
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
         # A description that hardly promises to be more probable is none the better.
-        ahead = thresholds.NEAR if begun else -thresholds.NEAR
+        ahead = thresholds.NEAR if within else -thresholds.NEAR
         then = None if done else next_candidate(fitter, ranks, tried, without, limited, ahead)
-        if then is None and begun:
+        if then is None and within:
             break
         if then is None:
             best = ranks[0].fit
