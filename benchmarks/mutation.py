@@ -78,6 +78,12 @@ FAULTS = {
         "return False",
         "test_a_machine_that_errs_as_it_did_lacks_nothing",
     ),
+    "a machine that errs as it did has changed where a set gains": (
+        "diagnosis.verdict.confidence",
+        "self.as_it_was = specimen is not None and _unchanged(sets, specimen)",
+        "self.as_it_was = False",
+        "test_an_unchanged_machine_is_told_so_whatever_explains_its_errors",
+    ),
     "a drive may be turned down": (
         "diagnosis.verdict.sets", "return np.where(blown, lost.min(), lost)", "return 0.0 * lost",
         "test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive",
