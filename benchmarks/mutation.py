@@ -68,7 +68,8 @@ FAULTS = {
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
-        "diagnosis.verdict.confidence", "if row.keys or own < POSSIBLE:", "if row.keys:",
+        "diagnosis.verdict.confidence", "if not row.keys and own >= thresholds.POSSIBLE:",
+        "if not row.keys:",
         "test_what_explains_the_recordings_as_well_stands_beside",
     ),
     "a healthy machine is not all-clear": (
@@ -76,6 +77,12 @@ FAULTS = {
         "return bool(np.median(ratio) <= limits[0] and largest <= limits[1])",
         "return False",
         "test_a_machine_that_errs_as_it_did_lacks_nothing",
+    ),
+    "a machine that errs as it did has changed where a set gains": (
+        "diagnosis.verdict.confidence",
+        "self.as_it_was = specimen is not None and _unchanged(sets, specimen)",
+        "self.as_it_was = False",
+        "test_an_unchanged_machine_is_told_so_whatever_explains_its_errors",
     ),
     "a drive may be turned down": (
         "diagnosis.verdict.sets", "return np.where(blown, lost.min(), lost)", "return 0.0 * lost",

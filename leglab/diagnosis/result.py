@@ -275,6 +275,7 @@ class Diagnosis:
         moved: Parameters that the improved model has elsewhere within their tolerance.
         changed: How the improved model differs from the model, as lines of a unified diff.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
+        among: Probability that the cause is one of a confusion set; None for other verdicts.
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
         learned: What the improved model has learned beside the effects, in words.
@@ -297,6 +298,7 @@ class Diagnosis:
     traces: tuple[ResidualTrace, ...]
     next_experiment: Proposal | None
     notes: tuple[str, ...]
+    among: float | None = None
     smaller: tuple[NamedEffect, ...] = ()
     remaining: tuple[Remaining, ...] = ()
     whole: WholeRecording | None = None
@@ -394,6 +396,7 @@ class Diagnosis:
         """The content of diagnosis.json; keys are fixed, readers rely on them."""
         content = {
             "verdict": self.verdict,
+            "among": self.among,
             "explained": self.gap.explained,
             "effects": [_effect(e) for e in self.effects],
             "smaller": [_effect(e) for e in self.smaller],

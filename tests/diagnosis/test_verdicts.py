@@ -366,6 +366,7 @@ def test_what_explains_the_recordings_as_well_stands_beside(name, pair, size, wi
     (effect,) = result.effects
     assert {effect.name, *effect.indistinguishable_from} == pair
     assert 0.3 < effect.confidence <= 0.5
+    assert result.among > 0.9  # either of them
     assert abs(effect.parameters[0].value) == pytest.approx(size, abs=within)
     assert result.gap.after < 1.2
     assert name != "late" or result.next_experiment is None  # late is late in any motion

@@ -50,6 +50,13 @@ def test_confidence_is_told_as_it_was_computed(verdict):
         assert word in text
 
 
+def test_the_number_of_a_confusion_set_is_that_of_the_set():
+    one = replace(effect(rivals=("payload",)), confidence=0.004)
+    result = replace(diagnosis("confusion_set", effects=(one,)), among=0.83)
+    assert dict(facts(result))["How sure"] == "83 % that the cause is one of these."
+    assert "or another of these: confidence 83 %" in section(result, "How sure")
+
+
 def test_unexplained_says_what_was_tried_and_learned():
     there = Estimate(
         name="supply_pressure", unit="Pa", value=2.05e7, nominal=2.1e7, interval=(2e7, 2.2e7)

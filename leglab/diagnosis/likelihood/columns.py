@@ -63,6 +63,12 @@ class Errors:
         # Of the patterns of errors that were used last; a fit takes one again and again.
         self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
+    def some(self, own: np.ndarray) -> "Errors":
+        """The same of some of the windows, by a mask of those that are chosen."""
+        chosen = np.zeros_like(self.chosen)
+        chosen[np.flatnonzero(self.chosen)[own]] = True
+        return Errors(self.problem, self.unknowns, chosen)
+
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
         """Errors of several hypotheses, in several processes: half of a replay is Python."""
         count = min(self.problem.threads, len(hypotheses))

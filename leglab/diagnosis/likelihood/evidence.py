@@ -254,7 +254,7 @@ class Evidence:
         index, unit, lower, upper = np.array(rows).reshape(-1, 4).T.copy()
         return index.astype(int), unit, lower, upper
 
-    def _odds(self, members: Sequence[int]) -> float:
+    def odds(self, members: Sequence[int]) -> float:
         """Log prior odds of a set over none; none of two names of the same motion."""
         u = self.unknowns
         keys = u.names(members)
@@ -308,7 +308,7 @@ class Evidence:
         if spread is not None:
             usual[:, np.arange(fits.shape[1]) != spread] = False
         fits[~usual] = -np.inf
-        grid = fits + log_members + self._odds([q for q, _ in members])
+        grid = fits + log_members + self.odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
         step = steps[k, o]
         along = np.zeros(self.gram.shape[1])

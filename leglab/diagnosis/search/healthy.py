@@ -1,36 +1,94 @@
 """Calibrates the model to healthy recordings of the same machine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
-from leglab.diagnosis.effects.hypothesis import Hypothesis
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.likelihood.columns import Errors
+from leglab.diagnosis.likelihood.columns import Columns, Errors
+from leglab.diagnosis.likelihood.evidence import Evidence, parts_of
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.settle import Candidate, Fitter
+from leglab.diagnosis.search.search import Within, search, windows_of
+from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
     """A machine as its healthy recordings show it."""
 
-    problem: Problem  #: Healthy recordings and machine
-    values: Hypothesis  #: Of all strengths
+    at: Errors  #: Healthy recordings and machine, the windows that were fitted
+    columns: Columns  #: Linearisation where the fit ended
+    values: Hypothesis  #: Of all strengths and shapes there
     priors: Priors  #: Of the same machine on another day
-    spread: Spread  #: Pattern of the error that the calibrated model leaves, by healthy recording
     kappa: float  #: 1/design effect
-    #: Error of each healthy recording in noise levels, before and after calibration, (recordings,
-    #: 2).
-    levels: np.ndarray
-    #: Median error of its windows after calibration, in noise levels, (recordings,).
-    usual: np.ndarray
+    left_out: tuple[Hypothesis, ...]  #: Fits without each part of the recordings in turn
+
+    @property
+    def problem(self) -> Problem:
+        """Healthy recordings and machine."""
+        return self.at.problem
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Errors of each part of the windows by the fit without it, (windows, rows)."""
+        out, part = np.zeros_like(self.columns.errors), parts_of(self.at.recording)
+        for r, hypothesis in enumerate(self.left_out):
+            own = part == r
+            out[own] = self.at.some(own).at(hypothesis)
+        return np.clip(out, -thresholds.BLOWN, thresholds.BLOWN)
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Pattern of the error in each healthy recording where the others alone are fitted."""
+        return Spread.of(self.at, self.errors)
+
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        """Mean square error of all windows by the fit without their part, (windows,)."""
+        at, problem = self.at, self.problem
+        # Windows between those that are fitted belong to the part of their neighbour.
+        fitted = parts_of(at.recording)
+        place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
+        part = fitted[np.minimum(place, fitted.size - 1)]
+        out = np.zeros(part.size)
+        for r, hypothesis in enumerate(self.left_out):
+            out[part == r] = np.mean(problem.residual(hypothesis, part == r) ** 2, axis=1)
+        return out
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """Error of each healthy recording in noise levels, (recordings, 2).
+
+        Of the model as it is, and where the others alone are fitted.
+        """
+        recording = self.problem.replay.recording
+        squares = np.stack([self.problem.noise_levels(Hypothesis()), self._squares])
+        count = len(self.problem.series)
+        return np.sqrt([squares[:, recording == i].mean(axis=1) for i in range(count)])
+
+    @cached_property
+    def usual(self) -> np.ndarray:
+        """Median error of windows where the others alone are fitted, by recording, (recordings,).
+
+        In noise levels.
+        """
+        recording, count = self.problem.replay.recording, len(self.problem.series)
+        return np.sqrt([np.median(self._squares[recording == i]) for i in range(count)])
+
+    @cached_property
+    def day(self) -> float:
+        """Log deviation of an error on another day: at least that of healthy recordings."""
+        apart = np.log(self.usual)
+        return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
 
     def nearest(self, problem: Problem) -> list[int]:
         """The healthy recording of the most similar motion to each of others."""
@@ -39,18 +97,43 @@ class Specimen:
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
-    def as_it_was(self, problem: Problem) -> bool:
+    def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
         """Whether errors in all windows are those of the healthy specimen on another day.
 
-        In every recording: one that moves tells more than three that rest. Nothing is moved for it:
-        what a day changes may hide a fault.
+        In every recording: one that moves tells more than three that rest. `at` is where the
+        specimen is: what a day moves may hide a fault.
         """
-        level, recording = problem.noise_levels(Hypothesis()) ** 0.5, problem.replay.recording
+        level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
         largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
         # Of several recordings the largest departs by two deviations where none is ill.
-        limits = np.exp([thresholds.DAY_FACTOR, 2.0 * thresholds.DAY_FACTOR])
+        limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
+
+    def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
+        """Evidence that sets have on recordings of an unchanged machine.
+
+        Each part of the healthy recordings is compared with the fit of all others, as new ones are;
+        departures are from the specimen.
+
+        Args:
+            library: Effects on the specimen.
+            members: Unknowns of the sets; of all others tangents are known well enough.
+            kappa: Share of the log likelihood that counts.
+        """
+        problem, u = copy(self.problem), Unknowns.of(library)
+        problem.library = library
+        own = sorted({i for q in members for i in u.singles(q)})
+        here = self.values, self.columns.errors
+        # Of single unknowns: about another machine departures begin elsewhere, and are no longer.
+        single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
+        tangents = np.zeros((*self.errors.shape, len(u)))
+        for q in range(len(u)):
+            tangents[:, :, q] = single[:, :, list(u.singles(q))].sum(axis=2)
+        none = np.zeros((*self.errors.shape, 0))
+        columns = Columns(Hypothesis(), np.zeros(len(u)), self.errors, tangents, (), none)
+        fitter = Fitter(Errors(problem, u, self.at.chosen), self.priors, self.spread)
+        return fitter.evidence(columns, *fitter.about(columns.errors), kappa)
 
 
 def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
@@ -61,26 +144,49 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
     return np.log(np.concatenate([spread, rate]) + 1e-9)
 
 
-def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
-    """Fits all strengths to healthy recordings, under the priors of machines as they are built."""
+def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> Specimen:
+    """Fits the model to healthy recordings, under the priors of machines as they are built.
+
+    Where that leaves more than noise, and more of new recordings than of healthy ones that were
+    left out, the healthy ones are searched for what describes them better, named or not. What
+    changed is what none of the best sets explains: if one does the specimen is that, else the best.
+
+    Args:
+        problem: Healthy recordings and machine.
+        later: New recordings and the same machine.
+        log: Called with what is being done.
+    """
     unknowns = Unknowns.of(problem.library)
-    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * thresholds.WINDOWS // 2))
-    fitter = Fitter(at, Priors())
+    at = Errors(problem, unknowns, thinned(problem.fitted, 3 * windows_of(unknowns) // 2))
+    fitter, kappa = Fitter(at, Priors()), thresholds.KAPPA
     first = at.columns(thresholds.COARSE)
-    spread, weight = fitter.about(first.errors)
-    kappa = thresholds.KAPPA
+    new = Candidate((), {}, first, *fitter.about(first.errors))
     for _ in range(2):
-        fit = fitter.fit(Candidate((), {}, first, spread, weight), kappa)
-        spread, weight, first = fit.spread, fit.weight, fit.columns
-        evidence = fitter.evidence(first, spread, weight, kappa)
+        fit = fitter.fit(new, kappa)
+        evidence = fitter.evidence(fit.columns, fit.spread, fit.weight, kappa)
         kappa = 1.0 / max(evidence.design_effect(evidence.score(())), 1.0)
         log(f"  healthy: level {fit.level:.4g} kappa {kappa:.3f}")
+        new = Candidate((), {}, fit.columns, fit.spread, fit.weight)
+    specimen = _specimen(fitter, fit, kappa)
+    if fitter.explains(fit) or specimen.as_it_was(later, specimen.values):
+        return specimen
+    ranks = search(problem, kappa=kappa, log=log, within=Within(fitter, first, fit)).ranks
+    least, kappa = ranks[0].score.log - thresholds.NEAR, ranks[0].evidence.kappa
+    near = [r.fit for r in ranks if r.score.log > least]
+    made = [_specimen(fitter, fit, kappa) for fit in near]
+    return next((one for one in made if one.as_it_was(later, one.values)), made[0])
+
+
+def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
+    """The specimen by a fit to its healthy recordings."""
+    at, unknowns = fitter.at, fitter.at.unknowns
     # From here on the error that is left has size 1.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
-    evidence = fitter.evidence(first, Spread.of(at, first.errors), weight, kappa, unit)
-    score = evidence.score(())
-    sites = problem.library.sites
-    values = Hypothesis({k: first.base.get(k, s.nominal) for k, s in sites.items()})
+    own = Spread.of(at, fit.columns.errors)
+    evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)
+    score = evidence.score([(q, None) for q in fit.members])
+    sites = at.problem.library.sites
+    values = Hypothesis({k: fit.columns.base.get(k, s.nominal) for k, s in sites.items()})
     priors = Priors(
         spreads=thresholds.SPREADS + thresholds.WIDER,
         tolerances=thresholds.DAY_TOLERANCES,
@@ -88,8 +194,6 @@ def calibrate(problem: Problem, log: Callable[[str], None]) -> Specimen:
         sizes=thresholds.DAY_SIZES,
         log_sizes=-0.5 * (np.log(thresholds.DAY_SIZES) / thresholds.DAY_FACTOR) ** 2,
     )
-    squares = [problem.noise_levels(h) for h in (Hypothesis(), values)]
-    windows = [problem.replay.recording == i for i in range(len(problem.series))]
-    levels = np.sqrt([[square[own].mean() for square in squares] for own in windows])
-    usual = np.sqrt([np.median(squares[1][own]) for own in windows])
-    return Specimen(problem, values, priors, evidence.spread, kappa, levels, usual)
+    apart = evidence.apart(score.members, score.spread)
+    left_out = tuple(unknowns.moved(values, evidence.departures(one)) for one in apart)
+    return Specimen(at, fit.columns, values, priors, kappa, left_out)

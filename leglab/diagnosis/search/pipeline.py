@@ -158,7 +158,7 @@ def searched(
     later = _problem(machine, admitted, whole, beside=earlier.recordings)
     seen = shown(before).or_larger(shown(later))
     progress("calibration of the specimen")
-    specimen = calibrate(_sized(before, seen), progress)
+    specimen = calibrate(_sized(before, seen), later, progress)
     problem = _problem(
         machine, admitted, settings, specimen=specimen.values, beside=earlier.recordings
     )

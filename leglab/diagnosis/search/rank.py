@@ -101,8 +101,9 @@ def next_candidate(
     tried: set[frozenset[int]],
     without: Callable[[Fit, Key], Columns | None],
     limited: Callable[[Fit], Columns],
+    least: float = -NEAR,
 ) -> Candidate | None:
-    """The next set to fit; None where nothing promises to come near the best one.
+    """The next set to fit; None where nothing promises to be above the best one by `least` nats.
 
     What says the same of both directions; then what adds a member to a good set, or leaves one out
     or swaps it, of the best sets and of those that ended at a bound. `tried` are the unknowns of
@@ -115,7 +116,7 @@ def next_candidate(
     best, top = sound[0].fit, sound[0].score.log
     kappa = ranks[0].evidence.kappa
     levels = {r.fit.keys: r.fit.level for r in ranks}
-    for row in [r for r in sound if r.score.log > top - BEHIND * NEAR]:
+    for row in [r for r in sound if least < 0.0 and r.score.log > top - BEHIND * NEAR]:
         simpler = both_ways(u, row.fit.members, row.fit.columns.x[list(row.fit.members)].tolist())
         if simpler is None:
             continue
@@ -155,7 +156,7 @@ def next_candidate(
     found = [
         one
         for one in found
-        if one[0].log >= top - NEAR
+        if one[0].log >= top + least
         and 0 < len(one[0].members) <= LARGEST_SET
         and frozenset(one[0].unknowns) not in tried
     ]

@@ -33,6 +33,21 @@ class Found:
     onsets: np.ndarray | None = None  #: As `search` was given them
 
 
+@dataclass(frozen=True, eq=False)
+class Within:
+    """A fit of recordings within what machines differ by."""
+
+    fitter: Fitter  #: With which they were fitted
+    first: Columns  #: Linearisation of the model as it is, without jumps
+    fit: Fit  #: The fit of no set
+
+
+def windows_of(u: Unknowns) -> int:
+    """So many windows are replayed: each unknown takes a replay of them all."""
+    most = thresholds.WINDOWS
+    return max(most // 2, min(most, most * thresholds.MANY_UNKNOWNS // len(u)))
+
+
 def search(
     problem: Problem,
     priors: Priors | None = None,
@@ -40,6 +55,7 @@ def search(
     kappa: float = thresholds.KAPPA,
     onsets: np.ndarray | None = None,
     log: Callable[[str], None] = lambda _: None,
+    within: Within | None = None,
 ) -> Found:
     """Finds and fits the sets of effects that explain recordings.
 
@@ -50,22 +66,23 @@ def search(
         kappa: 1/design effect at first.
         onsets: Time at which what is missing begins [s], (recordings,); None for throughout.
         log: Called with what is being done.
+        within: A fit of no set, where any good description of the recordings will do: no rival of
+            one is sought. None for all sets that can be the cause.
     """
     u = Unknowns.of(problem.library)
     looked_at = problem.fitted
     if onsets is not None:
         looked_at = looked_at & (problem.replay.start > onsets[problem.replay.recording])
-    windows = max(
-        thresholds.WINDOWS // 2,
-        min(thresholds.WINDOWS, thresholds.WINDOWS * thresholds.MANY_UNKNOWNS // len(u)),
-    )
-    at = Errors(problem, u, thinned(looked_at, windows))
-    fitter = Fitter(at, priors or Priors(), fixed)
+    if within:
+        fitter, at, u = within.fitter, within.fitter.at, within.fitter.at.unknowns
+    else:
+        at = Errors(problem, u, thinned(looked_at, windows_of(u)))
+        fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
-    errors = at.at(Hypothesis())
+    errors = within.first.errors if within else at.at(Hypothesis())
     as_it_is, clear = fitter.level(errors), fitter.clear(errors)
     # Where noise alone is left no large fault hides, for that would show: first order is exact.
-    first = at.columns(thresholds.FINE if clear else thresholds.COARSE)
+    first = within.first if within else at.columns(thresholds.FINE if clear else thresholds.COARSE)
     first = at.jumped(replace(first, fine=clear), trials(u), near=clear)
     fits: list[Fit] = []
     if clear:
@@ -115,7 +132,9 @@ def search(
         if run(new, beside=clear).level <= DEFAULT.explained:
             least = max(least, new.promise - room)
             fewest = min(fewest, len(new.members))
-    if not clear:
+    if within:
+        fits.append(within.fit)
+    elif not clear:
         run(nothing)
     vain, more, last = 0, 0, frozenset[Key]()
     again, ended = set[tuple[frozenset[Key], frozenset[Key]]](), set[Fit]()
@@ -151,8 +170,10 @@ def search(
         # What may lead is fitted to its end; what is more probable where another set was fitted
         # also from there.
         top = ranks[0].score.log
-        behind = thresholds.BEHIND * thresholds.NEAR
-        if not fitter.explains(least_left.fit):
+        behind = 0.0 if within else thresholds.BEHIND * thresholds.NEAR
+        if within and fitter.explains(ranks[0].fit):
+            break
+        if not within and not fitter.explains(least_left.fit):
             behind += DEFAULT.smaller_share * (
                 top - next(r.score.log for r in ranks if not r.fit.members)
             )
@@ -161,8 +182,8 @@ def search(
         near = [
             r
             for r in ranks
-            if r.score.log + r.fit.gained > top - behind
-            or (r.fit.level <= noise and len(r.fit.members) <= small)
+            if r.score.log + r.fit.gained >= top - behind
+            or (not within and r.fit.level <= noise and len(r.fit.members) <= small)
         ]
         most = thresholds.HOPELESS * least_left.fit.level
         open_ = (r.fit for r in near if not r.fit.finished and r.fit.level < most)
@@ -192,7 +213,7 @@ def search(
         # A set that moves alike in any recording is a rival of every good set.
         twins = (
             Candidate(names, moves, r.fit.columns, r.fit.spread, r.fit.weight)
-            for r in near
+            for r in ([] if within else near)
             for names, moves in scale_twins(problem, u, forces, r.fit.members, r.fit.columns.x)
             if frozenset(names) not in tried
         )
@@ -207,7 +228,11 @@ def search(
             else vain + 1
         )
         done = vain > thresholds.FRUITLESS or more >= thresholds.FURTHER_FITS
-        then = None if done else next_candidate(fitter, ranks, tried, without, limited)
+        # A description that hardly promises to be more probable is none the better.
+        ahead = thresholds.NEAR if within else -thresholds.NEAR
+        then = None if done else next_candidate(fitter, ranks, tried, without, limited, ahead)
+        if then is None and within:
+            break
         if then is None:
             best = ranks[0].fit
             # What does without an effect of the best set is fitted from there.

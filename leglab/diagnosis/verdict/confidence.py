@@ -6,6 +6,7 @@ turn plays that cause, and the best effect of another kind its impostor.
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.stats import norm
 
 from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.base import all_effects
-from leglab.diagnosis.effects.hypothesis import Key
+from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import DRIVE_GAIN, Errors
 from leglab.diagnosis.result import Verdict
 from leglab.diagnosis.search.healthy import Specimen
@@ -23,9 +24,10 @@ from leglab.diagnosis.verdict.sets import Row, Sets
 
 @dataclass(frozen=True)
 class Judged:
-    """One effect."""
+    """One effect, or several of which one may be the cause."""
 
     confidence: float  #: Probability that the name is right
+    among: float  #: The same, in the mean without each part, of sets in which it is sound
     possible: float  #: The same without the part of the recordings that speaks most against it
     evidence: float  #: Probability by evidence alone
     ties: tuple[frozenset[Key], ...]  #: Sets without it that the data do not tell apart from it
@@ -40,7 +42,7 @@ class Judgement:
 
     def __init__(self, sets: Sets, specimen: Specimen | None) -> None:
         impostor, keys = impostors(sets), sorted({k for r in sets.rows for k in r.keys})
-        effects = {key: _effect(sets, key, impostor) for key in keys}
+        effects = {key: _effect(sets, frozenset({key}), impostor) for key in keys}
 
         def most(measure: str, least: float, order: str) -> tuple[Key, ...]:
             above = [k for k, e in effects.items() if getattr(e, measure) > least]
@@ -60,27 +62,50 @@ class Judgement:
             leader = max(tied, key=lambda k: effects[k].evidence)
             rivals = [k for new in effects[leader].ties for k in sorted(new)]
             confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
+        # A set is told if the cause is rather in it than not.
+        among = _effect(sets, frozenset(confusion), impostor).among if confusion else 0.0
+        confusion, among = (confusion, among) if among > thresholds.NAMED else ((), 0.0)
         verdict: Verdict = "unexplained"
+        self.as_it_was = specimen is not None and _unchanged(sets, specimen)
         if named:
             verdict = "named"
-        elif _as_healthy(sets, specimen):
+        elif self.as_it_was or (specimen is None and _as_noise(sets)):
             verdict, confusion = "nothing_missing", ()
         elif confusion:
             verdict = "confusion_set"
         self.sets, self.rows, self.effects = sets, sets.rows, effects
-        self.verdict, self.named, self.confusion = verdict, named, confusion
+        self.verdict, self.named, self.confusion, self.among = verdict, named, confusion, among
+
+    def cleared(self) -> "Judgement":
+        """The same without a claim."""
+        other = copy(self)
+        other.verdict, other.named, other.confusion = "nothing_missing", (), ()
+        return other
 
 
-def _as_healthy(sets: Sets, specimen: Specimen | None) -> bool:
-    """Tests whether only noise, or the errors of the healthy specimen, remain."""
+def _unchanged(sets: Sets, specimen: Specimen) -> bool:
+    """Tests whether a specimen errs as it did, whatever sets gain.
+
+    As its healthy recordings have it, or, where that is more probable than any fault, within what
+    these leave open.
+    """
+    problem = sets.at.problem
+    own = _shares(np.array([r.score.log for r in sets.rows]))
+    open_ = [
+        r.hypothesis
+        for r, p in zip(sets.rows, own, strict=True)
+        if not r.keys and p > thresholds.NAMED
+    ]
+    return any(specimen.as_it_was(problem, at) for at in (Hypothesis(), *open_))
+
+
+def _as_noise(sets: Sets) -> bool:
+    """Tests whether only noise remains."""
     whole = _shares(np.array([r.score.log for r in sets.rows]))
     for row, own in zip(sets.rows, whole, strict=True):
-        if row.keys or own < thresholds.POSSIBLE:
-            continue
-        if specimen:
-            return specimen.as_it_was(sets.at.problem)
-        left = sets.channel_squares(row.left).mean(axis=1)
-        return _within_tolerances(row) and as_noise(left, sets.at.recording)
+        if not row.keys and own >= thresholds.POSSIBLE:
+            left = sets.channel_squares(row.left).mean(axis=1)
+            return _within_tolerances(row) and as_noise(left, sets.at.recording)
     return False
 
 
@@ -107,29 +132,34 @@ def _shares(logs: np.ndarray) -> np.ndarray:
     return np.asarray(share / share.sum(axis=0))
 
 
-def _effect(sets: Sets, key: Key, impostor: tuple[float, float]) -> Judged:
-    """How sure one effect is."""
+def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) -> Judged:
+    """How sure an effect is, or that the cause is one of several."""
     rows = sets.rows
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
-    has = np.array([key in r.keys for r in rows])
+    has = np.array([bool(names & r.keys) for r in rows])
     # Where an effect ends at a bound, the machine is another one: no name of that set is sure, and
     # what ended is not even possible.
     sound = has & ~np.array([bool(r.ended) for r in rows])
-    there = has & ~np.array([key in r.ended for r in rows])
+    there = np.array([bool(names & r.keys - r.ended) for r in rows])
     ways = (0.0 * drive, drive)
     best = [rows[int(np.argmax(np.where(has, logs + lost, -np.inf)))] for lost in ways]
-    inside = {row: _stands(sets, row, key, impostor) for row in set(best)}
-    sure, possible = 1.0, 0.0
+    inside = {
+        row: max(_stands(sets, row, key, impostor) for key in sorted(names & row.keys))
+        for row in set(best)
+    }
+    sure, among, possible = 1.0, 1.0, 0.0
     for row, lost in zip(best, ways, strict=True):
         share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
         least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
         sure = min(sure, least * inside[row])
+        among = min(among, float(parts[sound].sum(axis=0).mean()) * inside[row])
         most = max(least, float(parts[there].sum(axis=0).max()))
         possible = max(possible, most * inside[row])
-    ties = _ties(rows, best[0], key) if sure > thresholds.NAMED else ()
+    alone = len(names) == 1 and sure > thresholds.NAMED
+    ties = _ties(rows, best[0], next(iter(names))) if alone else ()
     evidence = float(_shares(logs)[has].sum())
-    return Judged(sure / (1 + len(ties)), possible, evidence, ties)
+    return Judged(sure / (1 + len(ties)), among, possible, evidence, ties)
 
 
 def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:

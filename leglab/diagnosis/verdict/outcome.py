@@ -46,6 +46,8 @@ class Outcome:
         self.about = problem.about(self.final)
         #: Covariance of all single unknowns there, in trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
+        if specimen is not None:  # a size is told by its difference from the healthy one
+            self.spread = self.spread + specimen.priors.covariance
         #: Effects that are told, named or in a confusion set.
         self.named = tuple(
             dict.fromkeys(  # A part in all joints may stand beside that of one joint.

@@ -12,6 +12,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
+from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.rank import both_ways
 from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.search.settle import Candidate
@@ -48,7 +49,7 @@ class Row:
 class Sets:
     """All sets of a search in `rows`, most probable first."""
 
-    def __init__(self, found: Found) -> None:
+    def __init__(self, found: Found, specimen: Specimen | None = None) -> None:
         self.found, self.fitter, self.at = found, found.fitter, found.fitter.at
         self.unknowns, problem = self.at.unknowns, self.at.problem
         self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
@@ -61,6 +62,8 @@ class Sets:
         # Linearisations of sets without an effect, by the set and the effect.
         self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
         rows = self._all()
+        if specimen is not None:
+            rows = self._since(rows, specimen)
         lost = self._in_units_of_the_drive(rows)
         self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
 
@@ -198,6 +201,23 @@ class Sets:
                 for twin in sorted({k for pair in pairs for k in pair} - row.keys):
                     enter(replace(row, keys=row.keys - {key} | {twin}, renamed={key: twin}))
         return sorted(rows.values(), key=lambda r: -r.score.log)
+
+    def _since(self, rows: Sequence[Row], specimen: Specimen) -> list[Row]:
+        """Sets by what they gain beyond what they gain on healthy recordings.
+
+        As many of these count as of the new ones, and what a set costs counts once.
+        """
+        count = self.at.recording.size / specimen.at.recording.size
+        members = {q for row in rows for q in row.score.unknowns}
+        before = specimen.as_new(self.unknowns.library, members, self.best.kappa * count)
+        nothing, found = before.score(()).log, []
+        for row in rows:
+            cost = before.odds(row.score.unknowns)
+            healthy = before.score([(q, None) for q in row.score.unknowns]).log - cost - nothing
+            gain = max(healthy, 0.0)
+            score = replace(row.score, log=row.score.log - gain, fit=row.score.fit - gain)
+            found.append(replace(row, score=score, apart=row.apart - gain))
+        return sorted(found, key=lambda r: -r.score.log)
 
     def _alike(self, row: Row) -> Row | None:
         """A set whose effect by direction does the same in both, named as the one that says so.

@@ -68,15 +68,18 @@ def diagnose(
     held_out = tuple(held_out)
     found, specimen, remarks = searched(model, recordings, held_out, healthy, settings, progress)
     progress("verdict")
-    judgement = Judgement(Sets(found), specimen)
+    judgement = Judgement(Sets(found, specimen), specimen)
     outcome = Outcome(judgement, specimen)
     if judgement.verdict == "nothing_missing":
         if not _clear_elsewhere(outcome):
             judgement.verdict = "unexplained"
     elif _lacks_nothing(outcome):
-        judgement.verdict, judgement.named, judgement.confusion = "nothing_missing", (), ()
-        outcome = Outcome(judgement, specimen)
+        outcome = Outcome(judgement.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
+    if outcome.result.verdict == "unexplained" and judgement.as_it_was:
+        # What is told does not stand, and the specimen errs as it did.
+        outcome = Outcome(judgement.cleared(), specimen)
+        outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
 
 
@@ -127,6 +130,7 @@ def _told(
     verdict, effects, smaller = _effects(outcome, gap, shown)
     return result.Diagnosis(
         verdict=verdict,
+        among=outcome.judged.among if verdict == "confusion_set" else None,
         effects=effects,
         smaller=smaller,
         not_testable=_not_testable(outcome),

@@ -93,8 +93,9 @@ def _effects_table(result: Diagnosis) -> Table:
     rows = []
     for effect, smaller in result.all_effects:
         first = [f"{readable(effect.name)}{' (smaller)' * smaller}", effect.element]
-        shares = (effect.confidence, effect.contribution) if result.recalibrated else ()
-        last = [words.percent(share) for share in shares]
+        last = []
+        if result.recalibrated:
+            last = [words.confidence(result, effect), words.percent(effect.contribution)]
         for parameter in effect.estimates:
             value, ends, nominal, unit = words.parameter_numbers(parameter)
             name = f"{readable(parameter.name)}{', uncertain' * words.uncertain(parameter)}"

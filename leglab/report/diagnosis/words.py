@@ -142,7 +142,9 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
             missing = f"nothing that can be named; nearest comes {missing}"
         sized = [effect for effect in result.effects if math.isfinite(effect.confidence)]
         sure = "; ".join(f"{_at(effect)} {percent(effect.confidence)}" for effect in sized)
-        if len(sized) == 1 == len(result.effects):
+        if result.among is not None:
+            sure = f"{percent(result.among)} that the cause is one of these"
+        elif len(sized) == 1 == len(result.effects):
             sure = f"{percent(sized[0].confidence)} that the name is right"
     elif result.verdict == "nothing_missing":
         missing, sure = "nothing that these recordings could show", ""
@@ -452,11 +454,17 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
     return (f"{start}: {'; '.join(told)}.",)
 
 
+def confidence(result: Diagnosis, effect: NamedEffect) -> str:
+    """That of a name, or of a confusion set as a whole."""
+    return percent(effect.confidence if result.among is None else result.among)
+
+
 def _sure(result: Diagnosis) -> tuple[str, ...]:
     lines = []
     for effect in result.effects:
         name = capital(readable(effect.name))
-        text = f"{name}: confidence {percent(effect.confidence)}"
+        others = " or another of these" if effect.indistinguishable_from else ""
+        text = f"{name}{others}: confidence {confidence(result, effect)}"
         times = effect.without / result.gap.after if result.gap.after > 0.0 else math.nan
         if math.isfinite(times):
             text += (
