@@ -182,7 +182,8 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
             p = library.sites[key].parameters[i]
             there = own if share == 1.0 else value + share * (own - value)
             values[key][i] = min(max(there, p.lower), p.upper)
-        return Hypothesis(values, fitted.onsets)
+        kept = {k: v for k, v in values.items() if k in fitted or (v != whole[k]).any()}
+        return Hypothesis(kept, fitted.onsets)
 
     def errors(back: np.ndarray) -> np.ndarray:
         return problem.residual(at(back), chosen)
@@ -222,7 +223,8 @@ def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> It
         share = np.ones(away.size)
         share[kept] = inverse @ (slope[kept] - curvature[np.ix_(kept, ~kept)].sum(axis=1))
         if not kept.all():
-            yield share
+            # None goes further away: it would make up for what has no name.
+            yield np.clip(share, 0.0, 1.0)
         if not kept.any():
             return
         cost = (1.0 - share[kept]) ** 2 / np.diag(inverse)
