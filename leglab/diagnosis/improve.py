@@ -99,9 +99,12 @@ class ImprovedModel:
             site = library.sites[key]
             for p, value, own in zip(site.parameters, values.tolist(), site.model, strict=True):
                 if p.tolerance > 0.0 and value != own and key not in self.named:
-                    ends = own - 1.96 * p.tolerance, own + 1.96 * p.tolerance
                     there = Estimate(
-                        name=p.name, value=value, unit=p.unit, interval=ends, nominal=float(own)
+                        name=p.name,
+                        value=value,
+                        unit=p.unit,
+                        interval=p.usual(own),
+                        nominal=float(own),
                     )
                     share = (value - float(own)) / p.tolerance
                     found.append(Moved(effect=key[0], element=key[1], estimate=there, share=share))
@@ -161,27 +164,25 @@ def _recalibrated(
 def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
     """Leaves what moved without a name where the model has it, as far as errors hardly show it.
 
-    One after the other goes back whose absence costs least where the others make up for it, by
-    errors that are linear in what moved (backward elimination). Errors of windows that were fitted
-    may grow by a tenth, by replays of all that went.
+    Parameters go back one after the other, always the one that costs least while the others follow,
+    by errors that are linear in them (backward elimination). They go back until replays of the
+    windows that were fitted would err by more than a tenth more.
     """
     library, chosen = problem.library, thinned(~problem.held, WINDOWS)
     whole = library.whole(fitted)
     moved = [
-        (key, i, float(values[i]), float(site.model[i]), p.tolerance)
-        for key, site in sorted(library.sites.items())
-        for values in ([whole[key]] if key in whole and key not in named else [])
-        for i, p in enumerate(site.parameters)
-        if values[i] != site.model[i]
+        (key, i, value, own, p.tolerance)
+        for key, values in sorted(whole.items())
+        for i, p in enumerate(library.sites[key].parameters)
+        for value, own in [(float(values[i]), float(library.sites[key].model[i]))]
+        if value != own and key not in named
     ]
 
     def at(back: np.ndarray) -> Hypothesis:
-        """Where each has gone back by a share, (moved,)."""
+        """The hypothesis where each has gone back by a share, (moved,)."""
         values = {key: whole[key].copy() for key in {*fitted, *(key for key, *_ in moved)}}
         for share, (key, i, value, own, _) in zip(back.tolist(), moved, strict=True):
-            p = library.sites[key].parameters[i]
-            there = own if share == 1.0 else value + share * (own - value)
-            values[key][i] = min(max(there, p.lower), p.upper)
+            values[key][i] = own if share == 1.0 else value + share * (own - value)
         kept = {k: v for k, v in values.items() if k in fitted or (v != whole[k]).any()}
         return Hypothesis(kept, fitted.onsets)
 
@@ -197,7 +198,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     stay = np.zeros(count)
     before = errors(stay).ravel()
     columns = np.stack([errors(one).ravel() - before for one in np.eye(count)], axis=1)
-    # Departures in tolerances; what has none is as far as it is.
+    # Departures in tolerances. A parameter without a tolerance counts as one of them away.
     away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
     paths = [stay, *_going_back(before, columns, away)]
     limit = (1.0 + problem.thresholds.smaller_share) * level(stay)
@@ -206,12 +207,15 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
 
 
 def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> Iterator[np.ndarray]:
-    """Shares by which parameters have gone back, (parameters,), one more of them wholly each time.
+    """Shares by which parameters go back to the model's values: one more reaches 1 each time.
 
     Args:
-        before: Errors with none gone back, (errors,).
-        columns: What each changes in them by going back, (errors, parameters).
-        away: How far each has moved, in tolerances, (parameters,).
+        before: Errors where none has gone back, (errors,).
+        columns: Change of the errors where one alone goes back, (errors, parameters).
+        away: Distance of each from the model's value, in tolerances, (parameters,).
+
+    Yields:
+        Shares, (parameters,).
     """
     # Half the square of errors and departures is x'Hx/2 - s'x at shares x; one at 1 costs
     # (1 - x_i)^2/(H^-1)_ii where the others follow.
@@ -223,7 +227,7 @@ def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> It
         share = np.ones(away.size)
         share[kept] = inverse @ (slope[kept] - curvature[np.ix_(kept, ~kept)].sum(axis=1))
         if not kept.all():
-            # None goes further away: it would make up for what has no name.
+            # A share below 0 would let a parameter take the place of a missing effect.
             yield np.clip(share, 0.0, 1.0)
         if not kept.any():
             return

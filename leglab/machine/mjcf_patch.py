@@ -159,7 +159,7 @@ def _same(old: str | None, new: str | None) -> bool:
 
 
 def _six_digits(old: str, new: str) -> str:
-    """A number as MuJoCo writes others, rounded towards the old one: bounds hold; or the text."""
+    """A number in six digits, rounded towards the old one to keep its bounds; other text as is."""
     try:
         value = Decimal(new)
         rounding = ROUND_FLOOR if value > Decimal(old or "0") else ROUND_CEILING

@@ -205,17 +205,17 @@ def test_a_model_that_was_attached_keeps_its_paths_and_joints(tmp_path):
 
 
 def test_parameters_go_back_while_the_others_make_up_for_them():
-    """Against least squares; two that do the same go back first, together."""
+    """Against least squares; what errors hardly show goes first, then two that cancel."""
     rng = np.random.default_rng(0)
     columns, before = rng.normal(size=(50, 5)), 0.1 * rng.normal(size=50)
     columns[:, 1] = 1e-3 * rng.normal(size=50) - columns[:, 0]
     columns[:, 2] *= 1e-3
     away = np.array([1.0, 1.0, 0.5, 2.0, 0.3])
     paths = list(improve._going_back(before, columns, away))
-    gone = [{2}, {1, 2}, {0, 1, 2}, {0, 1, 2, 3}, {0, 1, 2, 3, 4}]
+    gone = [{2}, {0, 2}, {0, 1, 2}, {0, 1, 2, 3}, {0, 1, 2, 3, 4}]
     for path, back in zip(paths, gone, strict=True):
         kept = [i for i in range(5) if i not in back]
         rows = np.vstack([columns, -np.diag(away)])
         right = -np.r_[before, away] - rows[:, sorted(back)].sum(axis=1)
         free = np.linalg.lstsq(rows[:, kept], right)[0]
-        assert path[kept] == pytest.approx(np.clip(free, 0.0, 1.0), abs=1e-4)
+        assert path[kept] == pytest.approx(np.clip(free, 0.0, 1.0))

@@ -23,6 +23,7 @@ from leglab.diagnosis.replay.windows import Channel, Cut, noise_level, smoothed
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.search.pipeline import set_up
 from leglab.diagnosis.verdict.notes import at_limits
+from leglab.diagnosis.verdict.verdict import _rivals
 from rigs import PENDULUM
 from rigs.bench import FAULTS, FaultyBench, detuned, references
 from tests.helpers.unpleasant import BENCH
@@ -418,3 +419,10 @@ def test_a_little_of_an_effect_that_good_machines_have_changes_little():
     # Of what is there or is not, the first trace says it is there.
     absent = [i for i in range(unknowns.single) if not unknowns.gradual[i] and unknowns.nameable[i]]
     assert {unknowns.keys[i][0] for i in absent} == {"backlash", "command_saturation"}
+
+
+def test_sets_of_the_same_effects_are_told_apart_by_their_elements():
+    sets = [{("gain", "hip")}, {("gain", "knee")}, {("gain", "hip"), ("play", "hip")}, set()]
+    score = SimpleNamespace(log=0.0)
+    rows = [SimpleNamespace(keys=frozenset(one), score=score, level=1.0) for one in sets]
+    assert _rivals(rows).names == ("gain at hip", "gain at knee", "gain + play", "nothing")

@@ -553,7 +553,7 @@ def test_what_a_machine_has_had_before_is_no_part_of_the_gap():
     without, since = told("rough, pulled"), told("rough, pulled since")
     assert without.gap.healthy is None
     assert without.calibration is None
-    assert since.gap.healthy > 2.0  # far from noise alone
+    assert since.gap.healthy > 2.0  # twice the noise
     for result in (without, since):
         unnamed, after, floor = result.gap.shown
         share = min((unnamed - after) / (unnamed - floor), 1.0)

@@ -59,11 +59,12 @@ def test_every_effect_is_written_at_its_bounds(machine, tmp_path):
 
 
 def test_a_leakage_of_1e_13_is_written(tmp_path):
-    path = written(
-        Machine("knee_bench"), {("internal_leakage", "knee_valve"): np.array([3e-14])}, tmp_path
-    )
+    values = {("internal_leakage", "knee_valve"): np.array([3.14159265e-14])}
+    path = written(Machine("knee_bench"), values, tmp_path)
+    # Six digits, rounded towards the model's 1.7e-13: no bound is passed.
+    assert 'value="3.1416e-14"' in path.read_text()
     found = Machine(path).parameter("knee_valve", "internal_leakage")
-    assert found == pytest.approx(3e-14, rel=1e-6, abs=0.0)
+    assert found == pytest.approx(3.1416e-14, rel=1e-9, abs=0.0)
 
 
 def test_an_improved_model_is_improved_again_and_again(machine, tmp_path):

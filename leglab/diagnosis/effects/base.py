@@ -89,6 +89,10 @@ class EffectParameter:
         """Change of the value by one smallest trial, at a value."""
         return self.scale * value**2 if self.inverse else self.scale
 
+    def usual(self, own: float) -> tuple[float, float]:
+        """Ends of the values of 19 of 20 good machines whose model has `own`."""
+        return own - 1.96 * self.tolerance, own + 1.96 * self.tolerance
+
     @property
     def slowest(self) -> float:
         """Longest delay or lag among the trials [s]; infinite for what is no time."""

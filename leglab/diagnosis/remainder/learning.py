@@ -142,10 +142,11 @@ def _proved(
 
 
 def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hypothesis) -> bool:
-    """Whether an error that a user sees becomes larger by what was learned, where nobody fitted.
+    """Whether what was learned makes an error of the held-out recordings larger, in its own unit.
 
-    Whitened errors leave out what start states explain. Errors in their units do not: of channels
-    at the end of windows, and of joints in whole recordings. Sensors hide as much as their noise.
+    Errors of channels at the end of windows and of joints in whole recordings are compared, since
+    whitened errors leave out what uncertain start states explain. An error may grow by the noise of
+    its sensor.
     """
     held, noise = problem.held, problem.sensor_noise
     recordings = np.unique(problem.replay.recording[held]).tolist()

@@ -43,7 +43,7 @@ class Within:
 
 
 def windows_of(u: Unknowns) -> int:
-    """So many windows are replayed: each unknown takes a replay of them all."""
+    """Number of windows to replay; fewer with many unknowns, each of which replays them all."""
     most = thresholds.WINDOWS
     return max(most // 2, min(most, most * thresholds.MANY_UNKNOWNS // len(u)))
 

@@ -62,7 +62,7 @@ class Judgement:
             leader = max(tied, key=lambda k: effects[k].evidence)
             rivals = [k for new in effects[leader].ties for k in sorted(new)]
             confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
-        # A set is told if the cause is rather in it than not.
+        # A confusion set needs a probability above 0.5 that it holds the cause.
         among = _effect(sets, frozenset(confusion), impostor).among if confusion else 0.0
         confusion, among = (confusion, among) if among > thresholds.NAMED else ((), 0.0)
         verdict: Verdict = "unexplained"

@@ -46,7 +46,7 @@ class Outcome:
         self.about = problem.about(self.final)
         #: Covariance of all single unknowns there, in trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
-        if specimen is not None:  # a size is told by its difference from the healthy one
+        if specimen is not None:  # both sizes of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
         #: Effects that are told, named or in a confusion set.
         self.named = tuple(
@@ -57,7 +57,7 @@ class Outcome:
                 if key[0] == name and element in (key[1], EVERY)
             )
         )
-        #: What tuning alone gains: parameters of no told effect, fitted within their tolerances.
+        #: The model recalibrated: fitted within tolerances, without the named effects' parameters.
         self.baseline = self.nothing
         #: What an improved model carries is the told effects, and what has a tolerance.
         if specimen is not None:
@@ -119,12 +119,12 @@ def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -
 
 
 def _within(library: Library, fitted: Hypothesis) -> Hypothesis:
-    """Sets parameters without a tolerance to the model's values, others to the ends of theirs."""
+    """Limits parameters to their tolerances; those without one get the model's values."""
     values = {}
     for key, value in _named_alone(library, fitted, ()).items():
         site = library.sites[key]
-        most = 1.96 * np.array([p.tolerance for p in site.parameters])
-        values[key] = np.clip(value, site.nominal - most, site.nominal + most)
+        pairs = zip(site.parameters, site.nominal.tolist(), strict=True)
+        values[key] = np.clip(value, *np.transpose([p.usual(own) for p, own in pairs]))
     return Hypothesis(values, fitted.onsets)
 
 

@@ -77,7 +77,7 @@ def diagnose(
         outcome = Outcome(judgement.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judgement.as_it_was:
-        # What is told does not stand, and the specimen errs as it did.
+        # The names close less than half of the gap, and the errors are those of a healthy machine.
         outcome = Outcome(judgement.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
@@ -297,7 +297,7 @@ def _rivals(rows: Sequence[Row]) -> result.Rivals:
     """Probability of each set against each other one."""
     joined = [" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows]
     places = [" + ".join(f"{name} at {element}" for name, element in sorted(r.keys)) for r in rows]
-    # Sets that differ by their elements alone have these in their names.
+    # Sets with the same effects on other elements are called by both.
     names = tuple(n if joined.count(n) == 1 else p for n, p in zip(joined, places, strict=True))
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))

@@ -525,7 +525,7 @@ def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float,
 
 
 def _by_window(trace: ResidualTrace, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """With a NaN between windows: each is a replay of its own, and they may overlap."""
+    """Time and values with a NaN after each window, since windows may overlap."""
     ends = np.arange(trace.bins, trace.time.size, trace.bins)
     return np.insert(trace.time, ends, np.nan), np.insert(values, ends, np.nan)
 
