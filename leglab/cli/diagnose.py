@@ -51,6 +51,13 @@ def diagnose(
             help="Effect to consider, of docs/reference/effects.md, repeatable; default: all."
         ),
     ] = None,
+    why: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Effect of which to tell why it is named or not, repeatable: what it promised, "
+            "where it was fitted, what is more probable."
+        ),
+    ] = None,
     fix_base: FixBase = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -61,8 +68,8 @@ def diagnose(
     Writes diagnosis.json, improved.xml (the model with the effect), figures and the page
     diagnosis.html, and shows the gap on recordings that were not used to find it.
     """
-    if effect:
-        _check_effects(effect)
+    if asked := [*(effect or []), *(why or [])]:
+        _check_effects(asked)
     if model is None or not recordings:
         raise SettingsError("diagnose needs a model and at least one recording")
     check_order(model, recordings)
@@ -73,6 +80,7 @@ def diagnose(
     from leglab.diagnosis.verdict import output as results
     from leglab.diagnosis.verdict.verdict import diagnose as run_diagnosis
     from leglab.report.diagnosis.page import write_page
+    from leglab.report.diagnosis.why import why as explained
 
     check_folder(out, overwrite=overwrite, mark="diagnosis.json")
     check_apart(out, [Path(model), *recordings, *(healthy or [])])
@@ -109,6 +117,9 @@ def diagnose(
         print_json(result.to_json(), ascii_only=False)
     else:
         show_diagnosis(result, out)
+        for name in why or []:
+            for line in explained(result, name):
+                output.print(line, markup=False, highlight=False)
 
 
 def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:

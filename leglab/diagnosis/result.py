@@ -184,6 +184,20 @@ class Rank:
     element: str
     #: Log of the factor by which it alone makes the recordings more probable, first order.
     gain: float
+    #: The same of the best set that has it, one step from a good set, over the most probable set by
+    #: the tangents there; None where none was scored.
+    beside: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    """A set of effects that was fitted."""
+
+    names: tuple[tuple[str, str], ...]  #: Effects and elements; none is the model as it is
+    move: str  #: What proposed it first
+    reason: str  #: Why, in words
+    level: float  #: Median error that it leaves, in noise levels
+    behind: float  #: Log of the factor by which the most probable set is more probable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,6 +286,7 @@ class Diagnosis:
         effects: Ordered by what each contributes.
         where: Worst first.
         ranking: All effects that were tried, best first.
+        tried: Sets of effects that were fitted, in that order.
         moved: Parameters that the improved model has elsewhere within their tolerance.
         changed: How the improved model differs from the model, as lines of a unified diff.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.
@@ -298,6 +313,7 @@ class Diagnosis:
     traces: tuple[ResidualTrace, ...]
     next_experiment: Proposal | None
     notes: tuple[str, ...]
+    tried: tuple[Tried, ...] = ()
     among: float | None = None
     smaller: tuple[NamedEffect, ...] = ()
     remaining: tuple[Remaining, ...] = ()
@@ -419,6 +435,7 @@ class Diagnosis:
                 ],
             },
             "ranking": [asdict(one) for one in self.ranking],
+            "tried": [asdict(one) for one in self.tried],
             "rivals": [{"names": one.names, "cost": one.cost} for one in self.rivals],
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,

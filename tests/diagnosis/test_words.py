@@ -6,6 +6,7 @@ import pytest
 
 from leglab.diagnosis.result import Estimate, Moved
 from leglab.diagnosis.verdict.output import summary_lines
+from leglab.report.diagnosis.why import why
 from leglab.report.diagnosis.words import (
     facts,
     headline,
@@ -202,3 +203,21 @@ def test_by_how_much_directions_differ_is_told_beside_what_is_unsure_of_each():
     (written,) = diagnosis(effects=(asymmetric,)).to_json()["effects"]
     assert written["differences"][one.name]["interval"] == [-90.0, -56.0]
     assert list(written["parameters"]) == ["lap"]
+
+
+def test_why_tells_what_was_promised_and_fitted_and_what_is_more_probable():
+    result = diagnosis()
+    best, other, hidden = result.ranking
+    lines = why(result, best.name)
+    assert lines[0] == f"{best.name.replace('_', ' ')} at {best.element}"
+    assert "promises 900 nats" in lines[1]
+    assert "the most of all" not in lines[1]
+    assert "the most probable set" in lines[3]
+    assert "confidence of 0.91" in lines[-1]
+    lines = why(result, other.name)
+    assert "the most of all is 900 by valve deadband" in lines[1]
+    assert "7 nats behind" in lines[2]
+    assert "at best 12 nats less probable" in lines[3]
+    assert "more probable: valve deadband at knee_valve" in lines[4]
+    assert "not among the additions" in " ".join(why(result, hidden.name))
+    assert "was not looked for" in why(result, "joint_flexibility")[0]

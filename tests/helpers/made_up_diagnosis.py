@@ -17,6 +17,7 @@ from leglab.diagnosis.result import (
     Remaining,
     ResidualTrace,
     Rivals,
+    Tried,
     Where,
     WholeRecording,
 )
@@ -112,8 +113,15 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
             RecordingGap(name="slow", held_out=False, before=9.0, baseline=8.0, after=1.0),
         ),
         ranking=tuple(
-            Rank(name=n, element=e, gain=g)
-            for (n, e), g in zip(tried, (900.0, 300.0, -4.0), strict=True)
+            Rank(name=n, element=e, gain=g, beside=b)
+            for (n, e), g, b in zip(tried, (900.0, 300.0, -4.0), (2.0, -12.0, None), strict=True)
+        ),
+        tried=tuple(
+            Tried(names=tried[:n], move="first order", reason=why, level=level, behind=behind)
+            for n, why, level, behind in (
+                (2, "first order promises 950 nats over nothing", 1.1, 7.0),
+                (1, "the best set without stiction", 1.2, 0.0),
+            )
         ),
         rivals=(
             Rivals(

@@ -17,7 +17,7 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, thinned
-from leglab.diagnosis.search.search import Within, search, windows_of
+from leglab.diagnosis.search.search import describe, windows_of
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 
@@ -170,7 +170,7 @@ def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> S
     specimen = _specimen(fitter, fit, kappa)
     if fitter.explains(fit) or specimen.as_it_was(later, specimen.values):
         return specimen
-    ranks = search(problem, kappa=kappa, log=log, within=Within(fitter, first, fit)).ranks
+    ranks = describe(fitter, first, fit, kappa, log).ranks
     least, kappa = ranks[0].score.log - thresholds.NEAR, ranks[0].evidence.kappa
     near = [r.fit for r in ranks if r.score.log > least]
     made = [_specimen(fitter, fit, kappa) for fit in near]

@@ -24,7 +24,8 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.replay.windows import channels
 from leglab.diagnosis.search.healthy import Specimen, calibrate
 from leglab.diagnosis.search.onset import onset_of
-from leglab.diagnosis.search.search import Found, search
+from leglab.diagnosis.search.pool import Found
+from leglab.diagnosis.search.search import search
 from leglab.diagnosis.thresholds import DEFAULT, NO_FAULT, Thresholds
 
 

@@ -7,6 +7,7 @@ turn, all others are corrected by what replays show (Broyden 1965) and taken ane
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -67,6 +68,30 @@ class Point:
         """As a linearisation."""
         none = np.zeros((*self.errors.shape, 0))
         return Columns(self.hypothesis, self.x, self.errors, self.tangents, (), none)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a fit stands after some turns."""
+
+    point: Point
+    spread: Spread  #: Pattern of the model's own error
+    weight: np.ndarray  #: Of windows
+    kappa: float  #: 1/design effect
+    stiff: int  #: In so many turns members find their place, all else stays
+    fine: bool  #: Whether all tangents were taken over fine steps
+    taken: np.ndarray  #: Departures where all tangents were taken
+    off: np.ndarray  #: What the last step showed beyond the tangents, (windows, rows)
+    missed: float = 0.0  #: What all steps since then showed beyond the tangents [nats]
+    most: np.ndarray | None = None  #: Largest steps of tangents, (single,)
+    turn: int = 0  #: Number of turns
+    renewed: int = 0  #: How often all tangents were taken anew
+    damping: float = 0.0  #: Of the last step
+    slow: bool = False  #: Whether the last step gained little, or was damped
+    gained: float = 0.0  #: By all steps [nats]
+    unkept: float = 0.0  #: What tangents promise in the end, and no replay keeps [nats]
+    #: Why it ended; "" while it goes on.
+    ended: Literal["", "finished", "given up", "unfinished"] = ""
 
 
 class Fitter:
@@ -159,99 +184,24 @@ class Fitter:
             beside: Whether the rest of the machine starts where another set has left it, and moves
                 with the members from the first turn on.
         """
-        members, columns, spread, weight = new.members, new.columns, new.spread, new.weight
-        point = self._point(columns.base, columns.errors, columns.tangents, members)
-        if new.start:
-            moved = self.at.unknowns.moved(columns.base, new.start)
-            errors = self.at.at(moved)
-            if members or beside or self.level(errors) < self.level(point.errors):
-                point = self._point(moved, errors, columns.tangents, members)
-                spread, weight = self.about(errors)
-        stiff_turns = 0 if beside or not members else thresholds.STIFF_TURNS
-        # By so much tangents have missed what replays showed since they were taken [nats].
-        missed, off = 0.0, _beyond(columns, point)
-        slow = given_up = finished = False
-        unkept = damping = gained = 0.0
-        fine = columns.fine
-        telling = most = None
-        renewed, taken = 0, columns.x
-
-        def judged(priors: Priors | None = None) -> tuple[Evidence, Score]:
-            made = self.evidence(point.columns, spread, weight, kappa, priors)
-            return made, made.score([(q, None) for q in members])
-
-        for turn in range(thresholds.TURNS):
-            first, fresh = turn < stiff_turns, False
-            if not first and missed > thresholds.ENOUGH and (slow or renewed < renewals):
-                if renewed == renewals:
-                    break
-                begun, here = judged()
-                telling, most = begun.telling(here), begun.visible(here)
-                which = telling
-                if renewed:
-                    # What hardly moves takes no step from its tangents, and errs by none.
-                    step = self._by(members, *begun.step(here, point.values, 0.0), point)
-                    gone = np.maximum(np.abs(step), np.abs(point.x - taken)[: step.size])
-                    which = telling & (gone > thresholds.FINE[0] * most)
-                point, taken = self._all_tangents(point, members, which, most), point.x
-                fresh, fine, renewed, missed = True, True, renewed + 1, 0.0
-            else:
-                point = self._own_tangents(point, members, first, most)
-            priors = self._stiff if first else self.priors
-            evidence, score = judged(priors)
-            missed += 0.5 * self._square(evidence, score, off)
-            if first and (other := self._on_ladder(evidence, score, point)):
-                point = other
-                evidence, score = judged(priors)
-            if not first:
-                telling, most = evidence.telling(score), evidence.visible(score)
-            # Damping begins one below that of the last step; with fresh tangents, and for members
-            # alone, at none.
-            begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(damping) - 1, 0)
-            dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
-            promise, then = self._stepped(evidence, score, point, dampings, lower=first)
-            if then is None:
-                if first:
-                    stiff_turns = turn + 1
-                    continue
-                # Tangents that promise what no step keeps are wrong.
-                if fresh or (fine and missed + promise < thresholds.ENOUGH):
-                    finished, unkept = True, promise
-                    break
-                slow, missed, off = True, np.inf, 0.0 * off
-                continue
-            damping, gain, off, point = then
-            spread = self.own_spread(point.errors)
-            weight = self.weights(point.errors, spread, score.size)
-            if not first:
-                gained += gain
-                # As explanations get better, errors are worth more numbers.
-                kappa = 1.0 / max(evidence.design_effect(score), 1.0)
-            if turn + 1 >= thresholds.STIFF_TURNS and self.level(point.errors) > give_up:
-                # Machines depart, and may make up for it.
-                there, ahead = judged()
-                if self.level(there.left(ahead)) > give_up:
-                    given_up = True
-                    break
-            if not first and gain < thresholds.ENOUGH:
-                if fresh or (fine and missed + promise - gain < thresholds.ENOUGH):
-                    finished, unkept = True, promise - gain
-                    break
-                missed = np.inf
-            slow = damping > 0.0 or gain < thresholds.NEAR
-        _, score = judged()
+        turns = _Turns(self, new.members, renewals, give_up)
+        state = turns.begin(new, kappa, beside=beside)
+        while not state.ended:
+            state = turns.step(state)
+        _, score = turns.judged(state)
+        members, point, finished = new.members, state.point, state.ended != "unfinished"
         return Fit(
             members=members,
             keys=self.at.unknowns.names(members),
-            columns=replace(point.columns, fine=fine),
-            spread=spread,
-            weight=weight,
+            columns=replace(point.columns, fine=state.fine),
+            spread=state.spread,
+            weight=state.weight,
             score=score,
             level=self.level(point.errors),
             ended=self._ended(members, point.x, score.values),
-            finished=finished or given_up,
-            unkept=max(unkept, 0.0),
-            gained=0.0 if finished or given_up else gained,
+            finished=finished,
+            unkept=max(state.unkept, 0.0),
+            gained=0.0 if finished else state.gained,
         )
 
     def _point(
@@ -450,6 +400,131 @@ class Fitter:
             if above or (v <= u.lower[q] + near and u.lower[q] < 0 and not natural):
                 found.append(q)
         return tuple(found)
+
+
+class _Turns:
+    """Turns of one fit: each takes tangents and a step."""
+
+    def __init__(
+        self, fitter: Fitter, members: tuple[int, ...], renewals: int, give_up: float
+    ) -> None:
+        self.fitter, self.members = fitter, members
+        self.renewals, self.give_up = renewals, give_up
+
+    def begin(self, new: Candidate, kappa: float, *, beside: bool) -> State:
+        """The state before the first turn; arguments as of `Fitter.fit`."""
+        fitter, columns = self.fitter, new.columns
+        spread, weight = new.spread, new.weight
+        point = fitter._point(columns.base, columns.errors, columns.tangents, new.members)
+        if new.start:
+            moved = fitter.at.unknowns.moved(columns.base, new.start)
+            errors = fitter.at.at(moved)
+            if new.members or beside or fitter.level(errors) < fitter.level(point.errors):
+                point = fitter._point(moved, errors, columns.tangents, new.members)
+                spread, weight = fitter.about(errors)
+        return State(
+            point=point,
+            spread=spread,
+            weight=weight,
+            kappa=kappa,
+            stiff=0 if beside or not new.members else thresholds.STIFF_TURNS,
+            fine=columns.fine,
+            taken=columns.x,
+            off=_beyond(columns, point),
+        )
+
+    def judged(self, s: State, *, stiff: bool = False) -> tuple[Evidence, Score]:
+        """Evidence where a state is; where `stiff`, all but the members hardly moves."""
+        fitter = self.fitter
+        priors = fitter._stiff if stiff else None
+        made = fitter.evidence(s.point.columns, s.spread, s.weight, s.kappa, priors)
+        return made, made.score([(q, None) for q in self.members])
+
+    def step(self, s: State) -> State:
+        """The state after another turn."""
+        if s.turn == thresholds.TURNS:
+            return replace(s, ended="unfinished")
+        fitter, first = self.fitter, s.turn < s.stiff
+        s, fresh = self._with_tangents(s, first)
+        if s.ended:
+            return s
+        evidence, score = self.judged(s, stiff=first)
+        s = replace(s, missed=s.missed + 0.5 * fitter._square(evidence, score, s.off))
+        if first and (other := fitter._on_ladder(evidence, score, s.point)):
+            s = replace(s, point=other)
+            evidence, score = self.judged(s, stiff=True)
+        if not first:
+            s = replace(s, most=evidence.visible(score))
+        # Damping begins one below that of the last step; with fresh tangents, and for members
+        # alone, at none.
+        begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)
+        dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
+        promise, then = fitter._stepped(evidence, score, s.point, dampings, lower=first)
+        s = replace(s, turn=s.turn + 1)
+        if then is not None:
+            return self._after(s, first, fresh, evidence, score, promise, then)
+        if first:
+            return replace(s, stiff=s.turn)
+        # Tangents that promise what no step keeps are wrong.
+        if self._exact(s, fresh, promise):
+            return replace(s, ended="finished", unkept=promise)
+        return replace(s, slow=True, missed=np.inf, off=0.0 * s.off)
+
+    def _exact(self, s: State, fresh: bool, promise: float) -> bool:
+        """Whether what tangents promise is known well enough to end."""
+        return fresh or (s.fine and s.missed + promise < thresholds.ENOUGH)
+
+    def _with_tangents(self, s: State, first: bool) -> tuple[State, bool]:
+        """With tangents taken anew: those of the members, or of all where they have missed much.
+
+        And whether those of all were.
+        """
+        fitter, members = self.fitter, self.members
+        wrong = s.missed > thresholds.ENOUGH and (s.slow or s.renewed < self.renewals)
+        if first or not wrong:
+            return replace(s, point=fitter._own_tangents(s.point, members, first, s.most)), False
+        if s.renewed == self.renewals:
+            return replace(s, ended="unfinished"), False
+        evidence, score = self.judged(s)
+        which, most = evidence.telling(score), evidence.visible(score)
+        if s.renewed:
+            # What hardly moves takes no step from its tangents, and errs by none.
+            step = fitter._by(members, *evidence.step(score, s.point.values, 0.0), s.point)
+            gone = np.maximum(np.abs(step), np.abs(s.point.x - s.taken)[: step.size])
+            which = which & (gone > thresholds.FINE[0] * most)
+        point, renewed = fitter._all_tangents(s.point, members, which, most), s.renewed + 1
+        new = replace(s, point=point, taken=point.x, most=most, fine=True, renewed=renewed)
+        return replace(new, missed=0.0), True
+
+    def _after(
+        self,
+        s: State,
+        first: bool,
+        fresh: bool,
+        evidence: Evidence,
+        score: Score,
+        promise: float,
+        then: tuple[float, float, np.ndarray, Point],
+    ) -> State:
+        """The state after a step, see `Fitter._stepped`."""
+        fitter, (damping, gain, off, point) = self.fitter, then
+        spread = fitter.own_spread(point.errors)
+        weight = fitter.weights(point.errors, spread, score.size)
+        s = replace(s, damping=damping, off=off, point=point, spread=spread, weight=weight)
+        if not first:
+            # As explanations get better, errors are worth more numbers.
+            kappa = 1.0 / max(evidence.design_effect(score), 1.0)
+            s = replace(s, gained=s.gained + gain, kappa=kappa)
+        if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
+            # Machines depart, and may make up for it.
+            there, ahead = self.judged(s)
+            if fitter.level(there.left(ahead)) > self.give_up:
+                return replace(s, ended="given up")
+        if not first and gain < thresholds.ENOUGH:
+            if self._exact(s, fresh, promise - gain):
+                return replace(s, ended="finished", unkept=promise - gain)
+            s = replace(s, missed=np.inf)
+        return replace(s, slow=damping > 0.0 or gain < thresholds.NEAR)
 
 
 def _beyond(columns: Columns, point: Point) -> np.ndarray:

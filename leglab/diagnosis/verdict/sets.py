@@ -13,8 +13,8 @@ from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.healthy import Specimen
-from leglab.diagnosis.search.rank import both_ways
-from leglab.diagnosis.search.search import Found
+from leglab.diagnosis.search.moves.both_ways import both_ways
+from leglab.diagnosis.search.pool import Found
 from leglab.diagnosis.search.settle import Candidate
 from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, WINDOWS
 

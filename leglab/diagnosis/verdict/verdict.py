@@ -22,13 +22,13 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
-from leglab.diagnosis.search.search import Found
 from leglab.diagnosis.thresholds import BEST_SETS, DAY_FACTOR, DEFAULT, LAW, NAMED, VISIBLE
 from leglab.diagnosis.verdict.confidence import Judgement, as_noise
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, by_states, notes
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
+from leglab.diagnosis.verdict.tried import ranking, tried
 from leglab.diagnosis.verdict.whole import whole_recording
 
 
@@ -136,7 +136,8 @@ def _told(
         not_testable=_not_testable(outcome),
         **{**errors, "gap": gap},
         calibration=_calibration(outcome.specimen) if outcome.specimen else None,
-        ranking=_ranking(outcome.found),
+        ranking=ranking(outcome.found),
+        tried=tried(outcome.found),
         rivals=(_rivals(outcome.judged.rows[:BEST_SETS]),),
         next_experiment=_next_experiment(outcome),
         notes=tuple(remarks),
@@ -277,20 +278,6 @@ def _estimate(
     name: str, unit: str, value: float, nominal: float, low: float, high: float
 ) -> result.Estimate:
     return result.Estimate(name=name, unit=unit, value=value, nominal=nominal, interval=(low, high))
-
-
-def _ranking(found: Found) -> tuple[result.Rank, ...]:
-    """Evidence of each effect alone at the first linearisation [nats]."""
-    fitter, best = found.fitter, found.ranks[0].evidence
-    evidence = fitter.evidence(found.first, best.spread, best.weight, best.kappa)
-    gains = dict.fromkeys(sorted(fitter.at.problem.library.searched), 0.0)
-    nothing = evidence.score(())
-    for _, member in evidence.additions(nothing):
-        key = evidence.unknowns.keys[member[0]]
-        if key in gains:
-            gains[key] = max(gains[key], evidence.score((member,)).log - nothing.log)
-    rows = sorted(gains.items(), key=lambda row: -row[1])
-    return tuple(result.Rank(name=k[0], element=k[1], gain=g) for k, g in rows)
 
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:

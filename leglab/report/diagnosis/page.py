@@ -9,6 +9,7 @@ from leglab.base.output import cannot_write, piece, write_atomically
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.report.diagnosis import words
 from leglab.report.diagnosis.figures import CaptionedFigure, pictures
+from leglab.report.diagnosis.why import tried_rows
 from leglab.report.figures import png
 from leglab.report.page import shell
 from leglab.report.page.shell import Table, inlined, render
@@ -73,6 +74,12 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             _gap_table(result),
             *_calibration_tables(result),
             _moved_table(result),
+            Table(
+                caption="Sets of effects that were fitted",
+                head=("set", "why", "noise levels", "nats behind"),
+                rows=tried_rows(result),
+                words=2,
+            ),
             Table(
                 caption="What these recordings hardly show",
                 head=("effect", "element", "to see it"),

@@ -1,0 +1,1 @@
+"""Moves of the search: each proposes sets to fit, with a reason."""

@@ -1,0 +1,21 @@
+"""Sets that move as a good one does, by all forces times one factor."""
+
+from collections.abc import Iterator
+
+from leglab.diagnosis.likelihood.twins import scale_twins
+from leglab.diagnosis.search.pool import Pool, Proposal
+from leglab.diagnosis.search.settle import Candidate
+from leglab.diagnosis.thresholds import RENEWALS
+
+
+def propose(pool: Pool) -> Iterator[Proposal]:
+    """Twins of good sets where no force is known: rivals in any recording."""
+    fitter = pool.scene.fitter
+    problem, u = fitter.at.problem, fitter.at.unknowns
+    for fit in [r.fit for r in pool.near]:
+        twins = scale_twins(problem, u, pool.scene.forces, fit.members, fit.columns.x)
+        for members, moves in twins:
+            if frozenset(members) not in pool.tried:
+                start = Candidate(members, moves, fit.columns, fit.spread, fit.weight)
+                reason = "it is the same motion with all forces scaled"
+                yield Proposal("force scale", start, reason, renewals=RENEWALS)
