@@ -179,9 +179,8 @@ SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # of a wider one on, but not beyond it.
 USUAL = 0.5
 # What is there or is not departs by this standard deviation, in trials, where it is not there; so
-# does a machine that is as its model but for tolerances. Trials change errors by up to some
-# thousands of noise levels: so small a departure makes up for nothing anywhere.
-ABSENT = 1e-6
+# does a machine that is as its model but for tolerances.
+ABSENT = 1e-3
 # A shape has this standard deviation, as a share of its range: it lies anywhere in it.
 SHAPE_SPREAD = 0.3
 # A machine of another day departs from its healthy self as good machines do from their model, but

@@ -141,19 +141,29 @@ def _lean(
     What else departs a little takes a part of each effect's size with it. Effects that are `fixed`
     depart by none. Beside the fit, the covariance of all single unknowns there.
     """
-    u = fitter.at.unknowns
-    still = [not u.library_keys(q).isdisjoint(fixed) for q in range(len(u))]
-    at = Errors(about, replace(u, tolerance=np.where(still, 0.0, u.tolerance)), fitter.at.chosen)
-    lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
-    old, kappa = row.evidence.columns, row.evidence.kappa
+    u, old, kappa = fitter.at.unknowns, row.evidence.columns, row.evidence.kappa
     values = zip(row.score.unknowns, row.score.values.tolist(), strict=True)
     kept = {q: value for q, value in values if u.library_keys(q) <= set(named)}
     # Shapes stay as they were found.
-    goal = np.where(u.shape, old.x, 0.0)[: u.single]
+    goal = np.where(u.shape, old.x, 0.0)
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
+    # What the written model does not get is held: a thousandth of a trial may be five noise levels.
+    own = frozenset[Key]().union(*map(u.library_keys, kept))
+    held = np.array(
+        [
+            not u.library_keys(q).isdisjoint(fixed)
+            or (u.tolerance[q] == 0.0 and u.library_keys(q).isdisjoint(own))
+            for q in range(len(u))
+        ]
+    )
+    lower, upper = np.where(held, goal, u.lower), np.where(held, goal, u.upper)
+    tolerance, shape = np.where(held, 0.0, u.tolerance), u.shape & ~held
+    bounded = replace(u, tolerance=tolerance, lower=lower, upper=upper, shape=shape)
+    at = Errors(about, bounded, fitter.at.chosen)
+    lean = Fitter(at, replace(fitter.priors, spreads=(ABSENT,)))
     there = replace(old, errors=at.at(old.base))
-    start = dict(enumerate((goal - old.x[: u.single]).tolist()))
+    start = dict(enumerate((goal - old.x)[: u.single].tolist()))
     new = Candidate(tuple(kept), start, there, row.evidence.spread, row.evidence.weight)
     fit = lean.fit(new, kappa, renewals=RENEWALS if kept or fixed else 0, beside=True)
     evidence = lean.evidence(fit.columns, fit.spread, fit.weight, kappa)
