@@ -64,7 +64,7 @@ FAULTS = {
         "sound = has", "test_what_ends_at_its_bound_has_no_name",
     ),
     "all is clear at any error": (
-        "diagnosis.verdict.confidence", "return largest**0.5 <= DEFAULT.explained", "return True",
+        "diagnosis.verdict.confidence", "return largest**0.5 <= EXPLAINED", "return True",
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
@@ -95,7 +95,7 @@ FAULTS = {
     ),
     "a name stands while most is left": (
         "diagnosis.verdict.verdict",
-        'if verdict in ("named", "confusion_set") and explained < limits.explanation_share:',
+        'if verdict in ("named", "confusion_set") and explained < EXPLANATION:',
         "if False:", "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "intervals are a fifth as wide": (

@@ -27,7 +27,7 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem, robust_weight, whitened
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from leglab.diagnosis.thresholds import DEFAULT, FINE
+from leglab.diagnosis.thresholds import FINE, SAME
 from leglab.diagnosis.verdict.notes import notes
 from leglab.diagnosis.verdict.verdict import errors_of
 
@@ -235,7 +235,8 @@ class _Fitted:
         )
         self._z = found.x
         square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
-        self._weight = robust_weight(square / max(float(np.median(square)), 1.0))
+        limit = self._problem.thresholds.robust_limit
+        self._weight = robust_weight(square / max(float(np.median(square)), 1.0), limit)
 
     def _covariance(self) -> np.ndarray:
         """Of the departures, by parts of the recordings, (parameters, parameters)."""
@@ -258,7 +259,7 @@ class _Fitted:
             f"{key[1]}:{key[0]}.{p.name}"
             for (key, _), p in zip(self._places, self._rows, strict=True)
         )
-        near = DEFAULT.same * np.maximum(np.abs(self._z), 1.0)
+        near = SAME * np.maximum(np.abs(self._z), 1.0)
         ends = (self._z <= self._lower + near) | (self._z >= self._upper - near)
         bound = [f"{name} ended at a bound" for name, end in zip(names, ends, strict=True) if end]
         told = result.Diagnosis(

@@ -26,7 +26,7 @@ from leglab.diagnosis.remainder.learning import (
 from leglab.diagnosis.replay.residual import Problem, robust_cost, thinned
 from leglab.diagnosis.result import Estimate, Moved, NamedEffect, closed, root_mean
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from leglab.diagnosis.thresholds import WINDOWS
+from leglab.diagnosis.thresholds import EXPLAINED, SMALL, WINDOWS
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.output import write_model
 from leglab.diagnosis.verdict.verdict import diagnose
@@ -140,8 +140,8 @@ def improved_model(
     told = (*result.effects, *result.smaller)
     named, final = _recalibrated(found, told if result.verdict == "named" else ())
     remainder = None
-    little = (result.gap.explained or 0.0) < 1.0 - limits.smaller_share
-    if result.verdict != "nothing_missing" and little and result.gap.after > limits.explained:
+    little = (result.gap.explained or 0.0) < 1.0 - SMALL
+    if result.verdict != "nothing_missing" and little and result.gap.after > EXPLAINED:
         with piece("remainder", result.missing):
             remainder = learn_remainder(problem, final, named=named, progress=progress)
     better = remainder.problem if remainder else problem
@@ -201,7 +201,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     # Departures in tolerances. A parameter without a tolerance counts as one of them away.
     away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
     paths = [stay, *_going_back(before, columns, away)]
-    limit = (1.0 + problem.thresholds.smaller_share) * level(stay)
+    limit = (1.0 + SMALL) * level(stay)
     least = bisect_left(range(count), True, key=lambda k: level(paths[k + 1]) > limit)
     return at(paths[least])
 
@@ -288,7 +288,7 @@ def improve(
     squares = [p.noise_levels(h) for p, h in pairs]
     costs = [float(robust_cost(s[held], limits.robust_limit).mean()) for s in squares]
     gains = bool(held.any()) and pays(squares[0][held], squares[1][held], limits)
-    improved = gains and costs[0] >= limits.explained
+    improved = gains and costs[0] >= EXPLAINED
     added = [f"{name} at {element}" for name, element in sure]
     added += [remainder.words] if remainder else []
     words = f"Added: {'; '.join(added)}."
@@ -314,7 +314,7 @@ def improve(
 
 def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) -> str:
     """Why nothing was added; `cost` is what the held-out recordings are left with."""
-    much = cost > problem.thresholds.explained
+    much = cost > EXPLAINED
     text = "Recalibrated within tolerances; no further static force improves it."
     if not improved:
         text = "Nothing improves the model on held-out recordings"

@@ -1,9 +1,9 @@
 """All numbers of a diagnosis that were chosen rather than derived, each with its reason.
 
 Costs are robust mean squares of whitened errors: in noise variances, so that noise alone gives 1.
-`Thresholds` holds those that settings may change; likelihood, search and verdict take the others,
-below it. Elsewhere stand what is an effect's physics (bounds, trial sizes, tolerances), guards
-against rounding, steps of differences and line searches, and sizes of caches.
+`Thresholds` holds those that settings may change, and is handed down; likelihood, search and
+verdict take the others, below it. Elsewhere stand what is an effect's physics (bounds, trial sizes,
+tolerances), guards against rounding, steps of differences and line searches, and sizes of caches.
 """
 
 import math
@@ -18,28 +18,11 @@ class Thresholds:
     # A position may pass the joint's range by this share before its unit is doubted: a range that
     # was guessed is off by less, degrees by 57 times.
     beyond_range: float = 0.5
-    # A joint that turns further than this without a limit [rad], twice around and back, is a wheel.
-    far: float = 4.0 * math.pi
     # So many equal samples at a limit in a row look like a saturated sensor.
     saturated_samples: int = 20
     # Share of a single recording that is held out, at its end.
     held_out_share: float = 0.3
 
-    # Series on a uniform grid.
-    # Shares below which periods, or sizes of turns and counts, are the same: clocks and converters
-    # that were meant to be differ by less, others by more. Up to this share of rows is lost, and
-    # of a period stamps jitter, without a word. A parameter within this share of a value has it.
-    same: float = 0.02
-    # Shares that do not matter: of a period by which stamps miss the grid, which is rounding of a
-    # time column and no jitter, of what a signal moves, and of any other whole.
-    negligible: float = 1e-3
-    # Samples of the parabola through the neighbours of a value on the grid. Between samples half
-    # as many periods apart a value is measured; across a whole one, or a bin, it is where the
-    # parabola fits.
-    neighbours: int = 7
-    # What departs by more standard deviations is no chance, of whatever many thousand samples; an
-    # effect that does not move the errors by so many cannot be seen.
-    certain: float = 5.0
     # Savitzky-Golay filters as (length [s], fewest samples, order): they pass the motion of a leg
     # and, at 1 kHz, take noise to a third.
     position_filter: tuple[float, int, int] = (0.021, 7, 4)
@@ -95,22 +78,9 @@ class Thresholds:
     # Whitened errors are clipped here: beyond lies only a replay that blew up.
     clip: float = 1e5
 
-    # Forces are told in so many parts of a window, each of two bins at least.
-    force_blocks: int = 5
-
-    # Verdict.
-    # Cost, or error in noise levels, below which nothing more is missing: windows that start in
-    # stick-slip or beside jumps of the command lift it on good models to at most this.
-    explained: float = 2.0
     # Held-out recordings hardly show effects if the share of their windows in which these show is
     # below this share of that among all windows.
     shown_share: float = 0.3
-    # Effects that explain less than this share of the misfit are no explanation.
-    explanation_share: float = 0.5
-    # What is below this share of another thing is small beside it: an effect that closes less of
-    # the gap, a difference of fits or of a drive's influence, data beside a prior, a channel that a
-    # drive hardly moves, forces left over beside the usual ones.
-    smaller_share: float = 0.1
     # Strengths of a calibrated specimen that are listed depart by this share of barely noticeable.
     calibration_share: float = 0.25
     # `leglab improve` writes effects into a model from this confidence on.
@@ -132,6 +102,35 @@ class Thresholds:
 
 
 DEFAULT = Thresholds()
+
+# What is the same, small, certain and explained; no setting, for all parts mean the same by it.
+# Shares below which periods, or sizes of turns and counts, are the same: clocks and converters
+# that were meant to be differ by less, others by more. Up to this share of rows is lost, and
+# of a period stamps jitter, without a word. A parameter within this share of a value has it.
+SAME = 0.02
+# Shares that do not matter: of a period by which stamps miss the grid, which is rounding of a
+# time column and no jitter, of what a signal moves, and of any other whole.
+NEGLIGIBLE = 1e-3
+# What is below this share of another thing is small beside it: an effect that closes less of
+# the gap, a difference of fits or of a drive's influence, data beside a prior, a channel that a
+# drive hardly moves, forces left over beside the usual ones.
+SMALL = 0.1
+# What departs by more standard deviations is no chance, of whatever many thousand samples; an
+# effect that does not move the errors by so many cannot be seen.
+CERTAIN = 5.0
+# Samples of the parabola through the neighbours of a value on the grid. Between samples half
+# as many periods apart a value is measured; across a whole one, or a bin, it is where the
+# parabola fits.
+NEIGHBOURS = 7
+# A joint that turns further than this without a limit [rad], twice around and back, is a wheel.
+FAR = 4.0 * math.pi
+# Forces are told in so many parts of a window, each of two bins at least.
+FORCE_BLOCKS = 5
+# Cost, or error in noise levels, below which nothing more is missing: windows that start in
+# stick-slip or beside jumps of the command lift it on good models to at most this.
+EXPLAINED = 2.0
+# Effects that explain less than this share of the misfit are no explanation.
+EXPLANATION = 0.5
 
 # Recordings: sizes of parameters by what was recorded.
 # Trials are these shares of what is recorded: good models leave 2 to 7 % of the forces of a good
@@ -284,7 +283,7 @@ IMPOSTOR = (-0.85, 1.8, 5.0)
 # logits.
 EDGE = 0.5
 # A jump can be seen whose chi-square, beside all that machines differ in, is beyond this.
-VISIBLE = DEFAULT.certain**2
+VISIBLE = CERTAIN**2
 # A name is surer than this: it is more probable than not.
 NAMED = 0.5
 # A member of a confusion set is surer than this, without some part of the recordings.

@@ -8,6 +8,7 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.windows import Channel
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
+from leglab.diagnosis.thresholds import FORCE_BLOCKS
 from rigs import PENDULUM, Truth, record
 from rigs.rough import ROTOR, as_made, record_rough
 
@@ -34,7 +35,7 @@ def lacking(problem, hypothesis, chosen=None):
 
 def test_a_constant_torque_is_left_over_in_every_part_of_every_window(pushed):
     left = lacking(pushed, Hypothesis())
-    assert left.shape == (pushed.replay.windows, 1, pushed.thresholds.force_blocks)
+    assert left.shape == (pushed.replay.windows, 1, FORCE_BLOCKS)
     assert left.mean() == pytest.approx(PUSH, rel=0.02)
     # Velocities, smoothed over 21 ms, are known to some mrad/s; the inertia is 0.12 kg m^2.
     assert left.std() < 0.1 * PUSH

@@ -20,7 +20,7 @@ from leglab.diagnosis.intake.units import DEGREES, OPPOSITE, command_units, in_m
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, FAR, FORCE_BLOCKS, SAME, SMALL, Thresholds
 
 # Windows of all recordings together, and of one at least and at most: each trial replays them all,
 # and fewer tell no mean from chance.
@@ -104,7 +104,7 @@ def doubts(
         for recording, times in trials.clear(columns, before, errors):
             known = best.get(recording)
             said = known.times_better if known else 0.0
-            same = abs(times - said) < thresholds.same * said
+            same = abs(times - said) < SAME * said
             if known and known.unit == unit == OPPOSITE and same:
                 best[recording] = replace(known, alike=(*known.alike, *columns))
             elif times > said:
@@ -147,7 +147,7 @@ class _Trials:
         self.machine = at_replay_step(machine, period)
         shared = set.intersection(*(set(r.columns) for r in recordings.values()))
         # The pose of a part of a window says well enough how commands push.
-        every = max(1, round(limits.window / limits.force_blocks / period))
+        every = max(1, round(limits.window / FORCE_BLOCKS / period))
         limits = replace(limits, pose_every=every)
         windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
         length = (windows + 2) * window_length(period, limits)[0]
@@ -222,7 +222,7 @@ class _Trials:
         turned = max(
             (float(np.abs(s.columns[c]).max()) for s in self.series for c in angles), default=0.0
         )
-        if goals and turned > self.limits.far:
+        if goals and turned > FAR:
             yield (*angles, *goals), *DEGREES
         for (_, unit, factor), columns in groups.items():
             if poor and len(columns) > 1 and factor != -1.0:
@@ -249,7 +249,7 @@ class _Trials:
             as_it_is, *others = (errors.shares(errors.left, rows) for errors in before)
             left = min((as_it_is, *others), key=lambda x: float(x.sum()))
             least, moved = (after.shares(x, rows) for x in (after.left, after.moved))
-            most = self.limits.smaller_share * min(left.sum(), moved.sum())
+            most = SMALL * min(left.sum(), moved.sum())
             if not left.size or not least.sum() < most:
                 continue
             # Windows are samples: the gain must exceed their scatter.

@@ -15,7 +15,7 @@ from leglab.diagnosis.intake.states import state_changes
 from leglab.diagnosis.intake.units import ANGLES, fits, in_map, other_unit
 from leglab.diagnosis.plant.columns import usable_columns
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, NEIGHBOURS, SAME, Thresholds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +148,7 @@ class _Entry:
         for column in (f"{joint}_position" for joint in machine.joints):
             self.fault = self.fault or self._unwrap(column) or self._position_fault(column)
         if not self.fault:
-            self._pause(state_changes(recording, (*machine.columns, *known)))
+            self._pause(state_changes(recording, (*machine.columns, *known), self.limits.window))
             self.clock = Clock.of(own.time)
 
     def _repair(self, column: str, samples: np.ndarray, text: str, place: str) -> None:
@@ -201,7 +201,7 @@ class _Entry:
         """Leaves out the windows across changes of states: another machine goes on after them."""
         column, time = self.machine.columns[0], self.recording.time
         # No window bridges this.
-        reach = max(DEFAULT.neighbours * float(np.median(np.diff(time))), DEFAULT.bin)
+        reach = max(NEIGHBOURS * float(np.median(np.diff(time))), self.limits.bin)
         for state, rows in changes.items():
             samples = self.recording[column].copy()
             for at in time[rows].tolist():
@@ -218,7 +218,7 @@ class _Entry:
             return None
         samples, turn, jumps = found
         for other, factor in ANGLES.items():
-            if unit == "rad" and abs(turn * factor / (2.0 * np.pi) - 1.0) < DEFAULT.same:
+            if unit == "rad" and abs(turn * factor / (2.0 * np.pi) - 1.0) < SAME:
                 why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad"
                 return self._doubt(column, why, f"in {other}", factor)
         if np.isfinite(allowed).all():  # The turn in which the joint can be.
@@ -267,7 +267,7 @@ class _Entry:
         rounding, jitter, lost = self.clock.rounding, self.clock.jitter, self.clock.lost
         if rounding:
             yield f"stamps are rounded to {rounding:.3g} s; taken for a uniform clock's", ""
-        if jitter > self.limits.same:
+        if jitter > SAME:
             yield "stamps are uneven, resampled by them", f"{100.0 * jitter:.2g} % of a period"
         if lost:
             share = f"{100.0 * lost / (lost + len(recording)):.2g} %"
@@ -310,7 +310,7 @@ def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
     faster, drifting, notes = [], [], []
     for name, entry in usable.items():
         clock, off = entry.clock, entry.clock.period / period - 1.0
-        if clock.clear and off < -limits.same:
+        if clock.clear and off < -SAME:
             faster.append(f"{name} from {1.0 / clock.period:.4g} Hz")
         elif clock.clear and abs(off) * len(entry.recording) > 1.0:
             # Worth a note is what comes to a sample over the recording.

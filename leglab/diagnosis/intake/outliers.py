@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import percentile_filter
 
 from leglab.diagnosis.intake.series import quantum
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import CERTAIN
 
 # Neighbours whose steps say what is usual: a spike makes two of them, a few do not show in most.
 _NEAR, _MOST = 41, 80
@@ -27,7 +27,7 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
     sizes = np.abs(steps)
     usual = percentile_filter(sizes, _MOST, size=_NEAR, mode="nearest")
     least = max(quantum(values), float(np.median(sizes[sizes > 0.0])))
-    far = sizes > DEFAULT.certain * np.maximum(usual, least)
+    far = sizes > CERTAIN * np.maximum(usual, least)
     zeros = np.flatnonzero((values[:-1] == 0.0) & (values[1:] != 0.0))
     for start in np.flatnonzero(far).tolist():  # The first sample of a run follows this step.
         if found[good[start]]:
@@ -56,4 +56,4 @@ def alternates(samples: np.ndarray) -> bool:
     turns = float(np.mean(steps[1:] * steps[:-1] < 0.0))
     across = float(np.median(np.abs(values[2:] - values[:-2])))
     usual = max(across, quantum(values[::2]))
-    return turns > 0.9 and float(np.median(np.abs(steps))) > DEFAULT.certain * usual > 0.0
+    return turns > 0.9 and float(np.median(np.abs(steps))) > CERTAIN * usual > 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import NEIGHBOURS, SAME
 
 _TURN = 2.0 * np.pi
 
@@ -29,7 +29,7 @@ def unwrapped(
     unit, spare = np.median(intervals), int(np.ceil(1e-3 * (good.size - 1)))
     shown = np.sort(samples[good])[spare : good.size - spare]
     # Across a longer interval a jump is not told from motion, across a gap only by the speed.
-    jumps = (intervals <= DEFAULT.neighbours * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
+    jumps = (intervals <= NEIGHBOURS * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
     usual = intervals <= 1.5 * unit
     still = np.flatnonzero(~jumps & usual)
     if not jumps.any() or still.size < 0.2 * steps.size:
@@ -51,7 +51,7 @@ def unwrapped(
 def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
     """Size of a turn by the sorted values and the sizes of jumps, None where none looks like it."""
     turn, span = float(np.median(sizes)), float(np.ptp(shown))
-    same, part = DEFAULT.same, 0.25
+    same, part = SAME, 0.25
     if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or span > (1.0 + same) * turn:
         return None
     if hinge:

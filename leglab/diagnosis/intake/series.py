@@ -15,14 +15,14 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from leglab.base.recording import Recording
 from leglab.base.scale import deviation, rms
 from leglab.data.clock import straight_line, usual_step
-from leglab.diagnosis.thresholds import DEFAULT, Thresholds
+from leglab.diagnosis.thresholds import CERTAIN, DEFAULT, NEGLIGIBLE, NEIGHBOURS, SAME, Thresholds
 
 # Stamps this near to the grid, in periods, are on it.
-_ON_GRID = DEFAULT.negligible
+_ON_GRID = NEGLIGIBLE
 # Differences below this share of the largest value are rounding of floats.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
 # Where jitter and lost rows hide the beat of a clock, its period is known to this share only.
-_UNCLEAR = DEFAULT.certain * DEFAULT.same
+_UNCLEAR = CERTAIN * SAME
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class UniformSeries:
             else:
                 columns[column], known, white = log.averaged()
                 # Lost rows cost noise of their own.
-                if off_grid or good.sum() <= (1.0 - thresholds.same) * grid.size:
+                if off_grid or good.sum() <= (1.0 - SAME) * grid.size:
                     noise[column] = white
             valid &= known
         time, lead = recording.time[0] + grid, recording.command_lead
@@ -135,7 +135,7 @@ def _beat(time: np.ndarray, guess: float) -> float:
     rate = np.fft.rfftfreq(size, place)
     near = np.abs(rate * guess - 1.0) < 1.5 * _UNCLEAR
     best = int(np.argmax(np.where(near, strength, 0.0)))
-    clear = near.any() and strength[best] > DEFAULT.certain / np.sqrt(some.size)
+    clear = near.any() and strength[best] > CERTAIN / np.sqrt(some.size)
     return float(1.0 / rate[best]) if clear else 0.0
 
 
@@ -156,7 +156,7 @@ def usual_interval(time: np.ndarray) -> float:
             break
     mean = float(time[-1] - time[0]) / intervals.size
     error = float(intervals[close].std()) / np.sqrt(close.sum())
-    return mean if abs(mean - period) < DEFAULT.certain * error else period
+    return mean if abs(mean - period) < CERTAIN * error else period
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
@@ -168,7 +168,7 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
     clear = [c.period for c in clocks if c.clear] or [c.period for c in clocks]
     longest, slowest = max(c.period for c in clocks), max(clear)
     slowest = longest if longest > (1.0 + _UNCLEAR) * slowest else slowest
-    same = [period for period in clear if period > (1.0 - thresholds.same) * slowest]
+    same = [period for period in clear if period > (1.0 - SAME) * slowest]
     return median_high(same) if same else slowest
 
 
@@ -215,7 +215,7 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
     share = moves[moves <= 100.5 * step] / step
     count = np.rint(share)
     rounding = 2.0 * np.finfo(np.float32).eps * largest / step
-    multiple = (count > 0) & (np.abs(share - count) < DEFAULT.same + rounding)
+    multiple = (count > 0) & (np.abs(share - count) < SAME + rounding)
     # A steady motion moves by one amount as well, yet neither less nor more.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
@@ -251,8 +251,8 @@ class _Log:
         width = np.where(outside, np.inf, after - before)
         reach = np.where(outside, 0.5 * max(self.period, self.spacing), _ON_GRID * self.period)
         on_stamp = np.minimum(np.abs(self.grid - before), np.abs(after - self.grid)) <= reach
-        near = max(0.5 * self.limits.neighbours * self.spacing, 1.5 * self.period)
-        far = max((self.limits.neighbours - 0.5) * self.spacing, self.limits.bin)
+        near = max(0.5 * NEIGHBOURS * self.spacing, 1.5 * self.period)
+        far = max((NEIGHBOURS - 0.5) * self.spacing, self.limits.bin)
         return on_stamp | (width <= near) | (smooth & (width <= far))
 
     def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -279,8 +279,8 @@ class _Log:
         rest = samples - fit.value[place] - fit.slope[place] * away - fit.bend[place] * away**2
         shown = rest[readings_change(samples, fit.neighbours.shape[1])]
         scatter = deviation(shown) / np.sqrt(1.0 - fit.leverage)
-        least = max(scatter, self.step / np.sqrt(12.0), DEFAULT.negligible * float(np.std(samples)))
-        smooth = fit.misfit <= self.limits.certain * least
+        least = max(scatter, self.step / np.sqrt(12.0), NEGLIGIBLE * float(np.std(samples)))
+        smooth = fit.misfit <= CERTAIN * least
         known = (number > 0) | self._known(smooth)
         # Filters reach into gaps: what stands there must be tame.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
@@ -324,8 +324,8 @@ class _Parabolas:
     """Parabolas through the `size` neighbours of each of `count` places of a log's grid."""
 
     def __init__(self, log: _Log) -> None:
-        reach = max(1.5 * log.period, 0.5 * DEFAULT.neighbours * log.spacing)
-        size = max(DEFAULT.neighbours, 2 * int(np.ceil(1.5 * log.period / log.spacing)) + 1)
+        reach = max(1.5 * log.period, 0.5 * NEIGHBOURS * log.spacing)
+        size = max(NEIGHBOURS, 2 * int(np.ceil(1.5 * log.period / log.spacing)) + 1)
         size = min(size, log.times.size)
         # The nearest samples on both sides, as many as there are, (count, size).
         first = np.searchsorted(log.times, log.grid) - size // 2

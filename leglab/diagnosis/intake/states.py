@@ -6,20 +6,22 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
-from leglab.diagnosis.thresholds import DEFAULT
 
 # A signal in counts has more values than this.
 _VALUES = 8
 
 
-def state_changes(recording: Recording, signals: Collection[str]) -> dict[str, np.ndarray]:
+def state_changes(
+    recording: Recording, signals: Collection[str], window: float
+) -> dict[str, np.ndarray]:
     """Rows at which the states of a recording change, by column.
 
     Neither `signals` nor what has a unit is one. A state has few whole values and rests: what
-    changes so often that half of the windows would see it is a counter or a clock.
+    changes so often that half of the windows, whose length is `window` [s], would see it is a
+    counter or a clock.
     """
     found = {}
-    most = 0.5 * recording.duration / DEFAULT.window
+    most = 0.5 * recording.duration / window
     for column, samples in recording.columns.items():
         if column in signals or unit_of(column, recording.metadata):
             continue

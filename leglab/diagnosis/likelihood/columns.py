@@ -19,7 +19,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.twins import twins
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LOUDER
+from leglab.diagnosis.thresholds import BLOWN, LOUDER, NEGLIGIBLE
 
 # Effect that scales what a drive pushes with.
 DRIVE_GAIN = "actuator_gain"
@@ -156,7 +156,7 @@ class Errors:
         the motion takes. A gain of 0, or a friction that eats the drive's force, leaves none over.
         """
         own = self._own[1]
-        influence = np.maximum(_size(pushed), DEFAULT.negligible * own)
+        influence = np.maximum(_size(pushed), NEGLIGIBLE * own)
         return np.divide(influence, own, out=np.ones_like(own), where=own > 0.0)
 
     @cached_property

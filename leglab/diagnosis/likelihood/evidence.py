@@ -19,7 +19,15 @@ from scipy.special import logsumexp
 from leglab.diagnosis.likelihood.columns import Columns, Errors
 from leglab.diagnosis.likelihood.priors import Priors, log_fault, slab_curvature
 from leglab.diagnosis.likelihood.spread import Spread
-from leglab.diagnosis.thresholds import DEFAULT, FAULT_ODDS, FEW_RECORDINGS, FINE, SECANT
+from leglab.diagnosis.thresholds import (
+    CERTAIN,
+    FAULT_ODDS,
+    FEW_RECORDINGS,
+    FINE,
+    NEGLIGIBLE,
+    SECANT,
+    SMALL,
+)
 
 # An unknown, and the place of its jump among the columns' jumps; None for its tangent.
 Member = tuple[int, int | None]
@@ -398,7 +406,7 @@ class Evidence:
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
         data = np.diag(self.gram[k])[1 : 1 + n]
-        return np.asarray(data * np.diag(np.linalg.inv(precision)) > DEFAULT.smaller_share)
+        return np.asarray(data * np.diag(np.linalg.inv(precision)) > SMALL)
 
     def visible(self, score: Score) -> np.ndarray:
         """By how much single unknowns change errors by as much as they scatter, (single,).
@@ -504,7 +512,7 @@ class Evidence:
         curvature = self.gram[k][np.ix_(use, use)]
         root = np.sqrt(np.diag(curvature) + 1e-12)
         values, vectors = np.linalg.eigh(curvature / np.outer(root, root))
-        keep = values > DEFAULT.negligible * values.max()
+        keep = values > NEGLIGIBLE * values.max()
         turned = (vectors[:, keep] / np.sqrt(values[keep])) / root[:, None]
         z = (slopes - slopes.mean(axis=0)) @ turned
         return float((z**2).sum() * count / (count - 1) / keep.sum())
@@ -521,7 +529,7 @@ def _held(
     near = np.minimum(-lower, upper) < FINE[0]
     if not near.any():
         return near
-    free = now**2 * np.diag(precision) > DEFAULT.certain**2
+    free = now**2 * np.diag(precision) > CERTAIN**2
     own = np.where(free[:, None] | free, 0.0, precision)
     matrix, slope = data[1:, 1:] + own, data[1:, 0] + own @ now
     matrix[np.diag_indices_from(matrix)] *= 1.0 + ROUNDING

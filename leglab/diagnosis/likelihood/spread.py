@@ -13,7 +13,7 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import inverse_roots
 from leglab.diagnosis.replay.windows import Channel
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import FORCE_BLOCKS, SMALL
 
 
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
@@ -83,13 +83,13 @@ class Spread:
         for direction, pattern, own in zip(directions, shape, variance.T, strict=True):
             across = np.outer(direction, direction)[:, None, :, None] * pattern[None, :, None, :]
             replays += own[:, None, None, None, None] * across
-        left, blocks = errors[:, at.size :], DEFAULT.force_blocks
+        left, blocks = errors[:, at.size :], FORCE_BLOCKS
         joints = left.shape[1] // blocks
         forces = np.zeros((count, joints, blocks, joints, blocks))
         if joints:
             shape, variance = _pattern(left.reshape(-1, joints, blocks), at.recording, count)
             # At rest a joint leaves nothing over, but no force is known that well.
-            least = DEFAULT.smaller_share**2 * variance.max(axis=0)
+            least = SMALL**2 * variance.max(axis=0)
             variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
                 forces[:, j, :, j, :] = variance[:, j, None, None] * shape[j]
@@ -118,7 +118,7 @@ class Spread:
             roots = inverse_roots(self.forces)
             basis[:, n:, n:] = roots[at.recording]
             logs = np.log(np.einsum("rii->ri", roots)).sum(axis=1)
-            force_log = -2.0 * (logs[at.recording] + DEFAULT.force_blocks * np.log(at.unit).sum())
+            force_log = -2.0 * (logs[at.recording] + FORCE_BLOCKS * np.log(at.unit).sum())
         made = Whitening(
             basis=basis,
             ratio=ratio,

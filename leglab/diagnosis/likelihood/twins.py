@@ -18,7 +18,7 @@ from leglab.diagnosis.effects.mechanics import moved_body
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.plant.model import ROUNDING, Machine
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.thresholds import DEFAULT, NO_FAULT
+from leglab.diagnosis.thresholds import CERTAIN, NO_FAULT
 
 _DELAYS = ("command_delay", "sensor_delay")
 
@@ -90,7 +90,7 @@ def scale_twins(
         there = np.where(scaling, factor * now + (factor - 1.0) * own, now)
         if (there < u.lower[: u.single]).any() or (there > u.upper[: u.single]).any():
             continue
-        least = np.maximum(NO_FAULT, DEFAULT.certain * u.tolerance[: u.single])
+        least = np.maximum(NO_FAULT, CERTAIN * u.tolerance[: u.single])
         new = np.flatnonzero((np.abs(there) >= least) & u.nameable[: u.single]).tolist()
         if 0 < len(new) <= len(members):
             moved = {i: float(there[i] - now[i]) for i in np.flatnonzero(there != now).tolist()}

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import FAR
 
 _FREE = (-np.inf, np.inf)
 
@@ -35,7 +35,7 @@ def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
         if low < high and (model.jnt_limited[entry.id] or on_cylinder):
             ranges[joint] = low, high
         elif on_cylinder and unit == "rad":
-            ranges[joint] = -DEFAULT.far, DEFAULT.far
+            ranges[joint] = -FAR, FAR
         found.append(UsableColumn(f"{joint}_position", joint, "position", unit, ranges[joint]))
         found.append(UsableColumn(f"{joint}_velocity", joint, "velocity", f"{unit}/s"))
     for name in machine.cylinders:

@@ -18,7 +18,7 @@ from leglab.diagnosis.plant.as_compiled import AsCompiled
 from leglab.diagnosis.plant.followers import Followers, determined
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.paths import CommandPath, Correction, take_out
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import NEGLIGIBLE
 from leglab.machine.files import changed_meanwhile, model_digest
 from leglab.machine.library import model_path
 from leglab.machine.parameters import Parameter, PluginTable, plugin_tables
@@ -412,7 +412,7 @@ class Change:
         """Returns the nearest value within a parameter's bounds; `own` is the model's value."""
         low = row.minimum
         if not row.minimum_allowed:
-            low += DEFAULT.negligible * (own - low)
+            low += NEGLIGIBLE * (own - low)
         self.beyond |= not low <= value <= row.maximum
         return float(min(max(value, low), row.maximum))
 

@@ -17,7 +17,7 @@ from leglab.diagnosis.remainder.words import Described, describe
 from leglab.diagnosis.replay.following import follow
 from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight, thinned
 from leglab.diagnosis.result import closed, root_mean
-from leglab.diagnosis.thresholds import ALIKE, Thresholds
+from leglab.diagnosis.thresholds import ALIKE, EXPLAINED, EXPLANATION, Thresholds
 
 # What is said where the rest is large and no static function of the moment.
 MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspects"
@@ -67,7 +67,7 @@ def learn_remainder(
     out, and without any nothing can be proved. Values of `named` effects stay; None for all that
     are not nuisances.
     """
-    held, sites, least = problem.held, problem.library.sites, problem.thresholds.explained
+    held, sites, least = problem.held, problem.library.sites, EXPLAINED
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
         return None
     if named is None:
@@ -137,7 +137,7 @@ def _proved(
         described=tuple(describe(p, f.balance.inputs, unit(p.joint)) for p, f in learned),
         problem=final,
         closed_fraction=closed(*levels) or 0.0,
-        memory=cost > limits.explained and has_memory(final, beside),
+        memory=cost > EXPLAINED and has_memory(final, beside),
     )
 
 
@@ -168,7 +168,7 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
     """Whether mean squares of held-out windows fall by a share of the misfit, beyond chance."""
     cost = robust_cost(before, limits.robust_limit)
     saved = cost - robust_cost(after, limits.robust_limit)
-    misfit = saved.size * (max(float(cost.mean()), limits.explained) - 1.0)
+    misfit = saved.size * (max(float(cost.mean()), EXPLAINED) - 1.0)
     return saved.size > 1 and bool(worthwhile(saved, misfit, limits))
 
 
@@ -181,7 +181,7 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
     alike = float(np.mean(own[:, :, 1:] * own[:, :, :-1]) / np.mean(own**2))
-    share = problem.thresholds.explanation_share
+    share = EXPLANATION
     return alike > ALIKE and all(form.gain < share for form in find_forms(problem, hypothesis))
 
 

@@ -7,14 +7,14 @@ from typing import Literal
 import numpy as np
 
 from leglab.diagnosis.remainder.part import Part, Periodicity
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import SMALL
 
 Parity = Literal["odd", "even", "mixed"]
 Side = Literal["positive", "negative"]
 
 # Less than this share of a thing is hardly there: terms beside larger ones, the other parity of a
 # curve, its other side, or its change in the outer quarters.
-_HARDLY = DEFAULT.smaller_share
+_HARDLY = SMALL
 
 
 @dataclass(frozen=True, kw_only=True)

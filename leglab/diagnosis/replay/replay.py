@@ -26,7 +26,7 @@ from leglab.diagnosis.replay.starts import (
     start_states,
 )
 from leglab.diagnosis.replay.windows import Channel, Cut, cut_all, sensor_noise, window_length
-from leglab.diagnosis.thresholds import DEFAULT, LOUDER, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, FORCE_BLOCKS, LOUDER, Thresholds
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
@@ -222,7 +222,7 @@ class Replay:
     ) -> Iterator[Along]:
         """As `along`, after window starts if wanted; as many samples in each block."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
-        blocks = DEFAULT.force_blocks
+        blocks = FORCE_BLOCKS
         inside = inside[: inside.size // blocks * blocks]
         for cut, measured, _ in parts:
             samples = (cut.firsts[:, None] + inside).ravel()
@@ -239,7 +239,7 @@ class Replay:
         def left(cut: Cut, measured: Measured, states: np.ndarray) -> np.ndarray:
             found = lacking_forces(change, measured, states, self.half)
             rows = comparable_forces(change, measured, found, joints)
-            rows = rows.reshape(cut.firsts.size, DEFAULT.force_blocks, -1, len(joints)).mean(axis=2)
+            rows = rows.reshape(cut.firsts.size, FORCE_BLOCKS, -1, len(joints)).mean(axis=2)
             return np.nan_to_num(rows.transpose(0, 2, 1), nan=1e12, posinf=1e12, neginf=-1e12)
 
         found, pushed = [], []

@@ -15,7 +15,7 @@ from leglab.diagnosis.replay.lacking import balanced_joints
 from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, filter_difference
-from leglab.diagnosis.thresholds import DEFAULT, ROOM, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, EXPLAINED, EXPLANATION, ROOM, SMALL, Thresholds
 
 # Share of a variance that rounding may take.
 _ROUNDING = 1e-9
@@ -71,13 +71,13 @@ def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
     return np.stack([factor(one) for one in covariances])
 
 
-def robust_cost(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
+def robust_cost(mean_square: np.ndarray, limit: float) -> np.ndarray:
     """Cost of windows by their mean square: beyond a limit by its logarithm, shape as given."""
     beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
     return np.where(mean_square <= limit, mean_square, beyond)
 
 
-def robust_weight(mean_square: np.ndarray, limit: float = DEFAULT.robust_limit) -> np.ndarray:
+def robust_weight(mean_square: np.ndarray, limit: float) -> np.ndarray:
     """Derivative of `robust_cost`: weights of windows in a least-squares step."""
     return limit / np.maximum(mean_square, limit)
 
@@ -278,7 +278,7 @@ def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
 
     By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
-    share, limit = 1.0 - DEFAULT.smaller_share, DEFAULT.explained**2
+    share, limit = 1.0 - SMALL, EXPLAINED**2
     own = (squares[recording == r] for r in np.unique(recording))
     return all(float(np.quantile(one, share)) <= limit for one in own)
 
@@ -288,7 +288,7 @@ def lessens(before: float, after: float) -> bool:
 
     Both in noise levels, which 1 is for a model that lacks nothing.
     """
-    return before - after >= DEFAULT.explanation_share * max(before - 1.0, ROOM)
+    return before - after >= EXPLANATION * max(before - 1.0, ROOM)
 
 
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:

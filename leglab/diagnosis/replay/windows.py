@@ -14,7 +14,7 @@ from leglab.diagnosis.intake.series import UniformSeries, common_period, reading
 from leglab.diagnosis.plant.hidden_states import HiddenStates
 from leglab.diagnosis.plant.model import CHAMBERS, Machine
 from leglab.diagnosis.replay.pushes import Pushes, poses
-from leglab.diagnosis.thresholds import DEFAULT, UNSEEN_STEP, Thresholds
+from leglab.diagnosis.thresholds import DEFAULT, FORCE_BLOCKS, SAME, UNSEEN_STEP, Thresholds
 from leglab.machine.simulation import actuator_moments
 
 
@@ -162,10 +162,10 @@ def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
     """Samples in a window, and bins into which it is divided, at a sampling period [s].
 
     `thresholds.window` and `bin` as far as the samples allow: a window has two bins for each of its
-    `thresholds.force_blocks` parts, and a bin at least one sample. Of a log below 33 Hz a window
+    `FORCE_BLOCKS` parts, and a bin at least one sample. Of a log below 33 Hz a window
     lasts longer than 0.3 s.
     """
-    fewest = 2 * thresholds.force_blocks
+    fewest = 2 * FORCE_BLOCKS
     samples = max(round(thresholds.window / period), fewest)
     per_bin = min(max(1, round(thresholds.bin / period)), samples // fewest)
     return samples // per_bin * per_bin, samples // per_bin
@@ -252,7 +252,7 @@ def _cut(
     travel = np.stack([np.ptp(level[inside], axis=1) for level in levels], axis=1)
     held = np.ones(firsts.size, dtype=bool)
     for command in commands:
-        held &= np.ptp(command[inside], axis=1) <= thresholds.same * np.ptp(command)
+        held &= np.ptp(command[inside], axis=1) <= SAME * np.ptp(command)
     levers, touched = _along(machine, series, max(1, round(thresholds.bin / series.period)))
     pushes = Pushes(machine, series, thresholds.pose_every)
     cut = Cut(series=series, firsts=firsts, levers=levers, touched=touched, pushes=pushes)

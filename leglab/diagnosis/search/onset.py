@@ -12,7 +12,7 @@ from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem, noise_alone, thinned
 from leglab.diagnosis.search.settle import Candidate, Fitter
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import EXPLAINED
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
@@ -33,9 +33,9 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     columns = fitter.at.columns(thresholds.COARSE)
     nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
     # Most recordings show at once that no onset is to be looked for.
-    hopeless = thresholds.HOPELESS * DEFAULT.explained
+    hopeless = thresholds.HOPELESS * EXPLAINED
     fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
-    if fit.level > DEFAULT.explained:
+    if fit.level > EXPLAINED:
         return None
     base = fit.columns.base
     cost = problem.window_cost(base)
@@ -78,7 +78,7 @@ def begun(
             after = present[here & (begin > seen)]
             if not after.size:
                 continue
-            met = present < max(DEFAULT.explained, thresholds.ONSET_RISE * float(np.median(after)))
+            met = present < max(EXPLAINED, thresholds.ONSET_RISE * float(np.median(after)))
             # Where a replay without the effect misses far more than one with it, it had begun.
             missed = ~met & (absent < thresholds.ONSET_RISE * present)
             out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)

@@ -14,7 +14,15 @@ from leglab.diagnosis.replay.residual import lessens
 from leglab.diagnosis.search.beam import without_idle
 from leglab.diagnosis.search.rank import Compared, Ranked, rank
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
-from leglab.diagnosis.thresholds import BEHIND, DEFAULT, FRUITLESS, FURTHER_FITS, HOPELESS, NEAR
+from leglab.diagnosis.thresholds import (
+    BEHIND,
+    EXPLAINED,
+    FRUITLESS,
+    FURTHER_FITS,
+    HOPELESS,
+    NEAR,
+    SMALL,
+)
 
 Members = frozenset[int]
 # Moves that look for other sets than those that are proposed at first.
@@ -173,8 +181,8 @@ class Pool:
         behind = BEHIND * NEAR if rivals else 0.0
         if rivals and not self.scene.fitter.explains(self.least):
             nothing = next(r.score.log for r in self.ranks if not r.fit.members)
-            behind += DEFAULT.smaller_share * (top - nothing)
-        small, noise = len(self.best.fit.members), DEFAULT.explained
+            behind += SMALL * (top - nothing)
+        small, noise = len(self.best.fit.members), EXPLAINED
         return [
             r
             for r in self.ranks

@@ -15,7 +15,15 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.likelihood.columns import Errors, Jump
 from leglab.diagnosis.plant.moments import dofs
 from leglab.diagnosis.replay.lacking import lacking_forces
-from leglab.diagnosis.thresholds import COARSE, DEFAULT, EACH_WAY, JOINT_EFFECTS, SCORED
+from leglab.diagnosis.thresholds import (
+    COARSE,
+    EACH_WAY,
+    JOINT_EFFECTS,
+    NEGLIGIBLE,
+    SAME,
+    SCORED,
+    SMALL,
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     for j, joint in enumerate(joints):
         # Of a joint that rests nothing is learned; the middle of all windows sets the scale.
         size = np.sqrt((left[:, j] ** 2).mean(axis=1))
-        least = max(DEFAULT.negligible * float(np.median(size)), 1e-12)
+        least = max(NEGLIGIBLE * float(np.median(size)), 1e-12)
         scale = np.ones(len(size))
         for r in np.unique(at.recording):
             own = at.recording == r
@@ -57,7 +65,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
                 # What is in proportion to the drive grows with its gain; other friction does not.
                 both = _forces(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
-                share = share if abs(grown - stronger) < DEFAULT.smaller_share * stronger else 0.0
+                share = share if abs(grown - stronger) < SMALL * stronger else 0.0
             if share:
                 # A gain of 0 leaves no force over, nor does a friction that eats the drive's:
                 # regressed on itself the drive explains itself. The motion's force stands for it.
@@ -95,13 +103,13 @@ def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]
 
 def _proportion(change: np.ndarray, drive: np.ndarray) -> float:
     """Proportion of a change of forces to the drive's, (moments,) each; 0 where there is none."""
-    moves = np.abs(drive) > DEFAULT.smaller_share * np.abs(drive).max()
+    moves = np.abs(drive) > SMALL * np.abs(drive).max()
     if not moves.any():
         return 0.0
     ratio = np.abs(change[moves] / drive[moves])
     middle = float(np.median(ratio))
     # Beside reversals, which bend what rubs.
-    return middle if np.median(np.abs(ratio - middle)) <= DEFAULT.same * middle else 0.0
+    return middle if np.median(np.abs(ratio - middle)) <= SAME * middle else 0.0
 
 
 def _subsets(

@@ -27,7 +27,7 @@ from leglab.diagnosis.search.pool import Aim, Found, Pool, Proposal, Scene, told
 from leglab.diagnosis.search.rank import Compared
 from leglab.diagnosis.search.regression import balanced_sets
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import EXPLAINED, SMALL
 
 #: The causes of what a model lacks, with their rivals.
 CAUSES = Aim(
@@ -151,14 +151,14 @@ def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
-    room = thresholds.NEAR + DEFAULT.smaller_share * (ranked[0].log - nothing)
+    room = thresholds.NEAR + SMALL * (ranked[0].log - nothing)
     least, fewest = (nothing, 0) if clear else (-np.inf, len(evidence.unknowns))
     for proposal in _openings(pool, evidence, ranked):
         promise, count = proposal.candidate.promise, len(proposal.candidate.members)
         if promise < least and count >= fewest:
             continue
         pool = _fitted(pool, proposal, log)
-        if pool.fits[-1].level <= DEFAULT.explained:
+        if pool.fits[-1].level <= EXPLAINED:
             least, fewest = max(least, promise - room), min(fewest, count)
     return pool
 
@@ -183,7 +183,7 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             # A balance of what the machine does not do promises what no replay holds; one that
             # leaves little more than noise is a rival whatever else explains.
             if begins < thresholds.HOPELESS * level:
-                near_noise = begins < thresholds.HOPELESS * DEFAULT.explained
+                near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed
                 wanted[names] = Proposal("balance", one, reason, beside=scene.clear)
         elif begins < scene.begins(other.candidate):

@@ -19,7 +19,7 @@ from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.replay.residual import noise_alone, robust_weight
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import EXPLAINED, SAME, SMALL
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +118,9 @@ class Fitter:
     def explains(self, fit: Fit) -> bool:
         """Whether noise, or errors as the healthy specimen has them, are left."""
         if self.fixed is None:
-            return fit.level <= DEFAULT.explained
+            return fit.level <= EXPLAINED
         white = self.fixed.whitening(self.at).white(fit.columns.errors, 1.0, 1.0)[:, : self.at.size]
-        return float(np.median(np.mean(white**2, axis=1))) <= DEFAULT.explained**2
+        return float(np.median(np.mean(white**2, axis=1))) <= EXPLAINED**2
 
     def clear(self, errors: np.ndarray) -> bool:
         """Whether each recording is left noise alone."""
@@ -163,7 +163,8 @@ class Fitter:
         """
         size, forces = self.priors.sizes[place], self.priors.force_size(place)
         square = np.mean(spread.whitening(self.at).white(errors, size, forces) ** 2, axis=1)
-        return robust_weight(square / max(float(np.median(square)), 1.0))
+        limit = self.at.problem.thresholds.robust_limit
+        return robust_weight(square / max(float(np.median(square)), 1.0), limit)
 
     def fit(
         self,
@@ -272,7 +273,7 @@ class Fitter:
                 bend[np.abs(errors).max(axis=1) > thresholds.BLOWN] = 0.0
                 values, spikes, by = step(damping, bend)
             # A step that keeps little of its promise is too long (Conn, Gould and Toint 2000).
-            if 0.5 * (before - lowest) > DEFAULT.smaller_share * own:
+            if 0.5 * (before - lowest) > SMALL * own:
                 break
         if best is None:
             return promise, None
@@ -360,7 +361,7 @@ class Fitter:
             sizes = sorted(
                 {float(np.clip(f * now, u.lower[q], u.upper[q])) for f in thresholds.LADDER}
             )
-            sizes = [y for y in sizes if abs(y - now) > DEFAULT.same * abs(now)]
+            sizes = [y for y in sizes if abs(y - now) > SAME * abs(now)]
             if len(sizes) < 2:
                 continue
             ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
@@ -393,7 +394,7 @@ class Fitter:
         u, found = self.at.unknowns, []
         for q, value in zip(members, values, strict=True):
             v = float(value if q >= u.single else x[q])
-            near = DEFAULT.same * max(abs(v), 1e-9)
+            near = SAME * max(abs(v), 1e-9)
             key, i = u.places[q][0]
             natural = u.library.sites[key].lower[i] == 0.0
             above = v >= u.upper[q] - near and u.upper[q] > 0

@@ -18,7 +18,7 @@ from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
 from leglab.diagnosis.likelihood.columns import DRIVE_GAIN, Errors
 from leglab.diagnosis.result import Verdict
 from leglab.diagnosis.search.healthy import Specimen
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import EXPLAINED
 from leglab.diagnosis.verdict.sets import Row, Sets
 
 
@@ -123,7 +123,7 @@ def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
     By mean squares of the windows in noise levels, and their recordings, each (windows,).
     """
     largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
-    return largest**0.5 <= DEFAULT.explained
+    return largest**0.5 <= EXPLAINED
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:

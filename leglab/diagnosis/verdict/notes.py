@@ -13,7 +13,7 @@ from leglab.diagnosis.intake.states import state_changes
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.thresholds import DEFAULT
+from leglab.diagnosis.thresholds import NEGLIGIBLE
 
 # Fewest windows, with the value and without it, that are compared.
 _FEWEST = 5
@@ -60,7 +60,7 @@ def by_states(
     for number, series in enumerate(problem.series):
         recording = recordings[series.name]
         own = np.flatnonzero(replay.recording == number)
-        for column in state_changes(recording, problem.machine.columns):
+        for column in state_changes(recording, problem.machine.columns, problem.thresholds.window):
             row = np.searchsorted(recording.time, replay.start[own], side="right") - 1
             whole = values.setdefault(column, np.full(replay.windows, np.nan))
             whole[own] = recording[column][np.maximum(row, 0)]
@@ -92,7 +92,7 @@ def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, 
     for key, fitted in values.items():
         site = library.sites[key]
         for p, value, nominal in zip(site.parameters, fitted, site.nominal, strict=True):
-            room = DEFAULT.negligible * (p.upper - p.lower)
+            room = NEGLIGIBLE * (p.upper - p.lower)
             suffix = "" if p.unit == "1" else f" {p.unit}"
             ends = (("smallest", p.lower, value - p.lower), ("largest", p.upper, p.upper - value))
             lines += [

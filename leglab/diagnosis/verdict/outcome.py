@@ -14,7 +14,7 @@ from leglab.diagnosis.result import Diagnosis
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
-from leglab.diagnosis.thresholds import ABSENT, RENEWALS
+from leglab.diagnosis.thresholds import ABSENT, RENEWALS, SMALL
 from leglab.diagnosis.verdict.confidence import Judgement
 from leglab.diagnosis.verdict.sets import Row
 
@@ -67,7 +67,7 @@ class Outcome:
         else:
             lean, spread = _lean(self.about, fitter, row, self.named)
             self.written = _named_alone(problem.library, lean.columns.base, self.named)
-            if lean.level <= (1.0 + problem.thresholds.smaller_share) * row.level:
+            if lean.level <= (1.0 + SMALL) * row.level:
                 self.final, self.spread = self.written, spread
             tuned = lean
             if row is not nothing or self.named:

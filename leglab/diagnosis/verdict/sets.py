@@ -16,7 +16,7 @@ from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.moves.both_ways import both_ways
 from leglab.diagnosis.search.pool import Found
 from leglab.diagnosis.search.settle import Candidate
-from leglab.diagnosis.thresholds import BLOWN, DEFAULT, LAW, NEAR, NO_FAULT, WINDOWS
+from leglab.diagnosis.thresholds import BLOWN, LAW, NEAR, NO_FAULT, SMALL, WINDOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,9 +277,9 @@ class Sets:
             change = at.at(Hypothesis(), actuator) - self.found.first.errors
             squares = self.channel_squares(change)
             mean = squares.mean(axis=0)
-            channels = mean > DEFAULT.smaller_share * mean.max()
+            channels = mean > SMALL * mean.max()
             before = squares[:, channels].sum(axis=1)
-            moving = before > DEFAULT.smaller_share * np.median(before)
+            moving = before > SMALL * np.median(before)
             count = self.best.kappa * float(numbers[moving][:, channels].sum())
             for i, row in enumerate(rows):
                 change = at.at(row.hypothesis, actuator) - row.left
@@ -289,5 +289,5 @@ class Sets:
                 after = self.channel_squares(change)[moving][:, channels].sum(axis=1)
                 ratio = np.maximum(after, 1e-24) / before[moving]
                 influence = 0.5 * float(np.median(np.log(ratio)))
-                lost[i] += count * min(influence + DEFAULT.smaller_share, 0.0)
+                lost[i] += count * min(influence + SMALL, 0.0)
         return np.where(blown, lost.min(), lost)

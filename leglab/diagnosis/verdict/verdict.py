@@ -22,7 +22,16 @@ from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.replay.residual import Problem, lessens, noise_alone, whitened
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, searched
-from leglab.diagnosis.thresholds import BEST_SETS, DAY_FACTOR, DEFAULT, LAW, NAMED, VISIBLE
+from leglab.diagnosis.thresholds import (
+    BEST_SETS,
+    DAY_FACTOR,
+    EXPLAINED,
+    EXPLANATION,
+    LAW,
+    NAMED,
+    SMALL,
+    VISIBLE,
+)
 from leglab.diagnosis.verdict.confidence import Judgement, as_noise
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, by_states, notes
@@ -193,11 +202,10 @@ def _effects(
     `shown` are the windows that tell what the effects explain.
     """
     judged, problem, final = outcome.judged, outcome.about, outcome.final
-    limits = problem.thresholds
     unnamed, after, floor = gap.shown
     explained = gap.explained or 0.0
     verdict = judged.verdict
-    if verdict in ("named", "confusion_set") and explained < limits.explanation_share:
+    if verdict in ("named", "confusion_set") and explained < EXPLANATION:
         verdict = "unexplained"
     effects = []
     for key in outcome.named:
@@ -209,7 +217,7 @@ def _effects(
         contribution = (without - after) / max(unnamed - floor, 1e-9)
         # Of a set that is not told apart none is surer than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
-        if explained < limits.explanation_share:
+        if explained < EXPLANATION:
             # A name does not stand while most of the error is left.
             confidence = min(confidence, explained)
         begins = zip(problem.series, outcome.onsets.get(key, ()), strict=False)
@@ -235,7 +243,7 @@ def _effects(
         )
     effects.sort(key=lambda e: -e.contribution)
     # Beside a cause that has a name.
-    small = limits.smaller_share if judged.named and len(effects) > 1 else 0.0
+    small = SMALL if judged.named and len(effects) > 1 else 0.0
     smaller = tuple(e for e in effects if e.contribution < small)
     return verdict, tuple(e for e in effects if e not in smaller), smaller
 
@@ -257,7 +265,7 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
-    law = (LAW if outcome.row.level > DEFAULT.explained else 0.0) * change
+    law = (LAW if outcome.row.level > EXPLAINED else 0.0) * change
     # Of a limit by a share of itself: what it departs from is the largest that was recorded.
     limits = [i for i, p in enumerate(parameters) if p.limit_of]
     law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
