@@ -118,7 +118,7 @@ def diagnose(
     else:
         show_diagnosis(result, out)
         for name in why or []:
-            for line in explained(result, name):
+            for line in explained(result, name, effect or ()):
                 output.print(line, markup=False, highlight=False)
 
 

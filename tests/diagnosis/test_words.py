@@ -213,11 +213,14 @@ def test_why_tells_what_was_promised_and_fitted_and_what_is_more_probable():
     assert "promises 900 nats" in lines[1]
     assert "the most of all" not in lines[1]
     assert "the most probable set" in lines[3]
-    assert "confidence of 0.91" in lines[-1]
+    assert "confidence of 91 %" in lines[-1]
     lines = why(result, other.name)
     assert "the most of all is 900 by valve deadband" in lines[1]
     assert "7 nats behind" in lines[2]
     assert "at best 12 nats less probable" in lines[3]
     assert "more probable: valve deadband at knee_valve" in lines[4]
     assert "not among the additions" in " ".join(why(result, hidden.name))
-    assert "was not looked for" in why(result, "joint_flexibility")[0]
+    assert "has no place for it" in why(result, "joint_flexibility")[0]
+    assert "--effect leaves it out" in why(result, "joint_flexibility", ["payload"])[0]
+    none = why(replace(result, tried=()), other.name)
+    assert none[-1] == "  the model as it is leaves noise alone: no set of effects was fitted"

@@ -10,7 +10,7 @@ from leglab.diagnosis.likelihood.columns import Errors
 from leglab.diagnosis.likelihood.evidence import Evidence, Score
 from leglab.diagnosis.likelihood.unknowns import EVERY
 from leglab.diagnosis.replay.residual import Problem
-from leglab.diagnosis.result import Diagnosis
+from leglab.diagnosis.result import Diagnosis, root_mean
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
@@ -73,7 +73,9 @@ class Outcome:
             if row is not nothing or self.named:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
-            self.baseline = _within(problem.library, tuned.columns.base).without(*self.named)
+            tuning = _within(problem.library, tuned.columns.base).without(*self.named)
+            # Beside a gross fault tuning may serve most windows and worsen the others.
+            self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
         #: they can have begun, (recordings, 2), inf where an effect begins in none.
         self.onsets: dict[Key, np.ndarray] = {}
@@ -83,6 +85,10 @@ class Outcome:
     def __repr__(self) -> str:
         named = ", ".join(f"{name} at {element}" for name, element in self.named) or "nothing"
         return f"Outcome({self.judged.verdict}: {named})"
+
+    def _fitted_level(self, hypothesis: Hypothesis) -> float:
+        """Root mean square error of the windows that were fitted, in noise levels."""
+        return root_mean(self.about.noise_levels(hypothesis)[self.problem.fitted])
 
     @property
     def unnamed(self) -> Hypothesis:

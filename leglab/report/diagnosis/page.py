@@ -75,7 +75,7 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             *_calibration_tables(result),
             _moved_table(result),
             Table(
-                caption="Sets of effects that were fitted",
+                caption="Sets of effects that were fitted, all other parameters a little free",
                 head=("set", "why", "noise levels", "nats behind"),
                 rows=tried_rows(result),
                 words=2,

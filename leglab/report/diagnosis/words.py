@@ -246,7 +246,7 @@ def improved_words(result: Diagnosis) -> str:
     text = f"It holds {listed(tuple(holds or ['the model as it was']))}"
     text += "." if effects else "; no effect without a name is in it."
     if effects and result.recalibrated and not result.calibration:
-        text += " Their values in it were fitted without the small effects that have no name."
+        text += " Values in it were fitted without the small effects that have no name."
     if result.learned:
         text += f" Learned: {result.learned.rstrip('.')}."
     doubtful = []
@@ -395,7 +395,7 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
     return (
         f"Model {model}, {count} recording{'s' * (count != 1)}: {listed(names)}.",
         judged,
-        f"{tried}, {result.rollouts:.0f} replays of all windows, {result.seconds:.0f} s.",
+        f"{tried}, {result.rollouts:.0f} replays, {result.seconds:.0f} s.",
     )
 
 
