@@ -475,12 +475,11 @@ def wrong(tmp_path_factory):
 
 
 def test_runs_that_go_wrong_are_rows_and_stop_nothing(tmp_path, wrong):
-    hows = ["not", "nan", "raise", "hang", "kill", "crash", "memory", "print", "once"]
+    hows = ["not", "nan", "raise", "kill", "crash", "memory", "print", "once"]
     mark = str(tmp_path / "mark")
     plan = plan_of(
         settings={**BENCH, "controller": wrong, "controller_config": {"mark": mark}},
         block=[{"grid": {"controller_config.how": hows}}],
-        timeout=4.0,
         memory=3000.0,
     )
     result = run_sweep(plan, tmp_path / "s", workers=2)
@@ -489,7 +488,6 @@ def test_runs_that_go_wrong_are_rows_and_stop_nothing(tmp_path, wrong):
         "not": None,
         "nan": "ended early",
         "raise": "ended early",
-        "hang": "time-out",
         "kill": "died",
         "crash": "died",
         "memory": "memory",
@@ -498,15 +496,25 @@ def test_runs_that_go_wrong_are_rows_and_stop_nothing(tmp_path, wrong):
     }
     assert "gave nan for joint 'knee' at 0.102 s" in found["nan"]["error"]
     assert "RuntimeError: it raises" in found["raise"]["error"]
-    assert found["hang"]["error"] == "it took longer than 4 s"
     assert "signal 9 SIGKILL" in found["kill"]["error"]
     assert "signal 11 SIGSEGV" in found["crash"]["error"]
     assert "MemoryError" in found["memory"]["error"]
     assert Path(mark).exists()
-    assert result.failed == 6
+    assert result.failed == 5
     assert all((row["status"] == "failed") == bool(row["failure"]) for row in found.values())
     assert found["nan"]["rms_rad"] is None
     assert found["print"]["rms_rad"] == found["not"]["rms_rad"]
+
+
+def test_a_run_that_hangs_is_ended_after_the_time_out(tmp_path, wrong):
+    # Alone: on a busy machine a good run, too, may take longer than so short a time-out.
+    plan = plan_of(
+        settings={**BENCH, "controller": wrong, "controller_config": {"how": "hang"}},
+        block=[{}],
+        timeout=1.0,
+    )
+    (row,) = run_sweep(plan, tmp_path / "s", workers=1).table().to_pylist()
+    assert (row["failure"], row["error"]) == ("time-out", "it took longer than 1 s")
 
 
 def test_failed_runs_are_made_again_if_asked_for(tmp_path, wrong):
