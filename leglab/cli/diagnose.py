@@ -54,8 +54,8 @@ def diagnose(
     why: Annotated[
         list[str] | None,
         typer.Option(
-            help="Effect of which to tell why it is named or not, repeatable: what it promised, "
-            "where it was fitted, what is more probable."
+            help="Effect whose verdict to explain, repeatable: its evidence alone and added to "
+            "good sets, the fitted sets with it, the most probable set."
         ),
     ] = None,
     fix_base: FixBase = False,

@@ -184,9 +184,9 @@ class Rank:
     element: str
     #: Log of the factor by which it alone makes the recordings more probable, first order.
     gain: float
-    #: The same of the best set that has it, one step from a good set, over the most probable set by
-    #: the tangents there; None where none was scored.
-    beside: float | None = None
+    #: Predicted log evidence of the best set with it, one step from a good set, over that of the
+    #: best set; None if none was scored.
+    added: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,10 +194,10 @@ class Tried:
     """A set of effects that was fitted."""
 
     names: tuple[tuple[str, str], ...]  #: Effects and elements; none is the model as it is
-    move: str  #: What proposed it first
-    reason: str  #: Why, in words
-    level: float  #: Median error that it leaves, in noise levels
-    behind: float  #: Log of the factor by which the most probable set is more probable
+    move: str  #: Move of the search that proposed it first
+    reason: str  #: In words
+    level: float  #: Median error, in noise levels
+    behind: float  #: Log evidence of the most probable set over its own
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -286,7 +286,7 @@ class Diagnosis:
         effects: Ordered by what each contributes.
         where: Worst first.
         ranking: All effects that were tried, best first.
-        tried: Sets of effects that were fitted, in that order.
+        tried: Fitted sets of effects, in the order of the search.
         moved: Parameters that the improved model has elsewhere within their tolerance.
         changed: How the improved model differs from the model, as lines of a unified diff.
         notes: What the reader should know: repairs, missing pressures, bounds that were hit.

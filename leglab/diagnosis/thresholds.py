@@ -103,7 +103,7 @@ class Thresholds:
 
 DEFAULT = Thresholds()
 
-# What is the same, small, certain and explained; no setting, for all parts mean the same by it.
+# Equality, smallness, certainty and explanation: constants with one meaning in all parts.
 # Shares below which periods, or sizes of turns and counts, are the same: clocks and converters
 # that were meant to be differ by less, others by more. Up to this share of rows is lost, and
 # of a period stamps jitter, without a word. A parameter within this share of a value has it.

@@ -205,22 +205,23 @@ def test_by_how_much_directions_differ_is_told_beside_what_is_unsure_of_each():
     assert list(written["parameters"]) == ["lap"]
 
 
-def test_why_tells_what_was_promised_and_fitted_and_what_is_more_probable():
+def test_why_explains_an_effect_by_its_evidence_and_the_fitted_sets():
     result = diagnosis()
-    best, other, hidden = result.ranking
-    lines = why(result, best.name)
-    assert lines[0] == f"{best.name.replace('_', ' ')} at {best.element}"
-    assert "promises 900 nats" in lines[1]
-    assert "the most of all" not in lines[1]
-    assert "the most probable set" in lines[3]
-    assert "confidence of 91 %" in lines[-1]
-    lines = why(result, other.name)
-    assert "the most of all is 900 by valve deadband" in lines[1]
-    assert "7 nats behind" in lines[2]
-    assert "at best 12 nats less probable" in lines[3]
-    assert "more probable: valve deadband at knee_valve" in lines[4]
-    assert "not among the additions" in " ".join(why(result, hidden.name))
+    best, other, third = (why(result, one.name) for one in result.ranking)
+    assert best[:2] == (
+        "valve deadband at knee_valve",
+        "  alone, at first order and with the final model error: 900 nats over no effect",
+    )
+    assert best[3].endswith("(the best set without stiction): 1.2 noise levels")
+    assert best[-1] == "  reported with a confidence of 91 %"
+    assert other[1].endswith(
+        "300 nats over no effect; the largest is 900, valve deadband at knee_valve"
+    )
+    assert other[2].endswith("1.1 noise levels, 7 nats behind the most probable set")
+    assert "at best 12 nats less than the most probable set" in other[3]
+    assert other[4].startswith("  most probable: valve deadband at knee_valve (")
+    assert "not among the effects that gain most" in third[-2]
+    unsure = replace(result, effects=())
+    assert "below the confidence that a name needs" in why(unsure, "valve_deadband")[-1]
     assert "has no place for it" in why(result, "joint_flexibility")[0]
     assert "--effect leaves it out" in why(result, "joint_flexibility", ["payload"])[0]
-    none = why(replace(result, tried=()), other.name)
-    assert none[-1] == "  the model as it is leaves noise alone: no set of effects was fitted"

@@ -113,13 +113,13 @@ def diagnosis(verdict="named", effects=None, recording="walk", **changes):
             RecordingGap(name="slow", held_out=False, before=9.0, baseline=8.0, after=1.0),
         ),
         ranking=tuple(
-            Rank(name=n, element=e, gain=g, beside=b)
+            Rank(name=n, element=e, gain=g, added=b)
             for (n, e), g, b in zip(tried, (900.0, 300.0, -4.0), (2.0, -12.0, None), strict=True)
         ),
         tried=tuple(
-            Tried(names=tried[:n], move="first order", reason=why, level=level, behind=behind)
-            for n, why, level, behind in (
-                (2, "first order promises 950 nats over nothing", 1.1, 7.0),
+            Tried(names=tried[:n], move="first order", reason=reason, level=level, behind=behind)
+            for n, reason, level, behind in (
+                (2, "first order promises 950 nats over no effect", 1.1, 7.0),
                 (1, "the best set without stiction", 1.2, 0.0),
             )
         ),

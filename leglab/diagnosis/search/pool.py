@@ -1,4 +1,4 @@
-"""All that a search knows: which sets were fitted, how they compare, what was tried and why."""
+"""State of a search: fitted sets, their ranking, and the steps that were taken, with reasons."""
 
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field, replace
@@ -25,49 +25,46 @@ from leglab.diagnosis.thresholds import (
 )
 
 Members = frozenset[int]
-# Moves that look for other sets than those that are proposed at first.
+# Moves that propose sets beyond those of first order and of the balance of forces.
 FURTHER = ("both ways", "neighbours")
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A set that a move asks to fit."""
+    """A set of effects that a move proposes to fit."""
 
     move: str  #: Name of the move
     candidate: Candidate  #: The set and where its fit begins
-    reason: str  #: Why, in words
+    reason: str  #: In words
     beside: bool = True  #: As of `Fitter.fit`
     renewals: int = 0  #: As of `Fitter.fit`
     finishes: Fit | None = None  #: The unfinished fit that this one replaces
-    once: Hashable = None  #: What the move does not do again
-    late: bool = False  #: Whether all that was proposed at first is done
+    once: Hashable = None  #: Key of a proposal that is made once
+    late: bool = False  #: Whether it counts as an attempt to find a rival of the best set
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A proposal and what came of it."""
+    """A set that was fitted, without its linearisations."""
 
-    proposal: Proposal
-    fit: Fit
+    move: str  #: Name of the move that proposed it
+    reason: str  #: In words
+    keys: frozenset[Key]  #: Effects and elements of the set
 
 
 @dataclass(frozen=True)
 class Aim:
-    """What a search looks for.
+    """Purpose of a search: causes with all their rivals, or one good description of recordings."""
 
-    The causes of a change, with every rival of a good set; or any good description of recordings,
-    where no rival of one is sought.
-    """
-
-    moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: The earlier ones have precedence
-    rivals: bool  #: Whether rivals are sought
-    #: By so much a new set promises to be more probable than the best one [nats].
+    moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: In order of precedence
+    rivals: bool  #: Whether rivals of good sets are fitted
+    #: Least predicted log evidence of a further set over that of the best one [nats].
     ahead: float
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What stays the same throughout a search."""
+    """Constant part of a search, with caches of linearisations."""
 
     fitter: Fitter
     aim: Aim
@@ -80,65 +77,67 @@ class Scene:
 
     @property
     def clear(self) -> bool:
-        """Whether the model as it is leaves each recording noise alone."""
+        """Tests whether the errors of the unchanged model are noise in each recording."""
         return self.first.fine
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Values of the specimen that a factor on all forces scales, see `own_forces`."""
+        """Parameters of the specimen that scale with all forces, see `own_forces`."""
         return own_forces(self.fitter.at.problem, self.fitter.at.unknowns)
 
     @cached_property
     def limits(self) -> list[Jump]:
-        """Jumps of limits: a tangent shows one only where commands or forces come near it."""
+        """Jumps of command and force limits, whose tangents vanish far from the limit."""
         u = self.fitter.at.unknowns
         return [jump for jump in trials(u) if u.limits[jump[0]]]
 
     def without(self, fit: Fit, key: Key) -> Columns | None:
-        """A fit with an effect taken out; None where its replay blows up."""
+        """Linearises a fit without one effect; None where the replay blows up."""
         if (fit, key) not in self.removed:
             made = self.fitter.at.without(fit.columns, fit.members, key)
             self.removed[fit, key] = made
         return self.removed[fit, key]
 
     def with_limits(self, fit: Fit) -> Columns:
-        """A fit's linearisation with jumps to limits."""
+        """Adds jumps of limits to the linearisation of a fit."""
         if fit not in self.limited:
             self.limited[fit] = self.fitter.at.jumped(fit.columns, self.limits)
         return self.limited[fit]
 
     def begins(self, one: Candidate) -> float:
-        """Level of the errors where a fit would begin."""
+        """Computes the median error at the start of a fit, in noise levels."""
         at = self.fitter.at
         return self.fitter.level(at.at(at.unknowns.moved(one.columns.base, one.start)))
 
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Fitted sets and what was tried. Each step of a search makes another pool."""
+    """Fitted sets and the steps that led to them; each step makes a new pool."""
 
     scene: Scene
     kappa: float  #: 1/design effect
     fits: tuple[Fit, ...] = ()
     steps: tuple[Step, ...] = ()
     tried: frozenset[Members] = frozenset({frozenset()})  #: Sets that have been proposed
-    done: frozenset[Hashable] = frozenset()  #: What moves do once
+    done: frozenset[Hashable] = frozenset()  #: Keys of proposals that are made once
     ranks: tuple[Ranked, ...] = ()  #: Sets by evidence, best first
-    erring: Fit | None = None  #: The fit whose errors `kappa` is by
-    vain: int = 0  #: Looks for another set in a row that found no rival of the best one
+    erring: Fit | None = None  #: Fit from whose errors `kappa` was estimated
+    vain: int = 0  #: Number of consecutive attempts without a rival of the best set
 
-    def with_fit(self, fit: Fit) -> "Pool":
-        """With a fit that nobody proposed."""
-        return replace(self, fits=(*self.fits, fit), erring=self.erring or fit)
+    def with_unchanged(self, fit: Fit) -> "Pool":
+        """Adds the fit of the empty set."""
+        step = Step("first order", "the model as it is", fit.keys)
+        steps = (*self.steps, step)
+        return replace(self, fits=(*self.fits, fit), steps=steps, erring=self.erring or fit)
 
     def after(self, proposal: Proposal, fit: Fit) -> "Pool":
-        """The pool after a proposal was fitted."""
+        """Adds the fit of a proposal."""
         kept = tuple(f for f in self.fits if f is not proposal.finishes)
         done = {proposal.once, *([fit] if proposal.finishes else [])} - {None}
         return replace(
             self,
             fits=(*kept, fit),
-            steps=(*self.steps, Step(proposal, fit)),
+            steps=(*self.steps, Step(proposal.move, proposal.reason, fit.keys)),
             tried=self.tried | {frozenset(proposal.candidate.members)},
             done=self.done | done,
             erring=self.erring or fit,
@@ -146,7 +145,7 @@ class Pool:
         )
 
     def ranked(self) -> "Pool":
-        """With all sets compared, by the errors of the fit that leaves least."""
+        """Ranks all sets, with `kappa` from the errors of the fit that errs least."""
         compared = self.scene.compared
         ranks, kappa = rank(compared, self.fits, self.kappa), self.kappa
         least = min(ranks, key=lambda r: r.fit.level)
@@ -162,20 +161,20 @@ class Pool:
 
     @cached_property
     def least(self) -> Fit:
-        """The fit that leaves least."""
+        """The fit with the smallest median error."""
         return min(self.ranks, key=lambda r: r.fit.level).fit
 
     @property
     def give_up(self) -> float:
-        """Level of the errors beyond which nothing is hoped for."""
+        """Median error above which a fit is abandoned, in noise levels."""
         return HOPELESS * min((f.level for f in self.fits), default=np.inf)
 
     @cached_property
     def near(self) -> list[Ranked]:
-        """Sets that may be the best one.
+        """Sets that may turn out to be the best one.
 
-        What may lead is fitted to its end. While no set explains all, tangents are far from what
-        will be found; so may a set no larger than the best one that leaves noise alone already.
+        While no set explains the recordings, predicted evidence errs by a share of the whole gain.
+        A set with no more parameters than the best one is near if it leaves noise alone.
         """
         top, rivals = self.best.score.log, self.scene.aim.rivals
         behind = BEHIND * NEAR if rivals else 0.0
@@ -191,7 +190,10 @@ class Pool:
         ]
 
     def needed(self, fit: Fit, there: Evidence | None = None) -> bool:
-        """Whether no other fitted set does as well there, or at its own fit, with fewer members."""
+        """Tests whether all effects of a set contribute, or the smaller set was not fitted yet.
+
+        By the evidence `there`, or by that at the fit.
+        """
         at = self.scene.fitter.at
         there = there or self.scene.compared.evidence(fit, fit.spread, fit, self.kappa)
         less = without_idle(there, there.score([(q, None) for q in fit.members]), 0.0)
@@ -200,37 +202,37 @@ class Pool:
 
     @property
     def sound(self) -> list[Ranked]:
-        """Sets that are a yardstick: what ended at a bound would be another machine beyond it."""
+        """Sets without a parameter at a bound, by which others are measured."""
         return [r for r in self.ranks if not r.fit.ended] or list(self.ranks)
 
     def knows(self, members: Members) -> bool:
-        """Whether a set has been proposed, or is ruled out."""
+        """Tests whether a set has been proposed or ruled out."""
         return members in self.tried or members in self.done
 
     @property
     def further(self) -> list[Step]:
-        """Steps to other sets than those that were proposed at first, and than smaller ones."""
-        return [s for s in self.steps if s.proposal.move in FURTHER]
+        """Steps by moves of `FURTHER`."""
+        return [s for s in self.steps if s.move in FURTHER]
 
     @cached_property
     def vain_now(self) -> int:
-        """Looks in a row that found no rival of the best set, this one included."""
-        last = self.further[-1].fit.keys if self.further else frozenset[Key]()
+        """Consecutive attempts without a rival of the best set, with the present one."""
+        last = self.further[-1].keys if self.further else frozenset[Key]()
         top = self.best.score.log
         rival = last in {r.fit.keys for r in self.near if r.score.log > top - NEAR}
         return 0 if rival else self.vain + 1
 
     @property
     def exhausted(self) -> bool:
-        """Whether further sets are no longer looked for."""
+        """Tests whether enough further sets were fitted, or in vain."""
         return self.vain_now > FRUITLESS or len(self.further) >= FURTHER_FITS
 
     @property
     def ended(self) -> bool:
-        """Whether nothing is left to be found.
+        """Tests whether the search can stop.
 
-        Near noise first order is exact: what is behind nothing stays there, and what is before it
-        but hardly lessens the errors is not told. A description ends where noise is left.
+        If the unchanged model leaves noise, linearised evidence is exact: the search stops if the
+        empty set leads, or if the best set hardly lessens the errors. A description stops at noise.
         """
         fitter, best = self.scene.fitter, self.best.fit
         if self.scene.clear:
@@ -245,25 +247,25 @@ class Found:
     """All fitted sets, best first."""
 
     pool: Pool
-    level: float  #: Of the model as it is
+    level: float  #: Median error of the unchanged model, in noise levels
     onsets: np.ndarray | None = None  #: As `search` was given them
 
     @property
     def fitter(self) -> Fitter:
-        """With which the sets were fitted."""
+        """The fitter of all sets."""
         return self.pool.scene.fitter
 
     @property
     def first(self) -> Columns:
-        """Linearisation of the model as it is, with all trials."""
+        """Linearisation of the unchanged model, with all trials."""
         return self.pool.scene.first
 
     @property
     def ranks(self) -> tuple[Ranked, ...]:
-        """The sets."""
+        """Sets by evidence, best first."""
         return self.pool.ranks
 
 
-def told(names: frozenset[Key]) -> str:
-    """A set in a few words."""
+def in_words(names: frozenset[Key]) -> str:
+    """Lists the effects of a set with their elements."""
     return " + ".join(f"{name} at {element}" for name, element in sorted(names)) or "nothing"

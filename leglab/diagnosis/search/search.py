@@ -1,4 +1,4 @@
-"""The search: moves propose sets, fits by replays say what they are worth, until none is left."""
+"""The search: moves propose sets of effects, which are fitted by replays and ranked."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,13 +23,13 @@ from leglab.diagnosis.search.moves import (
     neighbours,
     removal,
 )
-from leglab.diagnosis.search.pool import Aim, Found, Pool, Proposal, Scene, told
+from leglab.diagnosis.search.pool import Aim, Found, Pool, Proposal, Scene, in_words
 from leglab.diagnosis.search.rank import Compared
 from leglab.diagnosis.search.regression import balanced_sets
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import EXPLAINED, SMALL
 
-#: The causes of what a model lacks, with their rivals.
+#: Causes of the misfit, with their rivals.
 CAUSES = Aim(
     moves=(
         finish.propose,
@@ -42,7 +42,7 @@ CAUSES = Aim(
     rivals=True,
     ahead=-thresholds.NEAR,
 )
-#: A description of recordings: one that hardly promises to be more probable is none the better.
+#: A good description of recordings; only clear improvements are fitted.
 DESCRIPTION = Aim(
     moves=(finish.propose, another_point.propose, neighbours.propose),
     rivals=False,
@@ -66,7 +66,7 @@ def search(
     onsets: np.ndarray | None = None,
     log: Log = lambda _: None,
 ) -> Found:
-    """Finds and fits the sets of effects that can be the cause of what recordings show.
+    """Finds and fits the sets of effects that can cause the misfit of recordings.
 
     Args:
         problem: Recordings and machine about the specimen.
@@ -84,7 +84,7 @@ def search(
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = at.at(Hypothesis())
-    # Where noise alone is left no large fault hides, for that would show: first order is exact.
+    # A model that leaves noise has no large fault, which would show: first order is exact.
     first = at.columns(thresholds.FINE if fitter.clear(errors) else thresholds.COARSE)
     return Found(_searched(fitter, first, CAUSES, kappa, log), fitter.level(errors), onsets)
 
@@ -105,23 +105,23 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
 def _searched(
     fitter: Fitter, first: Columns, aim: Aim, kappa: float, log: Log, nothing: Fit | None = None
 ) -> Pool:
-    """Fits what moves propose; `nothing` is the fit of no set, None where it is to be made."""
+    """Fits the proposals of all moves; `nothing` is the fit of the empty set, None to make it."""
     at, clear = fitter.at, fitter.clear(first.errors)
     first = at.jumped(replace(first, fine=clear), trials(at.unknowns), near=clear)
     pool = Pool(Scene(fitter, aim, first, Compared(fitter)), kappa)
     begin = first
     if clear:
         as_built = Candidate((), {}, first, *fitter.about(first.errors))
-        pool = pool.with_fit(fitter.fit(as_built, kappa, renewals=0))
+        pool = pool.with_unchanged(fitter.fit(as_built, kappa, renewals=0))
         begin = pool.fits[0].columns
     evidence, ranked, kappa = first_order.annealed(fitter, begin, kappa)
     log("balance of forces")
     pool = _opened(replace(pool, kappa=kappa), evidence, ranked, log)
     if nothing is not None:
-        pool = pool.with_fit(nothing)
+        pool = pool.with_unchanged(nothing)
     elif not clear:
         as_it_is = first_order.begun(evidence, evidence.score(()))
-        pool = _fitted(pool, Proposal("first order", as_it_is, "nothing is missing", False), log)
+        pool = _fitted(pool, Proposal("first order", as_it_is, "the model as it is", False), log)
     while not (pool := pool.ranked()).ended:
         proposal = next((p for move in aim.moves for p in move(pool)), None)
         if proposal is None:
@@ -131,7 +131,7 @@ def _searched(
 
 
 def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:
-    """The pool after a proposal was fitted."""
+    """Fits a proposal and adds it to the pool."""
     fit = pool.scene.fitter.fit(
         proposal.candidate,
         pool.kappa,
@@ -139,15 +139,15 @@ def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:
         beside=proposal.beside,
         renewals=proposal.renewals,
     )
-    log(f"fitted {told(fit.keys)}: {fit.level:.3g} noise levels")
+    log(f"fitted {in_words(fit.keys)}: {fit.level:.3g} noise levels")
     return pool.after(proposal, fit)
 
 
 def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -> Pool:
-    """Fits what first order and the balance of forces propose.
+    """Fits the proposals of first order and of the balance of forces.
 
-    Beside what explains everything only what promises nearly as much is a rival, or is simpler: far
-    from the base first order errs. Near noise it is exact, and a rival promises more.
+    Once a set explains the recordings, only simpler sets and those with nearly its promise are
+    fitted, since first order errs far from the unchanged model.
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
@@ -180,18 +180,17 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             continue
         begins, other = scene.begins(seed), wanted.get(names)
         if other is None:
-            # A balance of what the machine does not do promises what no replay holds; one that
-            # leaves little more than noise is a rival whatever else explains.
+            # The balance predicts no evidence. A set that starts near noise is a rival of any.
             if begins < thresholds.HOPELESS * level:
                 near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed
                 wanted[names] = Proposal("balance", one, reason, beside=scene.clear)
         elif begins < scene.begins(other.candidate):
-            # A set that both propose begins where a replay is nearer.
+            # Of two starts of one set that with the smaller error is taken.
             one = replace(seed, promise=other.candidate.promise)
             wanted[names] = replace(other, candidate=one)
     return list(wanted.values())
 
 
 def _promise(gain: float) -> str:
-    return f"first order promises {gain:.0f} nats over nothing"
+    return f"first order promises {gain:.0f} nats over no effect"

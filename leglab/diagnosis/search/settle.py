@@ -72,25 +72,25 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where a fit stands after some turns."""
+    """State of a fit between two turns."""
 
     point: Point
     spread: Spread  #: Pattern of the model's own error
     weight: np.ndarray  #: Of windows
     kappa: float  #: 1/design effect
-    stiff: int  #: In so many turns members find their place, all else stays
-    fine: bool  #: Whether all tangents were taken over fine steps
-    taken: np.ndarray  #: Departures where all tangents were taken
-    off: np.ndarray  #: What the last step showed beyond the tangents, (windows, rows)
-    missed: float = 0.0  #: What all steps since then showed beyond the tangents [nats]
+    stiff: int  #: Number of first turns in which parameters outside of the set hardly move
+    fine: bool  #: Whether all tangents are differences over fine steps
+    taken: np.ndarray  #: Departures at which all tangents were taken
+    off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
+    missed: float = 0.0  #: Sum of such errors since all tangents were taken [nats]
     most: np.ndarray | None = None  #: Largest steps of tangents, (single,)
     turn: int = 0  #: Number of turns
-    renewed: int = 0  #: How often all tangents were taken anew
+    renewed: int = 0  #: Number of renewals of all tangents
     damping: float = 0.0  #: Of the last step
-    slow: bool = False  #: Whether the last step gained little, or was damped
-    gained: float = 0.0  #: By all steps [nats]
-    unkept: float = 0.0  #: What tangents promise in the end, and no replay keeps [nats]
-    #: Why it ended; "" while it goes on.
+    slow: bool = False  #: Whether the last step gained little or was damped
+    gained: float = 0.0  #: Gain of all steps [nats]
+    unkept: float = 0.0  #: Gain that tangents predict at the end and no replay reached [nats]
+    #: Reason of the end; "" before it.
     ended: Literal["", "finished", "given up", "unfinished"] = ""
 
 
@@ -404,7 +404,7 @@ class Fitter:
 
 
 class _Turns:
-    """Turns of one fit: each takes tangents and a step."""
+    """Gauss-Newton iteration of one fit: each turn takes tangents and a step."""
 
     def __init__(
         self, fitter: Fitter, members: tuple[int, ...], renewals: int, give_up: float
@@ -413,7 +413,7 @@ class _Turns:
         self.renewals, self.give_up = renewals, give_up
 
     def begin(self, new: Candidate, kappa: float, *, beside: bool) -> State:
-        """The state before the first turn; arguments as of `Fitter.fit`."""
+        """Returns the state before the first turn; arguments are those of `Fitter.fit`."""
         fitter, columns = self.fitter, new.columns
         spread, weight = new.spread, new.weight
         point = fitter._point(columns.base, columns.errors, columns.tangents, new.members)
@@ -435,14 +435,14 @@ class _Turns:
         )
 
     def judged(self, s: State, *, stiff: bool = False) -> tuple[Evidence, Score]:
-        """Evidence where a state is; where `stiff`, all but the members hardly moves."""
+        """Evidence at a state; if `stiff`, under the priors of a machine that hardly departs."""
         fitter = self.fitter
         priors = fitter._stiff if stiff else None
         made = fitter.evidence(s.point.columns, s.spread, s.weight, s.kappa, priors)
         return made, made.score([(q, None) for q in self.members])
 
     def step(self, s: State) -> State:
-        """The state after another turn."""
+        """Returns the state after another turn."""
         if s.turn == thresholds.TURNS:
             return replace(s, ended="unfinished")
         fitter, first = self.fitter, s.turn < s.stiff
@@ -466,19 +466,19 @@ class _Turns:
             return self._after(s, first, fresh, evidence, score, promise, then)
         if first:
             return replace(s, stiff=s.turn)
-        # Tangents that promise what no step keeps are wrong.
+        # Tangents whose predicted gain no step reaches are wrong.
         if self._exact(s, fresh, promise):
             return replace(s, ended="finished", unkept=promise)
         return replace(s, slow=True, missed=np.inf, off=0.0 * s.off)
 
     def _exact(self, s: State, fresh: bool, promise: float) -> bool:
-        """Whether what tangents promise is known well enough to end."""
+        """Tests whether tangents are good enough to end the fit."""
         return fresh or (s.fine and s.missed + promise < thresholds.ENOUGH)
 
     def _with_tangents(self, s: State, first: bool) -> tuple[State, bool]:
-        """With tangents taken anew: those of the members, or of all where they have missed much.
+        """Renews the tangents of the set, or of all parameters after large prediction errors.
 
-        And whether those of all were.
+        Returns the state and whether all tangents were renewed.
         """
         fitter, members = self.fitter, self.members
         wrong = s.missed > thresholds.ENOUGH and (s.slow or s.renewed < self.renewals)
@@ -489,7 +489,7 @@ class _Turns:
         evidence, score = self.judged(s)
         which, most = evidence.telling(score), evidence.visible(score)
         if s.renewed:
-            # What hardly moves takes no step from its tangents, and errs by none.
+            # Tangents of parameters that hardly move need no renewal.
             step = fitter._by(members, *evidence.step(score, s.point.values, 0.0), s.point)
             gone = np.maximum(np.abs(step), np.abs(s.point.x - s.taken)[: step.size])
             which = which & (gone > thresholds.FINE[0] * most)
@@ -507,17 +507,17 @@ class _Turns:
         promise: float,
         then: tuple[float, float, np.ndarray, Point],
     ) -> State:
-        """The state after a step, see `Fitter._stepped`."""
+        """Returns the state after a step, see `Fitter._stepped`."""
         fitter, (damping, gain, off, point) = self.fitter, then
         spread = fitter.own_spread(point.errors)
         weight = fitter.weights(point.errors, spread, score.size)
         s = replace(s, damping=damping, off=off, point=point, spread=spread, weight=weight)
         if not first:
-            # As explanations get better, errors are worth more numbers.
+            # The better a set explains, the less errors correlate.
             kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             s = replace(s, gained=s.gained + gain, kappa=kappa)
         if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
-            # Machines depart, and may make up for it.
+            # Small departures of all other parameters may still reduce the error.
             there, ahead = self.judged(s)
             if fitter.level(there.left(ahead)) > self.give_up:
                 return replace(s, ended="given up")

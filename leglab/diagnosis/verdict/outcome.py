@@ -74,7 +74,7 @@ class Outcome:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
             tuning = _within(problem.library, tuned.columns.base).without(*self.named)
-            # Beside a gross fault tuning may serve most windows and worsen the others.
+            # Under a gross fault tuning may improve most windows and worsen the others.
             self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
         #: they can have begun, (recordings, 2), inf where an effect begins in none.
@@ -87,7 +87,7 @@ class Outcome:
         return f"Outcome({self.judged.verdict}: {named})"
 
     def _fitted_level(self, hypothesis: Hypothesis) -> float:
-        """Root mean square error of the windows that were fitted, in noise levels."""
+        """Computes the RMS error of the fitted windows, in noise levels."""
         return root_mean(self.about.noise_levels(hypothesis)[self.problem.fitted])
 
     @property
@@ -154,7 +154,8 @@ def _lean(
     goal = np.where(u.shape, old.x, 0.0)
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
-    # What the written model does not get is held: a thousandth of a trial may be five noise levels.
+    # Bounds fix all that the written model does not get: a thousandth of a trial may change errors
+    # by five noise levels.
     own = frozenset[Key]().union(*map(u.library_keys, kept))
     held = np.array(
         [

@@ -289,7 +289,7 @@ def _estimate(
 
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:
-    """Probability of each set against each other one; a set that goes by two names is one."""
+    """Computes the probability of each set against each other one; equal sets count once."""
     rows = [row for n, row in enumerate(rows) if all(row.keys != r.keys for r in rows[:n])]
     joined = [" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows]
     places = [" + ".join(f"{name} at {element}" for name, element in sorted(r.keys)) for r in rows]

@@ -75,8 +75,8 @@ def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> s
             *_calibration_tables(result),
             _moved_table(result),
             Table(
-                caption="Sets of effects that were fitted, all other parameters a little free",
-                head=("set", "why", "noise levels", "nats behind"),
+                caption="Fitted sets of effects, with small deviations of all other parameters",
+                head=("set", "reason", "noise levels", "nats behind the best"),
                 rows=tried_rows(result),
                 words=2,
             ),

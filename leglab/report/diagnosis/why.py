@@ -1,4 +1,4 @@
-"""Why an effect is named or not: what it promised, where it was fitted, what is more probable."""
+"""Explains why an effect is named or not, from the protocol of the search."""
 
 from collections.abc import Collection, Sequence
 
@@ -8,57 +8,56 @@ from leglab.report.page.wording import number, readable
 
 
 def why(result: Diagnosis, name: str, effects: Collection[str] = ()) -> tuple[str, ...]:
-    """Lines on an effect, by its name, for every element where it was looked for.
+    """Returns lines on an effect, for every element at which the search considered it.
 
-    `effects` are those to which the user has confined the search; none for all.
+    Args:
+        result: The diagnosis.
+        name: Name of the effect.
+        effects: Effects to which the user confined the search; none for all.
     """
     ranks = [one for one in result.ranking if one.name == name]
     if not ranks:
         out = effects and name not in effects
         reason = "--effect leaves it out" if out else "this machine has no place for it"
-        return (f"{readable(name)} was not looked for: {reason}",)
+        return (f"{readable(name)} was not considered: {reason}",)
     return tuple(line for one in ranks for line in _of(result, one))
 
 
 def _of(result: Diagnosis, one: Rank) -> list[str]:
-    """Lines on an effect at one element."""
+    """Returns lines on an effect at one element."""
     own, first = (one.name, one.element), result.ranking[0]
     lines = [f"{readable(one.name)} at {one.element}"]
     for hidden in result.not_testable:
         if (hidden.name, hidden.element) == own:
             lines.append(f"  these recordings hardly show it: {hidden.reason}")
-    alone = f"  alone it promises {number(one.gain)} nats at first order"
-    most = f", the most of all is {number(first.gain)} by {_set([(first.name, first.element)])}"
-    lines.append(alone + most * (first.gain > one.gain))
+    alone = f"  alone, at first order and with the final model error: {number(one.gain)} nats"
+    most = f"; the largest is {number(first.gain)}, {_set([(first.name, first.element)])}"
+    lines.append(f"{alone} over no effect" + most * (first.gain > one.gain))
     fitted = [t for t in result.tried if own in t.names]
     lines += [f"  fitted: {_fitted(t)}" for t in fitted]
-    best = min(result.tried, key=lambda t: t.behind, default=None)
-    if best is None:
-        return [*lines, "  the model as it is leaves noise alone: no set of effects was fitted"]
+    best = min(result.tried, key=lambda t: t.behind)
     if best in fitted:
         return [*lines, *_verdict(result, one)]
-    if one.beside is not None:
-        ahead = f"{number(abs(one.beside))} nats {'more' if one.beside > 0.0 else 'less'}"
-        lines.append(f"  beside good sets: at best {ahead} probable than the most probable set")
+    if one.added is not None:
+        ahead = f"{number(abs(one.added))} nats {'more' if one.added > 0.0 else 'less'}"
+        lines.append(f"  added to good sets: at best {ahead} than the most probable set, predicted")
     elif not fitted:
-        lines.append("  beside good sets: it is not among the additions that gain most")
-    return [*lines, f"  more probable: {_fitted(best)}"]
+        lines.append("  added to good sets: it is not among the effects that gain most")
+    return [*lines, f"  most probable: {_fitted(best)}"]
 
 
 def _verdict(result: Diagnosis, one: Rank) -> list[str]:
-    """What is told of a member of the most probable set."""
+    """Returns the verdict on an effect of the most probable set."""
     for effect, _ in result.all_effects:
         if effect.element == one.element and effect.name == one.name:
-            return [f"  told, with a confidence of {confidence(result, effect)}"]
-    return ["  in the most probable set, but not sure enough to be told"]
+            return [f"  reported with a confidence of {confidence(result, effect)}"]
+    return ["  in the most probable set, but below the confidence that a name needs"]
 
 
 def _fitted(one: Tried) -> str:
-    """A fitted set, why it was fitted and what it came to."""
-    behind = f"{number(one.behind)} nats behind the most probable set"
-    if one.behind == 0.0:
-        behind = "the most probable set"
-    return f"{_set(one.names)} ({one.reason}): {number(one.level)} noise levels, {behind}"
+    """Describes a fitted set with reason, error and evidence."""
+    behind = f", {number(one.behind)} nats behind the most probable set" * (one.behind > 0.0)
+    return f"{_set(one.names)} ({one.reason}): {number(one.level)} noise levels{behind}"
 
 
 def _set(names: Sequence[tuple[str, str]]) -> str:
@@ -66,6 +65,6 @@ def _set(names: Sequence[tuple[str, str]]) -> str:
 
 
 def tried_rows(result: Diagnosis) -> list[list[str]]:
-    """Sets that were fitted, most probable first: the set, why, noise levels, nats behind."""
+    """Returns rows of the fitted sets, most probable first: set, reason, noise levels, nats."""
     rows = sorted(result.tried, key=lambda t: t.behind)
     return [[_set(t.names), t.reason, number(t.level), number(t.behind)] for t in rows]

@@ -1,1 +1,1 @@
-"""Moves of the search: each proposes sets to fit, with a reason."""
+"""Moves of the search: each proposes sets of effects to fit, with a reason."""

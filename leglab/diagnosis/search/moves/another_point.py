@@ -1,4 +1,4 @@
-"""Fits a good set from where another one was fitted, if it is more probable there."""
+"""Refits a good set from the parameters of another fit where it is more probable."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from leglab.diagnosis.thresholds import NEAR, RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Good sets that gain at the point of another fit; each from there once."""
+    """Proposes each good set once from every fit at which its evidence is larger."""
     points = {id(f.columns): f for f in pool.fits}
     for r in pool.near:
         point = points[id(r.evidence.columns)]

@@ -1,4 +1,4 @@
-"""Replaces an effect by direction with the same one in both directions."""
+"""Replaces a direction-dependent effect by the symmetric one."""
 
 from collections.abc import Iterator, Sequence
 
@@ -11,7 +11,7 @@ from leglab.diagnosis.thresholds import BEHIND, NEAR
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Good sets whose two directions say the same thing."""
+    """Proposes the symmetric effect in good sets whose parameters of both directions agree."""
     if pool.exhausted:
         return
     u = pool.scene.fitter.at.unknowns
@@ -22,21 +22,21 @@ def propose(pool: Pool) -> Iterator[Proposal]:
         simpler = both_ways(u, fit.members, x[list(fit.members)].tolist())
         if simpler is None:
             continue
-        once = frozenset(simpler) | frozenset(fit.members)  # from here
+        once = frozenset(simpler) | frozenset(fit.members)
         if not pool.knows(once) and fit.level < levels.get(u.names(simpler), np.inf):
             start = {q: -float(x[q]) for q in fit.members if q not in simpler}
             start |= {q: value - float(x[q]) for q, value in simpler.items()}
             new = Candidate(tuple(simpler), start, fit.columns, fit.spread, fit.weight)
-            reason = "both directions say the same"
+            reason = "the parameters of both directions agree"
             yield Proposal("both ways", new, reason, beside=False, once=once, late=True)
 
 
 def both_ways(
     u: Unknowns, members: Sequence[int], values: Sequence[float]
 ) -> dict[int, float] | None:
-    """A set with an effect by direction replaced by the same one in both directions.
+    """Computes the departures of a set with the symmetric effect, from those of the set.
 
-    Departures of its members, from those of the set; None where that has no such effect.
+    None for a set without a direction-dependent effect.
     """
     value = dict(zip(members, values, strict=True))
     for q in members:

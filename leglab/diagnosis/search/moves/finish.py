@@ -1,4 +1,4 @@
-"""Fits what may lead to its end."""
+"""Continues the unfinished fits of good sets."""
 
 from collections.abc import Iterator
 
@@ -8,9 +8,10 @@ from leglab.diagnosis.thresholds import HOPELESS, RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Unfinished fits of good sets, from where they are or from where what leaves least is.
+    """Proposes unfinished fits of good sets, each once.
 
-    Whichever leaves less. A fit that was finished once is not begun again.
+    A fit continues from its parameters or from those of the fit that errs least, whichever start
+    has the smaller error.
     """
     most = HOPELESS * pool.least.level
     for fit in [r.fit for r in pool.near if not r.fit.finished and r.fit.level < most]:
@@ -23,7 +24,7 @@ def propose(pool: Pool) -> Iterator[Proposal]:
 
 
 def _from(pool: Pool, fit: Fit, point: Fit) -> Candidate:
-    """A fitted set once more, from where the tangents at another one's point have it."""
+    """Starts a set at its optimum by the tangents of another fit."""
     start: dict[int, float] = {}
     if fit is not point:
         evidence = pool.scene.fitter.evidence(point.columns, point.spread, point.weight, pool.kappa)

@@ -1,4 +1,4 @@
-"""Sets that the linearisation of the model as it is promises."""
+"""Sets with the largest evidence by the linearisation of the unchanged model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from leglab.diagnosis.search.settle import Candidate, Fitter
 
 
 def annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
-    """Sets by the first linearisation, with the pattern of errors that the best of them leaves."""
+    """Ranks sets by the linearisation, with the error covariance that the best one leaves."""
     spread, weight = fitter.about(first.errors)
     last = None
     for _ in range(thresholds.ANNEALINGS):
@@ -33,7 +33,7 @@ def annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, li
 
 
 def candidates(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
-    """Sets to fit, the most promising first."""
+    """Returns the sets to fit, the most probable first."""
     u = evidence.unknowns
     picked: dict[frozenset[Key], Score] = {}
 
@@ -46,8 +46,7 @@ def candidates(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
             picked.setdefault(u.names(score.unknowns), score)
     for score in [s for s in ranked if len(s.members) == 1][: thresholds.SURE_FITS]:
         picked.setdefault(u.names(score.unknowns), score)
-    # What leads where the model is exact: its own error, as estimated while something is missing,
-    # has that one's shape and hides it.
+    # Best sets if the model error were zero: estimated beside a fault it has the fault's shape.
     widest = int(evidence.priors.usual().sum()) - 1
     shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)
@@ -58,7 +57,7 @@ def candidates(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
 
 
 def begun(evidence: Evidence, score: Score) -> Candidate:
-    """A set to fit from where a linearisation has it."""
+    """Starts a set at its optimum by a linearisation."""
     return Candidate(
         score.unknowns,
         evidence.departures(score),

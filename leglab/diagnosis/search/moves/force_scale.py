@@ -1,4 +1,4 @@
-"""Sets that move as a good one does, by all forces times one factor."""
+"""Sets that give the motion of a good set with all forces scaled by one factor."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ from leglab.diagnosis.thresholds import RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Twins of good sets where no force is known: rivals in any recording."""
+    """Proposes the scaled twins of good sets where no force is known."""
     fitter = pool.scene.fitter
     problem, u = fitter.at.problem, fitter.at.unknowns
     for fit in [r.fit for r in pool.near]:

@@ -1,4 +1,4 @@
-"""Adds a member to a good set, leaves one out, or swaps it."""
+"""Sets with one effect more, less or other than a good set."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, SC
 
 @dataclass(frozen=True, eq=False)
 class Neighbour:
-    """A set one step away from a fitted one, by the tangents there."""
+    """A set one step from a fitted one, scored by the tangents of that fit."""
 
     score: Score
     fit: Fit
@@ -21,7 +21,7 @@ class Neighbour:
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """The most promising neighbour that has not been tried."""
+    """Proposes the most probable neighbour that has not been fitted."""
     if pool.exhausted:
         return
     top = pool.sound[0].score.log
@@ -38,12 +38,12 @@ def propose(pool: Pool) -> Iterator[Proposal]:
     score, fit, evidence = best.score, best.fit, best.evidence
     start = evidence.departures(score)
     new = Candidate(score.unknowns, start, evidence.columns, fit.spread, fit.weight, score.log)
-    reason = f"it promises {score.log - top:+.0f} nats beside the best set"
+    reason = f"tangents promise {score.log - top:+.0f} nats over the best set"
     yield Proposal("neighbours", new, reason, beside=False, late=True)
 
 
 def neighbours(pool: Pool) -> list[Neighbour]:
-    """Neighbours of the best sets, and of those that ended at a bound, by the tangents there."""
+    """Scores the neighbours of the best sets, and of sets with a parameter at a bound."""
     fitter, scene, kappa = pool.scene.fitter, pool.scene, pool.ranks[0].evidence.kappa
     u, sound = fitter.at.unknowns, pool.sound
     best, top = sound[0].fit, sound[0].score.log

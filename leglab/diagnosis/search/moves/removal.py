@@ -1,4 +1,4 @@
-"""Takes each effect out of the best set: what does without it is its rival."""
+"""Removes each effect from the best set, to fit its rivals."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from leglab.diagnosis.search.settle import Candidate
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """The best set without each of its effects, from where it was fitted."""
+    """Proposes the best set without each of its effects, each once."""
     best, keys = pool.best.fit, pool.scene.fitter.at.unknowns.keys
     if len(best.keys) < 2:
         return
