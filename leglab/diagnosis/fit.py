@@ -237,6 +237,9 @@ class _Fitted:
         square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
         limit = self._problem.thresholds.robust_limit
         self._weight = robust_weight(square / max(float(np.median(square)), 1.0), limit)
+        # Start errors spread as the fitted model carries them on.
+        self._problem = self._problem.about(self._hypothesis(self._z))
+        self._errors = Errors(self._problem, self._errors.unknowns, self._problem.fitted)
 
     def _covariance(self) -> np.ndarray:
         """Of the departures, by parts of the recordings, (parameters, parameters)."""

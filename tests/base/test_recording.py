@@ -168,6 +168,6 @@ def test_commands_of_a_simulation_act_as_early_as_its_integrator_has_them(integr
         {"timestep": 1e-3, "integrator": "mine"},
     ],
 )
-def test_commands_of_a_recording_that_tells_no_known_simulation_act_at_their_time(told):
+def test_the_lead_of_commands_is_unknown_without_a_known_simulation(told):
     recording = Recording(time=1e-3 * np.arange(9), columns={}, metadata={"simulation": told})
-    assert recording.command_lead == 0.0
+    assert recording.command_lead is None

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from leglab import data
 from leglab.base.errors import SettingsError
+from leglab.base.recording import Recording
 from leglab.cli.app import app
 from leglab.diagnosis.fit import Wanted, fit
 from rigs import PENDULUM, Truth
@@ -62,6 +63,35 @@ def test_intervals_hold_the_truth_and_the_command_writes_it(files, tmp_path):
     for text in (page, told.output):
         assert "onfidence" not in text
         assert "recalibrated" not in text
+
+
+def test_a_log_of_mujoco_that_says_nothing_of_its_step_leaves_noise_alone(tmp_path):
+    """Its commands act half a step early; unknown, that left 1.6 noise levels and a bias."""
+    steps, every, noise = 2500, 4, 1e-4
+    file = tmp_path / "model.xml"
+    text = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0"
+      damping="%g" frictionloss="0.1"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02"
+      mass="1"/></body></worldbody><actuator><motor name="m" joint="hinge"/></actuator></mujoco>"""
+    file.write_text(text % 0.1)
+    model = mujoco.MjModel.from_xml_string(text % 0.2)
+    logs = {}
+    for seed in (0, 1):
+        random, state, rows = np.random.default_rng(seed), mujoco.MjData(model), []
+        rates, phases = random.uniform(0.2, 3.0, 8), random.uniform(0.0, 2.0 * np.pi, 8)
+        for step in range(steps):
+            if step % every == 0:
+                waves = np.sin(2.0 * np.pi * rates * state.time + phases)
+                state.ctrl[0] = 0.4 * waves.sum() * min(1.0, 2.0 * state.time)
+                seen = state.qpos[0] + noise * random.standard_normal()
+                rows.append((state.time, state.ctrl[0], seen))
+            mujoco.mj_step(model, state)
+        time, command, position = np.array(rows).T
+        columns = {"m_command": command, "hinge_position": position}
+        logs[str(seed)] = Recording(time=time, columns=columns)
+    found = fit(file, logs, [Wanted.parse("hinge:viscous_friction")], held_out=()).result
+    (damping,) = found.effects[0].parameters
+    assert damping.interval[0] < 0.2 < damping.interval[1]
+    assert found.gap.after < 1.1
 
 
 def test_an_effect_that_is_not_fitted_widens_the_interval(logs):

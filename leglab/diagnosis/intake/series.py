@@ -39,7 +39,8 @@ class UniformSeries:
     #: Standard deviation of white noise on the grid that averages as the logged samples do, by
     #: column, 0 where none shows; empty where the log is on the grid as it is.
     noise: dict[str, float]
-    command_lead: float  #: By how much commands reach native actuators before their time [s]
+    #: By how much commands reach native actuators before their time [s]; None for unknown.
+    command_lead: float | None
 
     @classmethod
     def from_recording(

@@ -158,12 +158,13 @@ class Replay:
         *,
         chosen: np.ndarray | None = None,
         nudge: Nudge | None = None,
+        lead: float = 0.0,
         forces: bool = False,
     ) -> ReplayErrors:
         """Measured less predicted under a change, of all windows or those in a mask, (windows,).
 
-        With a departure from the start states, and with the forces that windows leave over if
-        wanted.
+        With a departure from the start states, with commands of native actuators that act earlier
+        by `lead` [s], and with the forces that windows leave over if wanted.
         """
         parts = list(self._parts(change, chosen))
         left: np.ndarray | None = None
@@ -188,7 +189,7 @@ class Replay:
         controls, targets = [], []
         for cut, measured, corrected in parts:
             index = cut.firsts[:, None] + np.arange(self.samples)
-            controls.append(self._controls(cut, measured, index))
+            controls.append(self._controls(cut, measured, index, lead))
             targets.append(np.stack([corrected[c.column][index + 1] for c in self.channels], 1))
         predicted = self._predicted(change.variant, starts, np.concatenate(controls))
         errors = np.concatenate(targets) - predicted
@@ -347,15 +348,20 @@ class Replay:
         counts = np.cumsum([cut.firsts.size for cut, _, _ in parts])[:-1]
         return states(0, np.split(warm[:, 0], counts))
 
-    def _controls(self, cut: Cut, measured: Measured, index: np.ndarray) -> np.ndarray:
-        """Controls at the steps of windows, (windows, steps, actuators); `index` their samples."""
+    def _controls(
+        self, cut: Cut, measured: Measured, index: np.ndarray, lead: float = 0.0
+    ) -> np.ndarray:
+        """Controls at the steps of windows, (windows, steps, actuators); `index` their samples.
+
+        Commands of native actuators act `lead` [s] earlier than the recording says.
+        """
         actuators, steps = self.machine.actuators, self.substeps
         controls = commands_at(self.machine, measured, index)
         controls = np.repeat(controls, steps, axis=1)
         # Velocities lag half a step, so a kick spans half a step to both sides of its time and
         # has the mean of what is commanded then. A valve follows its command itself, and so does
         # an activation, which is that of the step before where it is stepped before the force.
-        lead = cut.series.command_lead / self._period
+        lead = ((cut.series.command_lead or 0.0) + lead) / self._period
         early = self.machine.base.model.actuator_actearly
         for name in self.machine.native_actuators():
             i, command = actuators.index(name), measured.command[name]
