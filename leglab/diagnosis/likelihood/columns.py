@@ -63,6 +63,12 @@ class Errors:
         # Of the patterns of errors that were used last; a fit takes one again and again.
         self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
+    def about(self, hypothesis: Hypothesis) -> "Errors":
+        """The same with the noise model about a hypothesis."""
+        other = Errors(self.problem.about(hypothesis), self.unknowns, self.chosen)
+        other._own = self._own  # type: ignore[misc]  # a cached property: of the model as it is
+        return other
+
     def some(self, own: np.ndarray) -> "Errors":
         """The same of some of the windows, by a mask of those that are chosen."""
         chosen = np.zeros_like(self.chosen)

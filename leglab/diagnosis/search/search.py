@@ -122,12 +122,25 @@ def _searched(
     elif not clear:
         as_it_is = first_order.begun(evidence, evidence.score(()))
         pool = _fitted(pool, Proposal("first order", as_it_is, "the model as it is", False), log)
+    if not clear:
+        pool = _renewed(pool.ranked(), log)
     while not (pool := pool.ranked()).ended:
         proposal = next((p for move in aim.moves for p in move(pool)), None)
         if proposal is None:
             break
         pool = _fitted(pool, proposal, log)
     return pool
+
+
+def _renewed(pool: Pool, log: Log) -> Pool:
+    """Takes the noise model about the most probable set: so its model carries start errors on."""
+    scene, best = pool.scene, pool.best.fit
+    fitter, fits = scene.fitter.renewed(best.columns.base, pool.fits, pool.kappa)
+    log(f"noise about {in_words(best.keys)}: {best.level:.3g} -> {fits[pool.fits.index(best)].level:.3g}")
+    first = fitter.with_defect_of(scene.fitter, scene.first)
+    return replace(
+        pool, scene=Scene(fitter, scene.aim, first, Compared(fitter)), fits=tuple(fits), erring=None
+    )
 
 
 def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:

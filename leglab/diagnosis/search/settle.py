@@ -107,6 +107,30 @@ class Fitter:
         self._sensors = at.problem.noise.whitening[at.chosen]
         self._of_noise: Spread | None = None
 
+    def renewed(self, hypothesis: Hypothesis, fits: Sequence[Fit], kappa: float) -> "tuple[Fitter, list[Fit]]":
+        """The fitter with the noise model about a hypothesis, and fits with it, to be continued."""
+        new = Fitter(self.at.about(hypothesis), self.priors, self.fixed)
+        return new, [new._judged_anew(fit, self, kappa) for fit in fits]
+
+    def _judged_anew(self, fit: Fit, old: "Fitter", kappa: float) -> Fit:
+        columns = self.with_defect_of(old, fit.columns)
+        spread = self.own_spread(columns.errors)
+        weight = self.weights(columns.errors, spread, fit.score.size)
+        evidence = self.evidence(columns, spread, weight, kappa)
+        score = evidence.score([(q, None) for q in fit.members])
+        return replace(
+            fit, columns=columns, spread=spread, weight=weight, score=score,
+            level=self.level(columns.errors), finished=not fit.members, unkept=0.0, gained=0.0,
+        )
+
+    def with_defect_of(self, old: "Fitter", columns: Columns) -> Columns:
+        """A linearisation by another fitter, with the defect of the time step as it is here."""
+        defects = (f.at.problem.noise.defect[f.at.chosen] for f in (self, old))
+        now, then = (d.reshape(len(d), -1) for d in defects)
+        errors = columns.errors.copy()
+        errors[:, : self.at.size] += now - then
+        return replace(columns, errors=errors)
+
     def level(self, errors: np.ndarray) -> float:
         """Median error of windows in noise levels of the sensors."""
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
