@@ -24,6 +24,7 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.search.pool import Pool, Proposal, Scene
 from leglab.diagnosis.search.rank import Compared, Ranked
 from leglab.diagnosis.search.regression import Balanced
+from leglab.diagnosis.search.renewal import about, renewed
 from leglab.diagnosis.search.search import CAUSES, DESCRIPTION
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import COARSE, FRUITLESS, HOPELESS, NEAR
@@ -91,10 +92,30 @@ def test_first_order_promises_most_of_what_is_missing():
     s = scene()
     evidence, ranks, kappa = first_order.annealed(s.fitter, s.first, 0.3)
     found = first_order.candidates(evidence, ranks)
-    assert unknown("viscous_friction") in found[0].members
+    alone = next(c for c in found if len(c.members) == 1)
+    assert alone.members == (unknown("viscous_friction"),)
     assert found[0].promise == max(c.promise for c in found)
     assert found[0].promise > ranks[-1].log
     assert 0.0 < kappa <= 1.0
+
+
+def test_the_right_set_leaves_noise_once_the_noise_is_taken_about_it():
+    s, member = scene(), unknown("viscous_friction")
+    start = Candidate((member,), {}, s.first, *s.fitter.about(s.first.errors))
+    fit = s.fitter.fit(start, 0.3)
+    nothing = ranked(level=9.0).fit
+    old = Pool(s, 0.3, fits=(fit, nothing)).ranked()
+    new = renewed(old)
+    fitted, as_it_is = new.fits
+    assert about(old.best.fit) in new.done
+    assert not fitted.finished
+    assert as_it_is.finished
+    fitter = new.scene.fitter
+    there = fitter.at.at(fitted.columns.base)
+    assert fitted.level == pytest.approx(fitter.level(there), rel=1e-9)
+    (continued, *_) = finish.propose(new)
+    again = fitter.fit(continued.candidate, 0.3, renewals=continued.renewals)
+    assert again.level < 1.3
 
 
 def test_balances_of_joints_are_sets_by_themselves_and_together():

@@ -66,7 +66,7 @@ class Errors:
     def about(self, hypothesis: Hypothesis) -> "Errors":
         """The same with the noise model about a hypothesis."""
         other = Errors(self.problem.about(hypothesis), self.unknowns, self.chosen)
-        other._own = self._own  # type: ignore[misc]  # a cached property: of the model as it is
+        other.__dict__["_own"] = self._own  # of the model as it is
         return other
 
     def some(self, own: np.ndarray) -> "Errors":

@@ -272,11 +272,16 @@ class Evidence:
         return float(first + (len(members) - len(keys)) * np.log(FAULT_ODDS))
 
     def score(
-        self, members: Sequence[Member], reduced: _Reduced | None = None, spread: int | None = None
+        self,
+        members: Sequence[Member],
+        reduced: _Reduced | None = None,
+        spread: int | None = None,
+        most: tuple[int, int] | None = None,
     ) -> Score:
         """Evidence of a set, by `reduced` products, else those of all parts.
 
         `spread` is the place of the only spread of machines that counts; None for all of them.
+        `most` has the largest places of size and spread; None for no limit.
         """
         members = tuple(members)
         own = reduced or self.whole
@@ -315,6 +320,9 @@ class Evidence:
         usual = self.priors.usual(np.abs(values).max(axis=2, initial=0.0))
         if spread is not None:
             usual[:, np.arange(fits.shape[1]) != spread] = False
+        if most is not None:
+            usual &= np.array(self.places)[:, None] <= most[0]
+            usual[:, most[1] + 1 :] = False
         fits[~usual] = -np.inf
         grid = fits + log_members + self.odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)

@@ -26,6 +26,7 @@ from leglab.diagnosis.search.moves import (
 from leglab.diagnosis.search.pool import Aim, Found, Pool, Proposal, Scene, in_words
 from leglab.diagnosis.search.rank import Compared
 from leglab.diagnosis.search.regression import balanced_sets
+from leglab.diagnosis.search.renewal import about, renewed
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import EXPLAINED, SMALL
 
@@ -122,25 +123,20 @@ def _searched(
     elif not clear:
         as_it_is = first_order.begun(evidence, evidence.score(()))
         pool = _fitted(pool, Proposal("first order", as_it_is, "the model as it is", False), log)
-    if not clear:
-        pool = _renewed(pool.ranked(), log)
-    while not (pool := pool.ranked()).ended:
-        proposal = next((p for move in aim.moves for p in move(pool)), None)
+    pool = pool.ranked()
+    while aim.rivals and not clear and about(pool.best.fit) not in pool.done:
+        pool = _moved(renewed(pool), log)
+    return _moved(pool, log)
+
+
+def _moved(pool: Pool, log: Log) -> Pool:
+    """Fits the proposals of the moves until none is left."""
+    while not pool.ended:
+        proposal = next((p for move in pool.scene.aim.moves for p in move(pool)), None)
         if proposal is None:
             break
-        pool = _fitted(pool, proposal, log)
+        pool = _fitted(pool, proposal, log).ranked()
     return pool
-
-
-def _renewed(pool: Pool, log: Log) -> Pool:
-    """Takes the noise model about the most probable set: so its model carries start errors on."""
-    scene, best = pool.scene, pool.best.fit
-    fitter, fits = scene.fitter.renewed(best.columns.base, pool.fits, pool.kappa)
-    log(f"noise about {in_words(best.keys)}: {best.level:.3g} -> {fits[pool.fits.index(best)].level:.3g}")
-    first = fitter.with_defect_of(scene.fitter, scene.first)
-    return replace(
-        pool, scene=Scene(fitter, scene.aim, first, Compared(fitter)), fits=tuple(fits), erring=None
-    )
 
 
 def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:

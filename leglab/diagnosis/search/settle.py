@@ -84,6 +84,8 @@ class State:
     off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
     missed: float = 0.0  #: Sum of such errors since all tangents were taken [nats]
     most: np.ndarray | None = None  #: Largest steps of tangents, (single,)
+    #: Largest places of the model error's size and of the machines' spread; None for no limit.
+    places: tuple[int, int] | None = None
     turn: int = 0  #: Number of turns
     renewed: int = 0  #: Number of renewals of all tangents
     damping: float = 0.0  #: Of the last step
@@ -106,30 +108,6 @@ class Fitter:
         self._stiff = replace(priors, spreads=(spread,), tolerances=tolerances, covariance=None)
         self._sensors = at.problem.noise.whitening[at.chosen]
         self._of_noise: Spread | None = None
-
-    def renewed(self, hypothesis: Hypothesis, fits: Sequence[Fit], kappa: float) -> "tuple[Fitter, list[Fit]]":
-        """The fitter with the noise model about a hypothesis, and fits with it, to be continued."""
-        new = Fitter(self.at.about(hypothesis), self.priors, self.fixed)
-        return new, [new._judged_anew(fit, self, kappa) for fit in fits]
-
-    def _judged_anew(self, fit: Fit, old: "Fitter", kappa: float) -> Fit:
-        columns = self.with_defect_of(old, fit.columns)
-        spread = self.own_spread(columns.errors)
-        weight = self.weights(columns.errors, spread, fit.score.size)
-        evidence = self.evidence(columns, spread, weight, kappa)
-        score = evidence.score([(q, None) for q in fit.members])
-        return replace(
-            fit, columns=columns, spread=spread, weight=weight, score=score,
-            level=self.level(columns.errors), finished=not fit.members, unkept=0.0, gained=0.0,
-        )
-
-    def with_defect_of(self, old: "Fitter", columns: Columns) -> Columns:
-        """A linearisation by another fitter, with the defect of the time step as it is here."""
-        defects = (f.at.problem.noise.defect[f.at.chosen] for f in (self, old))
-        now, then = (d.reshape(len(d), -1) for d in defects)
-        errors = columns.errors.copy()
-        errors[:, : self.at.size] += now - then
-        return replace(columns, errors=errors)
 
     def level(self, errors: np.ndarray) -> float:
         """Median error of windows in noise levels of the sensors."""
@@ -213,7 +191,7 @@ class Fitter:
         state = turns.begin(new, kappa, beside=beside)
         while not state.ended:
             state = turns.step(state)
-        _, score = turns.judged(state)
+        _, score = turns.judged(replace(state, places=None))
         members, point, finished = new.members, state.point, state.ended != "unfinished"
         return Fit(
             members=members,
@@ -463,7 +441,7 @@ class _Turns:
         fitter = self.fitter
         priors = fitter._stiff if stiff else None
         made = fitter.evidence(s.point.columns, s.spread, s.weight, s.kappa, priors)
-        return made, made.score([(q, None) for q in self.members])
+        return made, made.score([(q, None) for q in self.members], most=s.places)
 
     def step(self, s: State) -> State:
         """Returns the state after another turn."""
@@ -480,6 +458,9 @@ class _Turns:
             evidence, score = self.judged(s, stiff=True)
         if not first:
             s = replace(s, most=evidence.visible(score))
+        if s.renewed:
+            # Both can only fall from here on: two of them in turn would have the fit go to and fro.
+            s = replace(s, places=(score.size, score.spread))
         # Damping begins one below that of the last step; with fresh tangents, and for members
         # alone, at none.
         begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)

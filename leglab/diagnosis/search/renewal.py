@@ -1,0 +1,60 @@
+"""Takes the noise model of a search anew: about the most probable set.
+
+Replays carry errors of start states on. Far from the unchanged model they grow otherwise than about
+it, and the right set would leave several noise levels.
+"""
+
+from collections.abc import Hashable
+from dataclasses import replace
+from itertools import repeat
+
+import numpy as np
+
+from leglab.diagnosis.likelihood.columns import Columns
+from leglab.diagnosis.search.pool import Pool, Scene
+from leglab.diagnosis.search.rank import Compared
+from leglab.diagnosis.search.settle import Fit, Fitter
+
+
+def about(fit: Fit) -> Hashable:
+    """Returns the key of a renewal about a set, which is done once."""
+    return "noise", fit.keys
+
+
+def renewed(pool: Pool) -> Pool:
+    """Returns a ranked pool with the noise model about its best set; fits are to be continued."""
+    scene, best = pool.scene, pool.best.fit
+    old = scene.fitter
+    new = Fitter(old.at.about(best.columns.base), old.priors, old.fixed)
+    now, then = (f.at.problem.noise.defect[f.at.chosen] for f in (new, old))
+    by = (now - then).reshape(len(now), -1)
+    here = Scene(new, scene.aim, _moved(scene.first, by), Compared(new))
+    columns = (_moved(fit.columns, by) for fit in pool.fits)
+    fits = tuple(map(_judged, repeat(new), pool.fits, columns, repeat(pool.kappa)))
+    done = pool.done | {about(best)}
+    return replace(pool, scene=here, fits=fits, done=done, erring=None).ranked()
+
+
+def _moved(columns: Columns, by: np.ndarray) -> Columns:
+    """Adds a change of the time step's defect, (windows, replayed rows), to the errors."""
+    errors = columns.errors.copy()
+    errors[:, : by.shape[1]] += by
+    return replace(columns, errors=errors)
+
+
+def _judged(fitter: Fitter, fit: Fit, columns: Columns, kappa: float) -> Fit:
+    """Judges a fit where it stands; that of a set of effects may go on from there."""
+    spread = fitter.own_spread(columns.errors)
+    weight = fitter.weights(columns.errors, spread, fit.score.size)
+    evidence = fitter.evidence(columns, spread, weight, kappa)
+    return replace(
+        fit,
+        columns=columns,
+        spread=spread,
+        weight=weight,
+        score=evidence.score([(q, None) for q in fit.members]),
+        level=fitter.level(columns.errors),
+        finished=not fit.members,
+        unkept=0.0,
+        gained=0.0,
+    )
