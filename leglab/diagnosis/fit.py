@@ -1,6 +1,7 @@
 """Fits parameters of the user's choice to recordings: least squares on replays, without a search.
 
-Bounds are the only prior. Errors of neighbouring windows are alike, so the covariance is that of
+Bounds are the only prior; commands of a recording that tells no simulation may act up to half a
+step early. Errors of neighbouring windows are alike, so the covariance is that of
 parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika 73, 13).
 """
 
@@ -175,6 +176,7 @@ class _Fitted:
         inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
         self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
+        self._early = self._half_a_step_early()
 
     def _bounds(self, place: tuple[Key, int], wanted: Wanted) -> tuple[float, float]:
         """Bounds that both the user and the effect allow [SI units]."""
@@ -201,7 +203,28 @@ class _Fitted:
     def _white(self, errors: np.ndarray) -> np.ndarray:
         """Weighted whitened errors, (windows, size)."""
         noise = self._problem.noise.whitening[self._errors.chosen]
-        return np.sqrt(self._weight)[:, None] * whitened(noise, errors[:, : self._errors.size])
+        own, early = (
+            np.sqrt(self._weight)[:, None] * whitened(noise, each[:, : self._errors.size])
+            for each in (errors, self._early)
+        )
+        # With I + e e' as the covariance of all windows together.
+        square = max(float((early**2).sum()), 1e-300)
+        return own - (1.0 - (1.0 + square) ** -0.5) / square * float((early * own).sum()) * early
+
+    def _half_a_step_early(self) -> np.ndarray:
+        """Change of the errors by commands that act half a step early, (windows, size).
+
+        As `Recording.command_lead` has it: a recording that tells no simulation may be of MuJoCo.
+        """
+        problem, errors = self._problem, self._errors
+        series, lead = problem.series, 0.5 * problem.machine.file_timestep
+        unknown = np.array([s.command_lead is None for s in series])[errors.recording]
+        change = problem.library.change(self._hypothesis(self._z), problem.replay.machine)
+        here, early = (
+            problem.replay.error(change, chosen=errors.chosen, lead=by).normalised
+            for by in (0.0, lead)
+        )
+        return np.asarray(unknown[:, None] * (early - here).reshape(len(here), -1))
 
     def _residual(self, z: np.ndarray) -> np.ndarray:
         return self._white(self._errors.at(self._hypothesis(z)))
@@ -240,6 +263,7 @@ class _Fitted:
         # Start errors spread as the fitted model carries them on.
         self._problem = self._problem.about(self._hypothesis(self._z))
         self._errors = Errors(self._problem, self._errors.unknowns, self._problem.fitted)
+        self._early = self._half_a_step_early()
 
     def _covariance(self) -> np.ndarray:
         """Of the departures, by parts of the recordings, (parameters, parameters)."""

@@ -24,7 +24,7 @@ from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.diagnosis.search.pool import Pool, Proposal, Scene
 from leglab.diagnosis.search.rank import Compared, Ranked
 from leglab.diagnosis.search.regression import Balanced
-from leglab.diagnosis.search.renewal import about, renewed
+from leglab.diagnosis.search.renewal import renewed, wanted
 from leglab.diagnosis.search.search import CAUSES, DESCRIPTION
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import COARSE, FRUITLESS, HOPELESS, NEAR
@@ -107,7 +107,8 @@ def test_the_right_set_leaves_noise_once_the_noise_is_taken_about_it():
     old = Pool(s, 0.3, fits=(fit, nothing)).ranked()
     new = renewed(old)
     fitted, as_it_is = new.fits
-    assert about(old.best.fit) in new.done
+    assert wanted(old)
+    assert not wanted(new)
     assert not fitted.finished
     assert as_it_is.finished
     fitter = new.scene.fitter

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.signal import savgol_coeffs
@@ -177,8 +176,7 @@ class Problem:
 
         The covariance of a window's errors is N + S P S' + D D': sensor noise of the bins, start-
         state errors of covariance P carried on by the sensitivity S of the predictions, from
-        replays with nudged starts, and the defect of the time step. S has a column for commands
-        whose lead is unknown. The defect is taken off as for a
+        replays with nudged starts, and the defect of the time step. That is taken off as for a
         machine, which has no step; a recording of the model itself has the error of its step, so
         that the defect is no evidence. `finer` is what half the time step changes in the errors.
         """
@@ -198,9 +196,6 @@ class Problem:
         for nudge, spread in self._nudges():
             moved = replay.error(change, nudge=nudge).values - reference
             directions.append(moved.reshape(-1, size) * (spread / nudge.size)[:, None])
-        if (lead := self._unknown_lead()).any():
-            moved = replay.error(change, lead=lead.max()).values - reference
-            directions.append(moved.reshape(-1, size) * (lead / lead.max())[:, None])
         together = zip(np.stack(directions, axis=2), variance.reshape(-1, size), strict=True)
         # One at a time: those of all windows take hundreds of megabytes.
         whitening = inverse_roots(moves @ moves.T + np.diag(own) for moves, own in together)
@@ -236,17 +231,6 @@ class Problem:
                 touched = replay.at_starts([cut.touched[joint] for cut in replay.cuts])
                 found.append((Nudge(cylinder, "bristle", size), np.where(touched, full, size)))
         return found
-
-    def _unknown_lead(self) -> np.ndarray:
-        """Spread of the lead of commands of native actuators [s], (windows,): half a step.
-
-        As `Recording.command_lead` has it. A recording that tells no simulation may be of MuJoCo.
-        """
-        model = self.machine.base.model
-        semi = mujoco.mjtIntegrator(model.opt.integrator) != mujoco.mjtIntegrator.mjINT_RK4
-        half = 0.5 * self.machine.file_timestep * bool(semi and self.machine.native_actuators())
-        unknown = [half * (one.command_lead is None) for one in self.series]
-        return np.array(unknown)[self.replay.recording]
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
         """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""

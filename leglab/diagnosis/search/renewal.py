@@ -14,11 +14,13 @@ from leglab.diagnosis.likelihood.columns import Columns
 from leglab.diagnosis.search.pool import Pool, Scene
 from leglab.diagnosis.search.rank import Compared
 from leglab.diagnosis.search.settle import Fit, Fitter
+from leglab.diagnosis.thresholds import EXPLAINED, HOPELESS
 
 
-def about(fit: Fit) -> Hashable:
-    """Returns the key of a renewal about a set, which is done once."""
-    return "noise", fit.keys
+def wanted(pool: Pool) -> bool:
+    """Tests whether noise counts in what the best set leaves, and was not taken about it before."""
+    best = pool.best.fit
+    return best.level < HOPELESS * EXPLAINED and _about(best) not in pool.done
 
 
 def renewed(pool: Pool) -> Pool:
@@ -31,8 +33,13 @@ def renewed(pool: Pool) -> Pool:
     here = Scene(new, scene.aim, _moved(scene.first, by), Compared(new))
     columns = (_moved(fit.columns, by) for fit in pool.fits)
     fits = tuple(map(_judged, repeat(new), pool.fits, columns, repeat(pool.kappa)))
-    done = pool.done | {about(best)}
+    done = pool.done | {_about(best)}
     return replace(pool, scene=here, fits=fits, done=done, erring=None).ranked()
+
+
+def _about(fit: Fit) -> Hashable:
+    """Returns the key of a renewal about a set, which is done once."""
+    return "noise", fit.keys
 
 
 def _moved(columns: Columns, by: np.ndarray) -> Columns:

@@ -26,7 +26,7 @@ from leglab.diagnosis.search.moves import (
 from leglab.diagnosis.search.pool import Aim, Found, Pool, Proposal, Scene, in_words
 from leglab.diagnosis.search.rank import Compared
 from leglab.diagnosis.search.regression import balanced_sets
-from leglab.diagnosis.search.renewal import about, renewed
+from leglab.diagnosis.search.renewal import renewed, wanted
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import EXPLAINED, SMALL
 
@@ -124,7 +124,7 @@ def _searched(
         as_it_is = first_order.begun(evidence, evidence.score(()))
         pool = _fitted(pool, Proposal("first order", as_it_is, "the model as it is", False), log)
     pool = pool.ranked()
-    while aim.rivals and not clear and about(pool.best.fit) not in pool.done:
+    while aim.rivals and not clear and wanted(pool):
         pool = _moved(renewed(pool), log)
     return _moved(pool, log)
 
