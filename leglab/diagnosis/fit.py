@@ -107,7 +107,8 @@ def fit(
     """
     began, settings = perf_counter(), settings or DiagnosisSettings()
     machine = model if isinstance(model, Machine) else Machine(model)
-    places = [_place(Library(machine), wanted) for wanted in parameters]
+    library = Library(machine)
+    places = [_place(library, wanted) for wanted in parameters]
     if twice := next(
         (w for w, p in zip(parameters, places, strict=True) if places.count(p) > 1), None
     ):
