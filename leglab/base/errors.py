@@ -1,7 +1,9 @@
 """The errors that users see as a line, not as a traceback."""
 
 import difflib
+import traceback
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Self
 
 
@@ -74,3 +76,10 @@ class SimulationError(LeglabError):
 
 class FileError(LeglabError):
     """A file or folder is not there, cannot be read or written, or has another format."""
+
+
+def origin(error: BaseException, file: str | None = None) -> str:
+    """Returns file and line where an error arose: the last line in `file`, else the last of all."""
+    frames = traceback.extract_tb(error.__traceback__)
+    at = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])
+    return f"{Path(at.filename).name}, line {at.lineno}"

@@ -3,13 +3,12 @@
 import json
 import sys
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from leglab.base import plugins
-from leglab.base.errors import LeglabError, SettingsError, SimulationError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError, origin
 
 # Takes and gives what JSON can hold.
 Work = Callable[[dict[str, Any]], Any]
@@ -124,7 +123,5 @@ def _found(work: Callable[[], Any]) -> dict[str, Any]:
         text = " ".join(str(error).split())
         return {"error": text, "kind": "refused", **{k: _plain(v) for k, v in told.items()}}
     except Exception as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
         text = " ".join(str(error).split())
-        place = f"{Path(last.filename).name}, line {last.lineno}"
-        return {"error": f"{type(error).__name__}: {text} ({place})", "kind": "exception"}
+        return {"error": f"{type(error).__name__}: {text} ({origin(error)})", "kind": "exception"}

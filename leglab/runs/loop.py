@@ -1,5 +1,6 @@
 """The closed loop: machine, sensors, controller and a scenario's changes, one period a step."""
 
+import inspect
 import math
 import time
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import numpy as np
 
 from leglab._native.loop import Reports
 from leglab._native.loop import Rows as RowTaker
-from leglab.base.errors import LeglabError, SettingsError, SimulationError
+from leglab.base.errors import LeglabError, SettingsError, SimulationError, origin
 from leglab.base.scenario import Scenario
 from leglab.control import (
     Controller,
@@ -213,9 +214,10 @@ class Loop:
             except LeglabError:
                 raise
             except Exception as error:  # Anybody's code: what was recorded until here is kept.
+                place = origin(error, inspect.getsourcefile(type(controller)))
                 raise SimulationError(
                     f"controller {self.settings.controller!r} failed at {measurement.time:.6g} s: "
-                    f"{type(error).__name__}: {error}",
+                    f"{type(error).__name__}: {error} ({place})",
                     given=self.settings.controller,
                 ) from error
         period = self.present

@@ -57,7 +57,8 @@ def phase_table(
     Returns:
         One dict a phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
         (95 % of the samples are no larger), each by joint and under "all", which pools the samples
-        of all joints. A phase that the run did not reach is left out.
+        of all joints. A phase that the run did not reach is left out, one that it did not finish
+        ends with the last sample.
 
     Raises:
         LeglabError: Shapes do not fit, or a joint is called "all".
@@ -74,7 +75,10 @@ def phase_table(
         raise ModelError(told, given="all")
     table = []
     for phase, part in _parts(time, phases):
-        row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": phase.end}
+        # The end of a run may come a period after its last sample.
+        last, period = float(time[-1]), float(time[-1] - time[-2]) if len(time) > 1 else np.inf
+        end = last if phase.end > last + 1.5 * period and part.stop == len(time) else phase.end
+        row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": end}
         row |= {key: by_joint(figure, error[part], joints) for key, figure in _FIGURES.items()}
         table.append(row)
     return table

@@ -94,7 +94,10 @@ def test_a_comparison_too_short_for_its_figure_is_made_all_the_same(folder, caps
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        (lambda: 1 / 0, "failed at 0.5 s: ZeroDivisionError: division by zero"),
+        (
+            lambda: 1 / 0,
+            "failed at 0.5 s: ZeroDivisionError: division by zero (test_bad_input.py, line ",
+        ),
         (lambda: "open", "gave str at 0.5 s, allowed is an array"),
         (lambda: np.array(["open"]), "gave an array of <U4 at 0.5 s, allowed are numbers"),
     ],
@@ -111,6 +114,8 @@ def test_a_controller_that_breaks_loses_nothing_recorded(capsys, monkeypatch, co
     assert f"controller 'pd' {told}" in errors
     assert errors.count("\n") == 1
     assert data.read("new/recording.parquet").duration == pytest.approx(0.5, abs=0.01)
+    (phase,) = json.loads(Path("new/metrics.json").read_text())["phases"]
+    assert phase["end"] == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_broken_file_does_not_end_the_index(folder, capsys):
