@@ -107,7 +107,9 @@ def test_the_right_set_leaves_noise_once_the_noise_is_taken_about_it():
     old = Pool(s, 0.3, fits=(fit, nothing)).ranked()
     new = renewed(old)
     fitted, as_it_is = new.fits
-    assert wanted(old)
+    levels = (1.0, 5.0, 50.0)
+    asked = [wanted(pool(ranked("viscous_friction", level=level))) for level in levels]
+    assert asked == [False, True, False]
     assert not wanted(new)
     assert not fitted.finished
     assert as_it_is.finished

@@ -18,9 +18,9 @@ from leglab.diagnosis.thresholds import EXPLAINED, HOPELESS
 
 
 def wanted(pool: Pool) -> bool:
-    """Tests whether noise counts in what the best set leaves, and was not taken about it before."""
+    """Tests whether the best set leaves a little more than noise, not taken about it before."""
     best = pool.best.fit
-    return best.level < HOPELESS * EXPLAINED and _about(best) not in pool.done
+    return EXPLAINED < best.level < HOPELESS * EXPLAINED and _about(best) not in pool.done
 
 
 def renewed(pool: Pool) -> Pool:
