@@ -27,7 +27,7 @@ DRIVES = "drives"
 # Metadata of a run: {"timestep": s, "integrator": MuJoCo's name} of the simulation that made it.
 SIMULATION = "simulation"
 # MuJoCo's integrators that move positions by the new velocity.
-SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
+_SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
 # Columns that a recording names in one line, and that its table in a notebook shows.
 _MOST_NAMES, _MOST_ROWS = 4, 40
 # Time stamps count as uniform while no interval leaves the median by more than this share: well
@@ -250,8 +250,8 @@ class Recording:
 
         They give positions all of a new command's velocity in its first step, where a machine's
         positions gain half of it: x += h v + h² a against h v + h² a / 2. MuJoCo's RK4 and a
-        machine have none. The simulation's step is in the metadata of a run of ours; None where
-        the metadata tell no simulation.
+        machine have none. The simulation's step is in the metadata of a run of ours; None if
+        the metadata name no simulation.
         """
         told: Any = self.metadata.get(SIMULATION)
         try:
@@ -260,7 +260,7 @@ class Recording:
             return None
         if integrator == "rk4":
             return 0.0
-        if integrator not in SEMI_IMPLICIT or not 0.0 < timestep <= self.time[-1] - self.time[0]:
+        if integrator not in _SEMI_IMPLICIT or not 0.0 < timestep <= self.time[-1] - self.time[0]:
             return None
         return 0.5 * min(timestep, float(np.median(np.diff(self.time))))
 

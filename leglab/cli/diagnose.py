@@ -146,8 +146,6 @@ def show_diagnosis(result: "Diagnosis", out: Path) -> None:
         print_table(table)
     for line in results.summary_lines(result):
         output.print(line, markup=False)
-    if not result.changed and (out / "improved.xml").exists():
-        tell("improved.xml is the model as it is")
     page = "diagnosis.json" if "diagnosis.html" in result.missing else "diagnosis.html"
     tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out / page}")
 

@@ -1,8 +1,9 @@
 """Fits parameters of the user's choice to recordings: least squares on replays, without a search.
 
-Bounds are the only prior; commands of a recording that tells no simulation may act up to half a
-step early. Errors of neighbouring windows are alike, so the covariance is that of
-parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika 73, 13).
+Bounds are the only prior. If the metadata of a recording name no simulation, its commands may act
+half a step early, with that standard deviation. Errors of neighbouring windows are alike, so the
+covariance is that of parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika
+73, 13).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -215,7 +216,7 @@ class _Fitted:
     def _half_a_step_early(self) -> np.ndarray:
         """Change of the errors by commands that act half a step early, (windows, size).
 
-        As `Recording.command_lead` has it: a recording that tells no simulation may be of MuJoCo.
+        Zero for recordings whose metadata name a simulation, see `Recording.command_lead`.
         """
         problem, errors = self._problem, self._errors
         series, lead = problem.series, 0.5 * problem.machine.file_timestep

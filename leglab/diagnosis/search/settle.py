@@ -459,7 +459,7 @@ class _Turns:
         if not first:
             s = replace(s, most=evidence.visible(score))
         if s.renewed:
-            # Both can only fall from here on: two of them in turn would have the fit go to and fro.
+            # From here on both sizes can only fall: alternating ones keep a fit oscillating.
             s = replace(s, places=(score.size, score.spread))
         # Damping begins one below that of the last step; with fresh tangents, and for members
         # alone, at none.
