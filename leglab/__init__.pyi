@@ -30,6 +30,7 @@ from .diagnosis.improve import write_improved as write_improved
 from .diagnosis.result import Diagnosis as Diagnosis
 from .diagnosis.search.pipeline import DiagnosisSettings as DiagnosisSettings
 from .diagnosis.verdict.verdict import diagnose as diagnose
+from .identification.structure import identify as identify
 from .machine.library import register_model as register_model
 from .machine.plugin import load_plugin as load_plugin
 from .machine.simulation import Simulation as Simulation

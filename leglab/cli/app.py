@@ -13,6 +13,7 @@ from leglab.cli.convert import convert, inspect
 from leglab.cli.diagnose import diagnose
 from leglab.cli.doctor import doctor
 from leglab.cli.fit import fit
+from leglab.cli.identify import identify
 from leglab.cli.improve import improve
 from leglab.cli.report import index, report, video
 from leglab.cli.run import compare, run, view
@@ -28,8 +29,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, sweep, query, benchmark, diagnose, improve, fit, convert, inspect, video, report,
-    index, view, run, list_names, tune, replicate, verify, parameters, doctor,
+    compare, sweep, query, benchmark, diagnose, improve, fit, identify, convert, inspect, video,
+    report, index, view, run, list_names, tune, replicate, verify, parameters, doctor,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command("list" if _command is list_names else None, cls=Command)(_command)

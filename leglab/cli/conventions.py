@@ -66,6 +66,10 @@ EXAMPLES = {
         "leglab fit axis.xml log.mcap --parameter slide:armature --parameter "
         "slide:coulomb_friction=0:50",
     ),
+    "identify": (
+        "leglab identify train.csv --test test.csv",
+        "leglab identify log.mat --input valve --output pressure --period 0.01",
+    ),
     "convert": (
         "leglab convert run.parquet run.mat",
         "leglab convert log.mcap run.parquet --columns map.toml",

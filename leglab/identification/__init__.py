@@ -2,7 +2,7 @@
 
 from leglab.identification.basis import Basis
 from leglab.identification.bsnn_arx import Bsnn, BsnnArx, BsnnArxSettings
-from leglab.identification.features import Constant, Hammerstein, Lags, Signal, Spline
+from leglab.identification.features import Constant, Hammerstein, Lags, Signal, Spline, Term
 from leglab.identification.front import Identifier
 from leglab.identification.settings import ChangeDetection, Guard, Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
@@ -24,6 +24,7 @@ __all__ = [
     "Spline",
     "SplineNarx",
     "SplineNarxSettings",
+    "Term",
     "load",
     "restore",
     "save",

@@ -1,11 +1,13 @@
 """Feature blocks of the deployed identifier's regressor, and the signals they are made of."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from leglab.identification import checks
 from leglab.identification.basis import Basis
-from leglab.identification.checks import a_number
+from leglab.identification.checks import a_number, a_whole
+
+Curve = Literal["power", "hinge", "sign"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,4 +113,39 @@ class Hammerstein(checks.Settings):
         checks.whole(f"count of lags of {self.signal!r}", self.count, least=1, most=1000)
 
 
-Feature = Lags | Constant | Spline | Hammerstein
+@dataclass(frozen=True, kw_only=True)
+class Term(checks.Settings):
+    """The feature g(x(t - lag)), alone or times another signal's lag.
+
+    Attributes:
+        signal: Name of x.
+        lag: Samples; at least 1 for the output.
+        curve: g: "power" is x^degree of the scaled x, "hinge" max(x - at, 0), "sign"
+            d / sqrt(d^2 + width^2) with d = x - at, a smooth sign.
+        degree: Of "power".
+        at: Of "hinge" and "sign", in units of x.
+        width: Of "sign", in units of x.
+        change: Takes the change x(t - lag) - x(t - lag - 1) in place of x: its sign is what
+            friction and hysteresis depend on. `at` is then in units of the change.
+        times: Optional (signal, lag) that multiplies g; a product of two lags is a power of
+            degree one times the other.
+    """
+
+    owner: ClassVar = "term"
+    signal: str
+    lag: int = 1
+    curve: Curve = "power"
+    degree: int = a_whole(1, least=1, most=5)
+    at: float = a_number(0.0)
+    width: float = a_number(0.0, least=0.0)
+    change: bool = False
+    times: tuple[str, int] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.whole(f"term lag of {self.signal!r}", self.lag, least=0, most=1000)
+        if self.times is not None:
+            checks.whole(f"factor lag of {self.times[0]!r}", self.times[1], least=0, most=1000)
+
+
+Feature = Lags | Constant | Spline | Hammerstein | Term

@@ -13,7 +13,16 @@ from leglab.base.errors import SettingsError
 from leglab.identification import checks, linear
 from leglab.identification.basis import Basis
 from leglab.identification.checks import a_number, a_whole
-from leglab.identification.features import Constant, Feature, Hammerstein, Lags, Signal, Spline
+from leglab.identification.features import (
+    Constant,
+    Curve,
+    Feature,
+    Hammerstein,
+    Lags,
+    Signal,
+    Spline,
+    Term,
+)
 from leglab.identification.front import Array, Identifier
 from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
 
@@ -37,6 +46,11 @@ class ParameterBlock:
     factor_signal: int = -1
     factor_lag: int = 0
     learning_constant: float = 0.0
+    curve: Curve = "power"
+    degree: int = 1
+    at: float = 0.0
+    width: float = 0.0
+    change: bool = False
 
     @property
     def count(self) -> int:
@@ -68,6 +82,8 @@ class SplineNarxSettings(checks.Settings):
             takes a quarter of the output's range.
         pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
             inside after each update. 0 allows any.
+        free_run_limits: The model's own output is held within them in validation and free run
+            (in units of the output), as a stop or an overflow holds the machine's; None: any.
         scalar: Arithmetic of the core.
     """
 
@@ -80,6 +96,7 @@ class SplineNarxSettings(checks.Settings):
     output_error_after: int = a_whole(0, least=0)
     resynchronise_above: float | None = None
     pole_limit: float = a_number(0.0, least=0.0, most=1.0)
+    free_run_limits: tuple[float, float] | None = None
     scalar: Scalar = "float64"
 
     def __post_init__(self) -> None:
@@ -97,6 +114,8 @@ class SplineNarxSettings(checks.Settings):
         object.__setattr__(self, "resynchronise_above", threshold)
         checks.number("resynchronise_above", threshold, above=0.0)
         self.guard.check_inputs(len(self.inputs))
+        if self.free_run_limits is not None:
+            checks.interval("free_run_limits", self.free_run_limits)
         for block in self.blocks:
             self._check(block)
         count = sum(block.count + block.weights for block in self.blocks)
@@ -120,7 +139,7 @@ class SplineNarxSettings(checks.Settings):
     @cached_property
     def lags(self) -> int:
         """Samples of history the regressor reaches back."""
-        return max(1, *(max(b.lag + b.lags - 1, b.factor_lag) for b in self.blocks))
+        return max(1, *(max(b.lag + b.lags - 1 + b.change, b.factor_lag) for b in self.blocks))
 
     def _index(self, name: str) -> int:
         if name not in self.names:
@@ -134,6 +153,21 @@ class SplineNarxSettings(checks.Settings):
         if isinstance(feature, Lags):
             return ParameterBlock("lags", index, feature.first, feature.count)
         signal = self.signals[index]
+        if isinstance(feature, Term):
+            centre = 0.0 if feature.change else signal.centre
+            name, lag = feature.times or (None, 0)
+            return ParameterBlock(
+                "term",
+                index,
+                feature.lag,
+                factor_signal=-1 if name is None else self._index(name),
+                factor_lag=lag,
+                curve=feature.curve,
+                degree=feature.degree,
+                at=(feature.at - centre) / signal.half_range,
+                width=feature.width / signal.half_range,
+                change=feature.change,
+            )
         knots = [(k - signal.centre) / signal.half_range for k in feature.basis.knots]
         basis = replace(feature.basis, knots=tuple(knots))
         if isinstance(feature, Hammerstein):
@@ -213,6 +247,8 @@ class SplineNarx(Identifier):
                 if block.factor_signal >= 0:
                     value = _value(block.basis, theta, point[block.signal], 0)
                     gains[block.factor_signal, block.factor_lag] += value
+            elif block.feature == "term":
+                _add_term(gains, block, float(theta[0]), point if at is not None else None)
         scale = np.array([signal.half_range for signal in signals])
         return gains * (scale[0] / scale[:, None])
 
@@ -267,6 +303,31 @@ class SplineNarx(Identifier):
             own, theta = np.split(theta, [block.count])
             own_weights, weights = np.split(weights, [block.weights])
             yield block, own, own_weights
+
+
+def _add_term(
+    gains: Array, block: ParameterBlock, theta: float, point: NDArray[np.float64] | None
+) -> None:
+    """Adds the gains of a term; without a point those of terms that are linear alone."""
+    linear = block.curve == "power" and block.degree == 1 and block.factor_signal < 0
+    if point is None and not linear:
+        return
+    x = 0.0 if point is None or block.change else point[block.signal]
+    d = x - block.at
+    if block.curve == "power":
+        value, slope = x**block.degree, block.degree * x ** (block.degree - 1)
+    elif block.curve == "hinge":
+        value, slope = max(d, 0.0), float(d > 0)
+    else:
+        root = np.hypot(d, block.width)
+        value = d / root if root > 0 else 0.0
+        slope = (1 - value**2) / root if root > 0 else 0.0
+    factor = 1.0 if block.factor_signal < 0 or point is None else point[block.factor_signal]
+    gains[block.signal, block.lag] += theta * slope * factor
+    if block.change:
+        gains[block.signal, block.lag + 1] -= theta * slope * factor
+    if block.factor_signal >= 0:
+        gains[block.factor_signal, block.factor_lag] += theta * value
 
 
 def _value(basis: Basis, weights: Array, at: float, derivative: int) -> float:

@@ -49,7 +49,7 @@ def save(identifier: Identifier, path: str | Path) -> None:
     header = {
         "model": type(identifier).__name__,
         "joints": identifier.joints,
-        "settings": _encode(identifier.settings),
+        "settings": encode(identifier.settings),
         "state_version": native.STATE_VERSION,
         "byte_order": sys.byteorder,
         "size": len(state),
@@ -112,7 +112,7 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
         if header["model"] not in _MODELS:
             raise FileError.unknown("model", header["model"], _MODELS)
         checks.whole("joints", header["joints"], least=1)
-        header["settings"] = _decode(header["settings"])
+        header["settings"] = decode(header["settings"])
         size, digest = header["size"], header["sha256"]
         layout = (header["state_version"], header["byte_order"])
     except LeglabError as error:
@@ -158,19 +158,21 @@ def _set_state(identifier: Identifier, state: bytes, path: str | Path) -> None:
         raise FileError(f"{path} is damaged: {error} cannot be", given=path) from None
 
 
-def _encode(value: Any) -> Any:
+def encode(value: Any) -> Any:
+    """Settings as JSON holds them."""
     if dataclasses.is_dataclass(value):
-        fields = {f.name: _encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        fields = {f.name: encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"type": type(value).__name__, **fields}
     if isinstance(value, tuple):
-        return [_encode(item) for item in value]
+        return [encode(item) for item in value]
     return value
 
 
-def _decode(value: Any) -> Any:
+def decode(value: Any) -> Any:
+    """What `encode` was given."""
     if isinstance(value, dict):
-        fields = {name: _decode(item) for name, item in value.items() if name != "type"}
+        fields = {name: decode(item) for name, item in value.items() if name != "type"}
         return _PARTS[value["type"]](**fields)
     if isinstance(value, list):
-        return tuple(_decode(item) for item in value)
+        return tuple(decode(item) for item in value)
     return value

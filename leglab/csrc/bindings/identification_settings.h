@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <deque>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -134,7 +135,9 @@ template <class T>
 id::Block<T> read_block(nb::handle settings, Store<T>& store) {
   id::Block<T> out;
   out.feature =
-      choice<id::Feature>(settings, "feature", {"lags", "constant", "spline", "hammerstein"});
+      choice<id::Feature>(settings, "feature", {"lags", "constant", "spline", "hammerstein", "term"});
+  out.curve = choice<id::Curve>(settings, "curve", {"power", "hinge", "sign"});
+  LEGLAB_READ_4(degree, at, width, change)
   LEGLAB_READ_3(signal, lag, lags)
   LEGLAB_READ_3(factor_signal, factor_lag, learning_constant)
   const nb::object basis = settings.attr("basis");
@@ -163,6 +166,12 @@ id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   out.rls = read_rls<T>(settings.attr("rls"));
   out.guard = read_guard<T>(settings.attr("guard"));
   LEGLAB_READ_3(output_error_after, resynchronise_above, pole_limit)
+  const nb::object limits = settings.attr("free_run_limits");
+  if (!limits.is_none()) {
+    const auto ends = nb::cast<std::vector<double>>(limits);
+    out.lower = out.output.apply(T(ends.at(0)));
+    out.upper = out.output.apply(T(ends.at(1)));
+  }
   out.resynchronise_above /= out.output.half_range;
   const T plausible = get<T>(settings, "plausible_range");
   out.guard.output_centre = out.output.centre;

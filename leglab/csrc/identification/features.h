@@ -12,6 +12,14 @@ enum class Feature : int {
   constant,     // 1
   spline,       // N_i(x(t - lag)), optionally times another signal's lag
   hammerstein,  // n(t - lag), n(t - lag - 1), ... with n = sum_i w_i N_i(x)
+  term,         // g(x(t - lag)), optionally of the change of x and times another signal's lag
+};
+
+// g of a term, with d = x - at.
+enum class Curve : int {
+  power,  // x^degree
+  hinge,  // max(d, 0)
+  sign,   // d / sqrt(d^2 + width^2)
 };
 
 // Signal 0 is the output, whose lags start at 1; signals 1, 2, ... are the inputs.
@@ -22,21 +30,49 @@ struct Block {
   int lag = 0;
   int lags = 1;  // number of them, of lags and hammerstein
   QuadraticBasis<T> basis;
-  int factor_signal = -1;  // of spline; -1: none
+  int factor_signal = -1;  // of spline and term; -1: none
   int factor_lag = 0;
   T learning_constant = T(0);  // of hammerstein
+  Curve curve = Curve::power;  // of term, and all below
+  int degree = 1;
+  T at = T(0);
+  T width = T(0);
+  bool change = false;  // of x(t - lag) - x(t - lag - 1)
 
   int count() const {
     return feature == Feature::spline ? basis.count : feature == Feature::constant ? 1 : lags;
   }
   int locals() const {
-    return feature == Feature::spline ? 1 : feature == Feature::hammerstein ? lags : 0;
+    const bool one = feature == Feature::spline || feature == Feature::term;
+    return one ? 1 : feature == Feature::hammerstein ? lags : 0;
   }
   int weights() const { return feature == Feature::hammerstein ? basis.count : 0; }
   int deepest() const {
     const int last = feature == Feature::constant ? 0
-                     : feature == Feature::spline ? lag : lag + lags - 1;
+                     : feature == Feature::spline ? lag : lag + lags - 1 + change;
     return factor_signal >= 0 ? larger(last, factor_lag) : last;
+  }
+
+  // g and its slope at x.
+  void bend(T x, T& value, T& slope) const {
+    const T d = x - at;
+    switch (curve) {
+      case Curve::power:
+        slope = T(degree);
+        for (int k = 1; k < degree; ++k) slope *= x;
+        value = slope * x / T(degree);
+        break;
+      case Curve::hinge:
+        slope = d > T(0) ? T(1) : T(0);
+        value = slope * d;
+        break;
+      case Curve::sign: {
+        const T root = square_root(d * d + width * width);
+        value = root > T(0) ? d / root : T(0);
+        slope = root > T(0) ? (T(1) - value * value) / root : T(0);
+        break;
+      }
+    }
   }
 };
 
@@ -128,6 +164,16 @@ class Features {
           }
           weights += basis.count;
           break;
+        case Feature::term: {
+          T x = past.at(block.signal, block.lag);
+          if (block.change) x -= past.at(block.signal, block.lag + 1);
+          block.bend(x, local->value[0], local->slope[0]);
+          const T factor =
+              block.factor_signal < 0 ? T(1) : past.at(block.factor_signal, block.factor_lag);
+          set(at, local->value[0] * factor);
+          ++local;
+          break;
+        }
       }
       at += block.count();
     }
@@ -138,6 +184,7 @@ class Features {
     const LocalBasis<T>* local = local_;
     for (const Block<T>& block : structure_) {
       for (int k = 0; k < block.locals(); ++k, ++local) {
+        if (block.feature == Feature::term) continue;
         if (local->first < 0 || local->first > block.basis.count - 3) return "place of a spline";
       }
     }
@@ -169,6 +216,15 @@ class Features {
           slope[block.lag] += plain ? rise : rise * past.at(block.factor_signal, block.factor_lag);
         }
         if (block.factor_signal == 0) slope[block.factor_lag] += value;
+      } else if (block.feature == Feature::term) {
+        const bool plain = block.factor_signal < 0;
+        if (block.signal == 0) {
+          const T factor = plain ? T(1) : past.at(block.factor_signal, block.factor_lag);
+          const T rise = theta[0] * local->slope[0] * factor;
+          slope[block.lag] += rise;
+          if (block.change) slope[block.lag + 1] -= rise;
+        }
+        if (block.factor_signal == 0) slope[block.factor_lag] += theta[0] * local->value[0];
       }
       theta += block.count();
       local += block.locals();

@@ -18,11 +18,21 @@ constexpr T larger(T a, T b) {
   return a < b ? b : a;
 }
 
+// NaN becomes the lower end.
+template <class T>
+constexpr T clamp(T x, T lower, T upper) {
+  return x > lower ? smaller(x, upper) : lower;
+}
+
 // NaN and the infinities are the only values whose difference with themselves is not zero.
 template <class T>
 constexpr bool is_finite(T x) {
   return x - x == T(0);
 }
+
+// Correctly rounded on every machine that has the instruction.
+inline double square_root(double x) { return __builtin_sqrt(x); }
+inline float square_root(float x) { return __builtin_sqrtf(x); }
 
 // Whether all of `count` values are finite.
 template <class T>

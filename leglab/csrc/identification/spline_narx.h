@@ -29,6 +29,8 @@ struct SplineNarxSettings {
   int output_error_after = 0;       // learned samples until the output-error stage; 0: never
   T resynchronise_above = T(0.5);   // simulation error that restarts the simulation (scaled)
   T pole_limit = T(0);              // largest pole radius of the lags of y; 0: any
+  T lower = T(-1e30);  // the model's own output never leaves these in free run (scaled)
+  T upper = T(1e30);
 };
 
 template <class T>
@@ -122,7 +124,9 @@ class SplineNarx {
 
   // Prediction without learning, and the output that is to stand for y(t) afterwards; for
   // validation and free run on a copy of the workspace.
-  T predict_next(const T* u) { return settings_.output.undo(expect(u)); }
+  T predict_next(const T* u) {
+    return settings_.output.undo(clamp(expect(u), settings_.lower, settings_.upper));
+  }
   void remember(T y) { remember_scaled(settings_.output.apply(y)); }
 
   // Prediction of the next output for an input that is not taken; changes nothing.

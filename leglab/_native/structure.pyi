@@ -1,0 +1,20 @@
+"""Free runs from many starts; the front-end checks what it passes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from numpy import float64, int64
+from numpy.typing import NDArray
+
+Array = NDArray[float64]
+
+class Runs:
+    """A model, further features, and one record."""
+
+    def __init__(self, settings: Any, further: Sequence[Any], u: Array, y: Array) -> None: ...
+    @property
+    def depth(self) -> int: ...
+    def simulate(self, theta: Array, start: int, length: int) -> Array: ...
+    def sums(
+        self, theta: Array, starts: NDArray[int64], lengths: NDArray[int64], sensitivities: bool
+    ) -> tuple[float, int, Array, Array, Array]: ...

@@ -1,0 +1,171 @@
+"""`leglab identify`: a model of anyone's data."""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from leglab.base.errors import LeglabError
+from leglab.base.output import check_apart, new_folder
+from leglab.cli.options import Columns, From, Json, Overwrite, Salvage, To, check_jobs
+from leglab.cli.terminal import complain, plain_table, print_json, print_wide, progress, tell
+
+if TYPE_CHECKING:
+    from leglab.base.recording import Recording
+    from leglab.identification.structure import Identified
+
+
+def identify(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DATA...",
+            help="Recordings to learn from: .csv, .parquet, .mat, .npz, .mcap.",
+        ),
+    ],
+    input_: Annotated[
+        list[str] | None,
+        typer.Option("--input", metavar="COLUMN", help="Input, repeatable; default: u..."),
+    ] = None,
+    output_: Annotated[
+        list[str] | None,
+        typer.Option("--output", metavar="COLUMN", help="Output, repeatable; default: y..."),
+    ] = None,
+    test: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recording to test with, repeatable; nothing is chosen by it."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/identify"),
+    period: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Resample to this period; default: that of the data."),
+    ] = None,
+    columns: Columns = None,
+    since: From = None,
+    until: To = None,
+    salvage: Salvage = False,
+    jobs: Annotated[int, typer.Option(help="Threads; -1: one a core.")] = -1,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Identifies a dynamic model from measured inputs and outputs; nothing has to be chosen.
+
+    Delays, lags and nonlinear features are chosen by the free run over parts of the data that no
+    fit has seen; linear models are always among the candidates. Writes identify.json, a page, the
+    model (model.leglab, which goes on learning online) and a C header. An interrupted search goes
+    on where it was.
+    """
+    from leglab.identification.structure import identify as run_identify
+    from leglab.identification.structure.journal import Journal
+    from leglab.identification.structure.signals import signals_of
+    from leglab.jobs.fingerprint import own_fingerprint
+    from leglab.report.identification import output as results
+
+    check_jobs(jobs)
+    check_apart(out, [*recordings, *(test or [])])
+    span = (since, until)
+    learned = _read(recordings, columns, span, salvage)
+    tested = _read(test or [], columns, span, salvage)
+    inputs, outputs = tuple(input_ or ()), tuple(output_ or ())
+    # What is wrong with the data is said before anything is made.
+    signals_of(learned, inputs, outputs, period=period)
+    made = ("identify.html", *(f"{n}{e}" for n in _stems(outputs) for e in (".leglab", ".h")))
+    with new_folder(out, mark=results.RESULT, made=made, overwrite=overwrite) as folder:
+        place = Path(os.path.realpath(out))
+        key = _digest(learned, inputs, outputs, period, own_fingerprint())
+        journal = Journal(place.with_name(f".{place.name}.search"), key)
+        if journal.kept:
+            count = sum(map(len, journal.kept.values()))
+            complain(f"{count} structures of an interrupted search are taken over", "warning")
+        with progress("identify") as show:
+            models = run_identify(
+                learned,
+                inputs=inputs,
+                outputs=outputs,
+                tests=tested or None,
+                period=period,
+                jobs=(os.cpu_count() or 1) if jobs == -1 else jobs,
+                progress=lambda n, total, stage: show(description=stage, completed=n, total=total),
+                kept=journal.kept,
+                keep=journal.keep,
+            )
+            show(description="writing")
+            missing = results.write_all(models, folder)
+    journal.done()
+    for name, why in missing.items():
+        complain(f"{name} is missing: {why}", "warning")
+    if as_json:
+        print_json(results.summary(models))
+        return
+    for found in models.values():
+        _show(found)
+    tell(f"written to {out}: {results.PAGE}, {results.RESULT}, the model and its C header")
+
+
+def _stems(outputs: Sequence[str]) -> list[str]:
+    return ["model", *(f"model_{name}" for name in outputs)]
+
+
+def _read(
+    paths: Sequence[Path],
+    columns: Path | None,
+    span: tuple[float | None, float | None],
+    salvage: bool,
+) -> "dict[str, Recording]":
+    """Recordings by name; rows without a time count as seconds."""
+    from leglab import data
+    from leglab.data.checks import to_recording
+
+    out: dict[str, Recording] = {}
+    for path in paths:
+        tables = data.read_tables(path, columns=columns, partial=True, timed=False, salvage=salvage)
+        for name, (table, metadata) in tables.items():
+            source = f"{path.name}: {name}" if name else path.name
+            if "time" not in table:
+                import numpy as np
+
+                complain(f"{source} has no time: a sample counts as 1 s", "warning")
+                length = len(next(iter(table.values()), ()))
+                table = {"time": np.arange(length, dtype=float), **table}
+            recording = to_recording(table, metadata, source=str(path), repair=True)
+            for column, why in metadata.get("unreadable", {}).items():
+                complain(f"{source}: {column!r} is left out: {why}", "warning")
+            if span != (None, None):
+                try:
+                    recording = recording.between(*span)
+                except LeglabError as error:
+                    raise error.at(path) from error
+            while source in out:
+                source += "'"
+            out[source] = recording
+    return out
+
+
+def _digest(
+    recordings: "Mapping[str, Recording]",
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float | None,
+    code: str,
+) -> str:
+    digest = hashlib.sha256(repr((inputs, outputs, period, code)).encode())
+    for name, recording in recordings.items():
+        digest.update(name.encode())
+        digest.update(recording.time.tobytes())
+        for column, values in recording.columns.items():
+            digest.update(column.encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+def _show(found: "Identified") -> None:
+    from leglab.report.identification import output as results
+
+    tell(results.headline(found))
+    for section in results.sections(found):
+        for line in section.lines:
+            tell(f"{section.title}: {line}")
+    table = results.errors_table(found)
+    print_wide(plain_table(table.head, table.rows))

@@ -1,0 +1,193 @@
+// Free run of a model over stretches of a record, each from its measured start, and the sums from
+// which a Gauss-Newton step and the ranking of further features are made.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "identification/features.h"
+
+namespace leglab::identification {
+
+// Wide instructions where the machine has them. Each element is computed by itself and nothing is
+// fused, so the bits are the same without.
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && !defined(__SANITIZE_ADDRESS__)
+#define LEGLAB_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define LEGLAB_WIDE
+#endif
+
+// to += factor * from.
+LEGLAB_WIDE inline void add_scaled(double* __restrict to, const double* __restrict from,
+                                   double factor, int count) {
+  for (int i = 0; i < count; ++i) to[i] += factor * from[i];
+}
+
+// to[i, j] += factors[i] * factors[j], of which the first square is a lower triangle.
+LEGLAB_WIDE inline void add_products(double* __restrict to, const double* __restrict factors,
+                                     int rows, int columns) {
+  for (int i = 0; i < rows; ++i, to += columns) {
+    const int last = i < columns ? i + 1 : columns;
+    const double factor = factors[i];
+    for (int j = 0; j < last; ++j) to[j] += factor * factors[j];
+  }
+}
+
+// Scaled signals: the output, which may have gaps (NaN), and the inputs one behind the other.
+template <class T>
+struct Record {
+  const T* output = nullptr;
+  const T* inputs = nullptr;
+  int samples = 0;
+};
+
+// With psi = d y / d theta of the model's own output y, and for features that the model lacks the
+// sensitivity that they would have (theta zero). `width` counts both, the model's first.
+template <class T>
+struct Sums {
+  std::vector<T> products;  // (width, parameters): sum of psi_i psi_j
+  std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
+  std::vector<T> squares;   // lower triangles of sum of psi_i psi_j within each further block
+  T error = T(0);           // sum of squared errors
+  std::size_t count = 0;    // of samples
+};
+
+template <class T>
+class FreeRun {
+ public:
+  FreeRun(const Structure<T>& model, const Structure<T>& further, T lower, T upper)
+      : model_(model), further_(further), lower_(lower), upper_(upper) {
+    depth_ = larger(model.depth(), further.depth());
+    parameters_ = model.parameters();
+    width_ = parameters_ + further.parameters();
+    Workspace measuring;
+    lay_out(measuring);
+    block_.resize(measuring.used() / sizeof(Line) + 1);
+    Workspace workspace(block_[0].bytes);
+    lay_out(workspace);
+    std::size_t triangles = 0;
+    for (const Block<T>& block : further_) triangles += triangle(block.count());
+    sums_.squares.resize(triangles);
+    sums_.products.resize(std::size_t(width_) * std::size_t(parameters_));
+    sums_.gradient.resize(std::size_t(width_));
+  }
+
+  int depth() const { return depth_; }
+  int width() const { return width_; }
+  int parameters() const { return parameters_; }
+  const Sums<T>& sums() const { return sums_; }
+
+  void clear() {
+    for (auto* part : {&sums_.products, &sums_.gradient, &sums_.squares}) {
+      for (T& value : *part) value = T(0);
+    }
+    sums_.error = T(0);
+    sums_.count = 0;
+  }
+
+  // Simulates samples start ... start + length - 1 (start >= depth); writes the outputs where
+  // `simulated` is given, and adds to the sums, without those of sensitivities if not wanted.
+  void run(const Record<T>& record, int start, int length, const T* theta, bool sensitivities,
+           T* simulated = nullptr) {
+    const int inputs = model_.inputs;
+    for (int k = 1; k <= depth_; ++k) past_.output[k] = record.output[start - k];
+    for (int j = 0; j < inputs; ++j) {
+      for (int k = 1; k <= depth_; ++k) {
+        past_.inputs[j * (depth_ + 1) + k - 1] = record.inputs[j * record.samples + start - k];
+      }
+    }
+    for (int i = 0; i < (depth_ + 1) * width_; ++i) psi_[i] = T(0);
+    newest_ = 0;
+    for (int t = start; t < start + length; ++t) {
+      for (int j = 0; j < inputs; ++j) {
+        push(past_.inputs + j * (depth_ + 1), depth_, record.inputs[j * record.samples + t]);
+      }
+      const T own = step(theta, sensitivities);
+      const T error = record.output[t] - own;
+      if (simulated != nullptr) simulated[t - start] = own;
+      if (is_finite(error)) {
+        sums_.error += error * error;
+        ++sums_.count;
+        if (sensitivities) add(error);
+      }
+      past_.output[0] = own;
+      push(past_.output, depth_, own);
+    }
+  }
+
+ private:
+  struct alignas(Workspace::alignment) Line {
+    std::byte bytes[Workspace::alignment];
+  };
+  static std::size_t triangle(int n) { return std::size_t(n) * std::size_t(n + 1) / 2; }
+
+  void lay_out(Workspace& workspace) {
+    features_.layout(workspace, model_);
+    further_features_.layout(workspace, further_);
+    past_.depth = depth_;
+    past_.output = workspace.take<T>(depth_ + 1);
+    past_.inputs = workspace.take<T>((depth_ + 1) * model_.inputs);
+    slope_ = workspace.take<T>(depth_ + 1);
+    psi_ = workspace.take<T>(width_ * (depth_ + 1));
+  }
+
+  // Output of the model at this sample; fills row(0), its sensitivities:
+  // psi(t) = phi(t) + sum_k d y(t) / d y(t - k) psi(t - k), zero where the output is held.
+  T step(const T* theta, bool sensitivities) {
+    features_.template build<true>(past_, nullptr);
+    const T free = features_.predict(theta);
+    const T own = clamp(free, lower_, upper_);
+    if (!sensitivities) return own;
+    newest_ = newest_ == 0 ? depth_ : newest_ - 1;
+    T* psi = row(0);
+    if (own != free) {
+      for (int i = 0; i < width_; ++i) psi[i] = T(0);
+      return own;
+    }
+    features_.output_slopes(theta, past_, slope_);
+    for (int i = 0; i < parameters_; ++i) psi[i] = features_.phi()[i];
+    if (width_ > parameters_) {
+      further_features_.build(past_, nullptr);
+      for (int i = parameters_; i < width_; ++i) psi[i] = further_features_.phi()[i - parameters_];
+    }
+    for (int k = 1; k <= depth_; ++k) {
+      if (slope_[k] == T(0)) continue;
+      add_scaled(psi, row(k), slope_[k], width_);
+    }
+    for (int i = 0; i < width_; ++i) {  // an unstable model: its sensitivities tell nothing
+      if (!(magnitude(psi[i]) < T(1e12))) psi[i] = T(0);
+    }
+    return own;
+  }
+
+  void add(T error) {
+    const T* psi = row(0);
+    add_scaled(sums_.gradient.data(), psi, error, width_);
+    // Of the model's own parameters the lower triangle: the other is the same.
+    add_products(sums_.products.data(), psi, width_, parameters_);
+    const T* own = psi + parameters_;
+    T* squares = sums_.squares.data();
+    for (const Block<T>& block : further_) {
+      const int count = block.count();
+      for (int i = 0; i < count; ++i) {
+        for (int j = 0; j <= i; ++j) *squares++ += own[i] * own[j];
+      }
+      own += count;
+    }
+  }
+
+  // Sensitivities `lag` samples ago.
+  T* row(int lag) { return psi_ + ((newest_ + lag) % (depth_ + 1)) * width_; }
+
+  Structure<T> model_, further_;
+  T lower_, upper_;
+  int depth_ = 0, parameters_ = 0, width_ = 0, newest_ = 0;
+  std::vector<Line> block_;
+  Features<T> features_, further_features_;
+  History<T> past_;
+  T* slope_ = nullptr;
+  T* psi_ = nullptr;  // [place][parameter], a ring
+  Sums<T> sums_;
+};
+
+}  // namespace leglab::identification

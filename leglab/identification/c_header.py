@@ -1,0 +1,172 @@
+"""A model as a C header: one step and free run, without heap or library, for a microcontroller."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from leglab.base.errors import SettingsError
+from leglab.identification.spline_narx import ParameterBlock, SplineNarx
+
+_HEAD = """\
+/* {output} from {inputs}, sampled every {period:.9g} s. Made by leglab identify.
+ *
+ *   {name}_state s = {{0}};
+ *   double u[{count}] = {{...}};
+ *   double y = {name}_predict(&s, u);   prediction of y(t), from y up to t - 1 and u up to t
+ *   {name}_put(&s, y);                  for a free run; or the measured y(t)
+ */
+#ifndef LEGLAB_{upper}_H
+#define LEGLAB_{upper}_H
+#include <math.h>
+
+#define {upper}_INPUTS {count}
+#define {upper}_LAGS {lags}
+
+typedef struct {{
+  double y[{upper}_LAGS + 1];
+  double u[{upper}_INPUTS][{upper}_LAGS + 1];
+}} {name}_state;
+
+static inline double {name}_predict({name}_state *s, const double *u) {{
+  static const double centre[] = {{{centres}}};
+  static const double half[] = {{{halves}}};
+  for (int j = 0; j < {upper}_INPUTS; ++j) {{
+    for (int k = {upper}_LAGS; k > 0; --k) s->u[j][k] = s->u[j][k - 1];
+    s->u[j][0] = (u[j] - centre[j + 1]) / half[j + 1];
+  }}
+  double sum = 0.0;
+"""
+_TAIL = """\
+  const double y = centre[0] + half[0] * sum;
+  return {held};
+}}
+
+static inline void {name}_put({name}_state *s, double y) {{
+  for (int k = {upper}_LAGS; k > 1; --k) s->y[k] = s->y[k - 1];
+  s->y[1] = (y - {centre}) / {half};
+}}
+
+#endif
+"""
+_SPLINE = """\
+  {{  /* curve of {x} */
+    static const double from[] = {{{ends}}};
+    static const double c[][3] = {{{pieces}}};
+    double x = {x}, inside = x < from[0] ? from[0] : x > from[{last}] ? from[{last}] : x;
+    int i = 0;
+    while (i < {most} && inside >= from[i + 1]) ++i;
+    const double d = inside - from[i];
+    double value = c[i][0] + d * (c[i][1] + d * c[i][2]);
+    value += (x - inside) * {slope};
+    sum += value{factor};
+  }}
+"""
+
+
+def c_header(model: SplineNarx, name: str, period: float) -> str:
+    """Returns the header.
+
+    Args:
+        model: Of lags, terms, curves and a constant; its present parameters.
+        name: What functions and types begin with; signs that C forbids become _.
+        period: Sampling period [s], for the comment.
+
+    Raises:
+        SettingsError: The model has a feature that adapts itself (Hammerstein).
+    """
+    settings = model.settings
+    name = re.sub(r"\W", "_", name)
+    name = name if re.match(r"[A-Za-z_]", name) else f"m_{name}"
+    signals = settings.signals
+    words = {
+        "name": name,
+        "upper": name.upper(),
+        "lags": model.lags,
+        "count": len(settings.inputs),
+        "output": settings.output.name.replace("*/", "* /"),
+        "inputs": ", ".join(s.name for s in settings.inputs).replace("*/", "* /"),
+        "period": period,
+        "centres": _listed([s.centre for s in signals]),
+        "halves": _listed([s.half_range for s in signals]),
+        "centre": _number(signals[0].centre),
+        "half": _number(signals[0].half_range),
+        "held": "y",
+    }
+    if settings.free_run_limits is not None:
+        low, high = map(_number, settings.free_run_limits)
+        words["held"] = f"y < {low} ? {low} : y > {high} ? {high} : y"
+    parts = [_HEAD.format(**words)]
+    for block, theta, _ in model._learned(0):
+        parts.append(_block(block, theta))
+    return "".join([*parts, _TAIL.format(**words)])
+
+
+def _block(block: ParameterBlock, theta: np.ndarray) -> str:
+    if block.feature == "constant":
+        return f"  sum += {_number(theta[0])};\n"
+    if block.feature == "lags":
+        lines = [
+            f"  sum += {_number(theta[k])} * {_at(block.signal, block.lag + k)};\n"
+            for k in range(block.lags)
+        ]
+        return "".join(lines)
+    factor = "" if block.factor_signal < 0 else f" * {_at(block.factor_signal, block.factor_lag)}"
+    x = _at(block.signal, block.lag)
+    if block.feature == "term":
+        if block.change:
+            x = f"({x} - {_at(block.signal, block.lag + 1)})"
+        d = f"({x} - {_number(block.at)})"
+        width = _number(block.width**2)
+        g = {
+            "power": " * ".join([x] * block.degree),
+            "hinge": f"({d} > 0 ? {d} : 0)",
+            "sign": f"{d} / sqrt({d} * {d} + {width})",
+        }[block.curve]
+        if block.curve == "sign" and not block.width:
+            g = f"(({d} > 0) - ({d} < 0))"
+        return f"  sum += {_number(theta[0])} * {g}{factor};\n"
+    if block.feature != "spline" or block.basis is None:
+        told = f"a {block.feature} feature has no C form; allowed: "
+        raise SettingsError(told, given=block.feature, allowed="lags, constant, spline, term")
+    return _curve(block, theta, x, factor)
+
+
+def _curve(block: ParameterBlock, theta: np.ndarray, x: str, factor: str) -> str:
+    basis = block.basis
+    assert basis is not None
+    spline = basis.spline(theta)
+    ends = np.array(basis.knots)
+    starts = ends[:-1]
+    pieces = [
+        _listed([float(spline(a)), float(spline(a, 1)), float(spline(a, 2)) / 2]) for a in starts
+    ]
+    if basis.outside == "linear":
+        first, last = float(spline(ends[0], 1)), float(spline(ends[-1], 1))
+        slope = f"(x < inside ? {_number(first)} : {_number(last)})"
+    else:
+        slope = "0.0"
+    return _SPLINE.format(
+        x=x,
+        ends=_listed(ends),
+        pieces=", ".join(f"{{{piece}}}" for piece in pieces),
+        last=len(ends) - 1,
+        most=len(ends) - 2,
+        slope=slope,
+        factor=factor,
+    )
+
+
+def _at(signal: int, lag: int) -> str:
+    return f"s->y[{lag}]" if signal == 0 else f"s->u[{signal - 1}][{lag}]"
+
+
+def _listed(values: Sequence[float] | np.ndarray) -> str:
+    return ", ".join(map(_number, values))
+
+
+def _number(value: float) -> str:
+    """A number with all its bits, as a floating-point constant."""
+    text = repr(float(value))
+    text = text if any(sign in text for sign in ".en") else f"{text}.0"
+    return f"({text})" if text.startswith("-") else text

@@ -1,0 +1,275 @@
+"""Output-error fits: the error of a model's own simulation over stretches of records."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leglab._native.structure import Runs
+from leglab.identification.features import Feature, Spline
+from leglab.identification.spline_narx import ParameterBlock, SplineNarxSettings
+
+Array = NDArray[np.float64]
+# The second difference between weights of a spline is so many times as surely zero as a weight.
+SMOOTHNESS = 10.0
+ITERATIONS = 25
+_CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
+_LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
+_FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
+# An error that overflows counts as so many variances.
+DIVERGED = 1e9
+
+
+@dataclass(frozen=True)
+class Record:
+    """Signals of one recording, uniformly sampled.
+
+    Attributes:
+        u: Inputs, finite, (N, M).
+        y: Output, (N,); NaN where it is missing.
+        name: The recording.
+    """
+
+    u: Array
+    y: Array
+    name: str = ""
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+
+class Stretch(NamedTuple):
+    """Samples start ... start + length - 1 of one record, simulated from the measured past."""
+
+    record: int
+    start: int
+    length: int
+
+
+class Sums(NamedTuple):
+    """Sums over stretches, in scaled units; see csrc/identification/free_run.h."""
+
+    error: float
+    samples: int
+    products: Array
+    gradient: Array
+    squares: Array
+
+
+class Further:
+    """Features that a model may take, with their blocks for the core."""
+
+    def __init__(self, template: SplineNarxSettings, features: Sequence[Feature]) -> None:
+        self.features = tuple(features)
+        self.blocks = replace(template, features=self.features).blocks if features else ()
+
+    def without(self, index: int) -> "Further":
+        """All but one."""
+        out = object.__new__(Further)
+        out.features = self.features[:index] + self.features[index + 1 :]
+        out.blocks = self.blocks[:index] + self.blocks[index + 1 :]
+        return out
+
+
+class Simulator:
+    """Free runs of one structure over records."""
+
+    def __init__(
+        self,
+        settings: SplineNarxSettings,
+        records: Sequence[Record],
+        further: Sequence[ParameterBlock] = (),
+    ) -> None:
+        self.settings = settings
+        self._runs = [Runs(settings, further, r.u, r.y) for r in records]
+
+    def sums(self, theta: Array, stretches: Sequence[Stretch], *, sensitivities: bool) -> Sums:
+        """Sums over the stretches; those of sensitivities are zero where they are not wanted."""
+        total: tuple | None = None
+        for number, runs in enumerate(self._runs):
+            own = [(s.start, s.length) for s in stretches if s.record == number]
+            if not own:
+                continue
+            starts, lengths = np.array(own, dtype=np.int64).T.copy()
+            found = runs.sums(theta, starts, lengths, sensitivities)
+            total = (
+                found if total is None else tuple(a + b for a, b in zip(total, found, strict=True))
+            )
+        assert total is not None, "no stretch"
+        return Sums(*total)
+
+    def simulate(self, theta: Array, stretch: Stretch) -> Array:
+        """Outputs over one stretch in units of the output, (length,)."""
+        return self._runs[stretch.record].simulate(theta, stretch.start, stretch.length)
+
+
+class Problem:
+    """Records, and what all models of them share.
+
+    Args:
+        records: To learn from.
+        template: Signals with their ranges, limits and estimator; its features are exchanged.
+    """
+
+    def __init__(self, records: Sequence[Record], template: SplineNarxSettings) -> None:
+        self.records = tuple(
+            Record(np.ascontiguousarray(r.u, float), np.ascontiguousarray(r.y, float), r.name)
+            for r in records
+        )
+        self.template = template
+        y = np.concatenate([r.y for r in self.records])
+        self.deviation = float(np.nanstd(y))
+        self.variance = (self.deviation / template.output.half_range) ** 2  # in scaled units
+        self.count = int(np.isfinite(y).sum())
+
+    @cached_property
+    def samples(self) -> dict[str, Array]:
+        """Finite values of each signal over all records."""
+        columns = [np.concatenate([r.y for r in self.records])]
+        columns += list(np.concatenate([r.u for r in self.records]).T)
+        names = self.template.names
+        return {n: c[np.isfinite(c)] for n, c in zip(names, columns, strict=True)}
+
+    def model(self, features: Sequence[Feature]) -> SplineNarxSettings:
+        """Settings of a model of these features."""
+        return replace(self.template, features=tuple(features))
+
+    def error_of(self, fit: "Fit", block: Stretch, first: int) -> float:
+        """Mean square of the free run's error in a block, as a share of the output's variance.
+
+        The run begins at the sample `first` or before: what the model remembers of it is wrong by
+        then as it is in any longer run.
+        """
+        simulator = Simulator(self.model(fit.features), self.records)
+        end = block.start + block.length
+        run = simulator.simulate(fit.theta, Stretch(block.record, first, end - first))
+        error = self.records[block.record].y[block.start : end] - run[-block.length :]
+        share = float(np.nanmean(error**2)) / self.deviation**2
+        return min(share, DIVERGED) if np.isfinite(share) else DIVERGED
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model that was fitted.
+
+    Attributes:
+        features: Its blocks.
+        theta: Parameters in scaled units.
+        error: RMS error of the free run over the stretches of the fit, as a share of the output's
+            standard deviation.
+    """
+
+    features: tuple[Feature, ...]
+    theta: Array
+    error: float
+
+
+def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Array:
+    """Quadratic form of a prior of strength one, (n, n): each parameter is zero within one."""
+    sizes = [block.count for block in blocks]
+    out = np.eye(sum(sizes))
+    at = 0
+    for feature, size in zip(features, sizes, strict=True):
+        if isinstance(feature, Spline):
+            second = np.diff(np.eye(size), 2, axis=0)
+            out[at : at + size, at : at + size] += SMOOTHNESS * second.T @ second
+        at += size
+    return out
+
+
+def solve(matrix: Array, right: Array) -> Array:
+    """Solution of a linear system; that of least norm where it is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), float)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], float)
+
+
+def fit(
+    problem: Problem,
+    features: Sequence[Feature],
+    theta: Array,
+    stretches: Sequence[Stretch],
+    strength: float,
+    iterations: int = ITERATIONS,
+) -> Fit:
+    """Maximum a posteriori of the free run by damped Gauss-Newton steps (Marquardt 1963).
+
+    With N samples, the mean square E of the error and the prior's form R of some strength s it
+    minimises log E + s theta' R theta / N: the error's variance is unknown and drops out.
+    """
+    settings = problem.model(features)
+    simulator = Simulator(settings, problem.records)
+    form = strength * prior(features, settings.blocks) / problem.count
+    found = simulator.sums(theta, stretches, sensitivities=True)
+    scale = problem.variance * max(found.samples, 1)
+
+    def cost(error: float, at: Array) -> float:
+        if not np.isfinite(error):
+            return np.inf
+        return float(np.log(max(error / scale, _LEAST_SHARE)) + at @ form @ at)
+
+    error, damping = found.error, _FIRST_DAMPING
+    best = cost(error, theta)
+    for _ in range(iterations):
+        level = max(error, _LEAST_SHARE * scale)
+        hessian = found.products / level + form
+        downhill = found.gradient / level - form @ theta
+        for _ in range(_TRIES):
+            damped = hessian + damping * np.diag(np.diag(hessian))
+            tried = theta + solve(damped, downhill)
+            its_error = simulator.sums(tried, stretches, sensitivities=False).error
+            its_cost = cost(its_error, tried)
+            if its_cost < best:
+                break
+            damping *= _FACTOR
+        else:
+            break
+        theta, error = tried, its_error
+        damping = max(damping / _FACTOR, _LEAST_DAMPING)
+        fell, best = best - its_cost > _CONVERGED, its_cost
+        if not fell:
+            break
+        found = simulator.sums(theta, stretches, sensitivities=True)
+    rms = float(np.sqrt(min(error / scale, DIVERGED))) if np.isfinite(error) else DIVERGED
+    return Fit(tuple(features), theta, rms)
+
+
+def one_step(
+    problem: Problem, features: Sequence[Feature], without: Stretch | None = None
+) -> Array:
+    """Least squares of the one-step error, from which output-error fits start."""
+    settings = problem.model(features)
+    simulator = Simulator(settings, problem.records)
+    stretches = one_step_stretches(problem, settings.lags, without)
+    theta = np.zeros(sum(block.count for block in settings.blocks))
+    found = simulator.sums(theta, stretches, sensitivities=True)
+    scale = problem.variance * max(found.samples, 1)
+    # The prior beside an error of a thousandth of the output, which is usual of one step.
+    form = 1e-6 * prior(features, settings.blocks) / problem.count
+    return solve(found.products / scale + form, found.gradient / scale)
+
+
+def one_step_stretches(
+    problem: Problem, depth: int, without: Stretch | None = None
+) -> list[Stretch]:
+    """Free runs of one sample from every start whose past is measured: one-step predictions."""
+    out = []
+    for k, record in enumerate(problem.records):
+        usable = startable(record, depth)
+        if without is not None and without.record == k:
+            usable[without.start : without.start + without.length + depth] = False
+        out += [Stretch(k, int(t), 1) for t in np.flatnonzero(usable)]
+    return out
+
+
+def startable(record: Record, depth: int) -> NDArray[np.bool_]:
+    """Samples before which so many outputs are measured, (N,)."""
+    gaps = np.concatenate([[0], np.cumsum(~np.isfinite(record.y))])
+    out = np.zeros(len(record), dtype=bool)
+    at = np.arange(depth, len(record))
+    out[at] = gaps[at] == gaps[at - depth]
+    return out

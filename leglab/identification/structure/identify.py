@@ -1,0 +1,352 @@
+"""A model from data: structure, parameters, and how far both can be trusted."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from leglab.base.errors import RecordingError
+from leglab.base.recording import Recording
+from leglab.identification.features import Constant, Signal
+from leglab.identification.settings import Rls
+from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
+from leglab.identification.structure import library, search
+from leglab.identification.structure.fit import (
+    Array,
+    Problem,
+    Record,
+    Simulator,
+    fit,
+    one_step_stretches,
+)
+from leglab.identification.structure.search import Candidate
+from leglab.identification.structure.signals import Signals, signals_of
+
+# The free run is held within the range of the data, widened by this share on each side.
+_REACH = 0.3
+_INITIAL_GAIN = 1e4  # F(0) of a pass from nothing, and of what the data do not show
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a model on one recording.
+
+    Attributes:
+        recording: Its name.
+        free_run: RMS of the free run from the first measured samples on [unit of the output].
+        one_step: RMS of the one-step prediction.
+        fit: 100 (1 - |y - free run| / |y - mean of y|) [%].
+        linear: RMS free run of the best linear model.
+        mean: RMS of the output about the mean of the training data.
+        online: RMS free run of the same structure, learned in one pass from nothing.
+        measured: Output, (N,).
+        simulated: Free run, (N,), the first samples measured.
+        predicted: One-step prediction, (N,), the first samples measured.
+    """
+
+    recording: str
+    free_run: float
+    one_step: float
+    fit: float
+    linear: float
+    mean: float
+    online: float
+    measured: Array
+    simulated: Array
+    predicted: Array
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A model of one output, and what it was chosen from.
+
+    Attributes:
+        output: Name of the output.
+        inputs: Names of the inputs.
+        period: Sampling period [s].
+        model: Goes on learning where the training data ended.
+        candidates: All structures, the chosen one first.
+        problem: What was learned from.
+        tests: Records that no fit has seen.
+        notes: What was left out, bridged or is doubtful about the data.
+    """
+
+    output: str
+    inputs: tuple[str, ...]
+    period: float
+    model: SplineNarx
+    candidates: tuple[Candidate, ...]
+    problem: Problem
+    tests: tuple[Record, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Candidate:
+        """The structure that won."""
+        return self.candidates[0]
+
+    @property
+    def linear(self) -> Candidate:
+        """The best linear structure."""
+        return next(c for c in self.candidates if c.plan.kind in search.LINEAR)
+
+    @property
+    def constant(self) -> Candidate:
+        """The constant that every model has to beat."""
+        return next(c for c in self.candidates if c.plan.kind == search.CONSTANT)
+
+    @property
+    def kind(self) -> str:
+        """What a field calls the model."""
+        return library.kind_of(self.problem, self.model.settings.features)
+
+    @property
+    def better_than_mean(self) -> bool:
+        """Whether the free run over unseen blocks beats a constant."""
+        return self.chosen.plan.kind != search.CONSTANT
+
+    @cached_property
+    def online(self) -> tuple[SplineNarx, Array]:
+        """The structure learned in one pass from nothing, and its parameters over the first record.
+
+        Parameters have shape (N, P), in scaled units.
+        """
+        model = SplineNarx(self.model.settings)
+        trajectory = np.zeros((0, 0))
+        for record in self.problem.records:
+            u, y = _for(model, record)
+            _, own = model.run_recorded(u, y, missing="skip")
+            trajectory = own if not len(trajectory) else trajectory
+        model.freeze()
+        return model, trajectory
+
+    @cached_property
+    def trained(self) -> tuple[Errors, ...]:
+        """Errors on the training records, each simulated from its beginning."""
+        return tuple(self._errors(record) for record in self.problem.records)
+
+    @cached_property
+    def tested(self) -> tuple[Errors, ...]:
+        """Errors on the test records."""
+        return tuple(self._errors(record) for record in self.tests)
+
+    def _errors(self, record: Record) -> Errors:
+        runs = [self._run(m, record) for m in (self.model, self._linear, self.online[0])]
+        free, linear, online = (rms(run - record.y, self.model.lags) for run in runs)
+        mean = float(np.nanmean(np.concatenate([r.y for r in self.problem.records])))
+        spread = rms(record.y - np.nanmean(record.y), self.model.lags)
+        predicted = self._one_step(record)
+        return Errors(
+            recording=record.name,
+            free_run=free,
+            one_step=rms(predicted - record.y, self.model.lags),
+            fit=100 * (1 - free / spread) if spread > 0 else float("nan"),
+            linear=linear,
+            mean=rms(record.y - mean, self.model.lags),
+            online=online,
+            measured=record.y,
+            simulated=runs[0],
+            predicted=predicted,
+        )
+
+    @cached_property
+    def _linear(self) -> SplineNarx:
+        linear = self.linear.fit
+        model = SplineNarx(replace(self.problem.model(linear.features), rls=Rls()))
+        model.parameters = linear.theta
+        return model
+
+    def _run(self, model: SplineNarx, record: Record) -> Array:
+        u, y = _for(model, record)
+        first = _first(record, max(model.lags, self.model.lags))
+        run = model.free_run(u[first - model.lags :], y[first - model.lags : first])
+        return np.concatenate([record.y[: first - model.lags], run])
+
+    def _one_step(self, record: Record) -> Array:
+        u, y = _for(self.model, record)
+        bridged = np.interp(np.arange(len(y)), np.flatnonzero(np.isfinite(y)), y[np.isfinite(y)])
+        return self.model.one_step(u, bridged)
+
+
+def rms(residual: Array, given: int = 0) -> float:
+    """Root mean square behind the given samples, of those that are measured."""
+    rest = residual[given:]
+    rest = rest[np.isfinite(rest)]
+    return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
+
+
+def _for(model: SplineNarx, record: Record) -> tuple[Array, Array]:
+    """Inputs and output in the shape that the identifier takes."""
+    return (record.u[:, 0] if model.inputs == 1 else record.u), record.y
+
+
+def _first(record: Record, lags: int) -> int:
+    """First sample before which as many outputs as a model has lags are measured."""
+    good = np.isfinite(record.y)
+    for at in range(lags, len(record)):
+        if good[at - lags : at].all():
+            return at
+    raise RecordingError(f"{record.name}: no {lags} outputs in a row are measured")
+
+
+def identify(
+    recordings: Mapping[str, Recording] | Recording,
+    *,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+    tests: Mapping[str, Recording] | None = None,
+    period: float | None = None,
+    jobs: int = 1,
+    progress: search.Progress | None = None,
+    kept: Mapping[str, Mapping[search.Plan, Candidate]] | None = None,
+    keep: Callable[[str, Candidate], None] | None = None,
+) -> dict[str, Identified]:
+    """Chooses delays, lags and features from recordings, and fits them.
+
+    Args:
+        recordings: To learn from, by name.
+        inputs: Columns that drive the machine; default: those that begin with u.
+        outputs: Columns to be modelled; default: those that begin with y.
+        tests: To test with; nothing is chosen by them.
+        period: Sampling period to resample to [s].
+        jobs: Structures tried at a time; the result does not depend on it.
+        progress: Told after each structure: how many are done, of how many, which stage.
+        kept: Results of an interrupted search, by output.
+        keep: Called with each new result and its output.
+
+    Returns:
+        A model for each output, by name.
+
+    Raises:
+        LeglabError: As `signals_of`.
+    """
+    if isinstance(recordings, Recording):
+        recordings = {"recording": recordings}
+    learned = signals_of(recordings, inputs, outputs, period=period)
+    tested = None
+    if tests:
+        tested = signals_of(tests, learned.inputs, learned.outputs, period=period or learned.period)
+        tested = _same_inputs(tests, learned, tested, period)
+    out = {}
+    for k, output in enumerate(learned.outputs):
+        problem = _problem(learned, k)
+        found = search.search(
+            problem,
+            jobs=jobs,
+            progress=progress,
+            kept=(kept or {}).get(output),
+            keep=None if keep is None else partial(keep, output),
+        )
+        best = found[0]
+        own = search.stretches(
+            problem,
+            problem.model(best.fit.features).lags + 1,
+            best.plan.length,
+            search.LAST,
+        )
+        last = best.fit
+        if best.plan.kind != "one step":
+            last = fit(problem, last.features, last.theta, own, best.plan.strength)
+        best = replace(best, fit=last)
+        test_records = tested.records[k] if tested else ()
+        notes = (*learned.notes, *(tested.notes if tested else ()))
+        notes += _drift(problem.records, test_records, learned.inputs, output)
+        out[output] = Identified(
+            output,
+            learned.inputs,
+            learned.period,
+            _going_on(problem, best),
+            (best, *found[1:]),
+            problem,
+            test_records,
+            tuple(dict.fromkeys(notes)),
+        )
+    return out
+
+
+def _same_inputs(
+    tests: Mapping[str, Recording], learned: Signals, tested: Signals, period: float | None
+) -> Signals:
+    """Test signals with the inputs that were learned from, constant ones among them."""
+    if tested.inputs == learned.inputs:
+        return tested
+    lacking = next(name for name in learned.inputs if name not in tested.inputs)
+    told = next(note for note in tested.notes if note.startswith(repr(lacking)))
+    if "constant" not in told:
+        raise RecordingError(f"test data: input {told}", given=lacking)
+    # An input that happens to rest in the test is a signal all the same.
+    records = []
+    for own in tested.records:
+        row = []
+        for record in own:
+            u = np.empty((len(record), len(learned.inputs)))
+            for j, name in enumerate(learned.inputs):
+                if name in tested.inputs:
+                    u[:, j] = record.u[:, tested.inputs.index(name)]
+                else:
+                    u[:, j] = np.nanmedian(tests[record.name][name])
+            row.append(Record(u, record.y, record.name))
+        records.append(tuple(row))
+    notes = tuple(n for n in tested.notes if n != told)
+    return Signals(tuple(records), learned.inputs, tested.outputs, tested.period, notes)
+
+
+def _problem(learned: Signals, k: int) -> Problem:
+    records = learned.records[k]
+    y = np.concatenate([r.y for r in records])
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    signals = []
+    for j, name in enumerate(learned.inputs):
+        column = np.concatenate([r.u[:, j] for r in records])
+        signals.append(Signal(name=name, lower=float(column.min()), upper=float(column.max())))
+    template = SplineNarxSettings(
+        output=Signal(name=learned.outputs[k], lower=low, upper=high),
+        inputs=tuple(signals),
+        features=(Constant(),),
+        rls=Rls.adaptive(_INITIAL_GAIN),
+        free_run_limits=(low - _REACH * (high - low), high + _REACH * (high - low)),
+    )
+    return Problem(records, template)
+
+
+def _going_on(problem: Problem, best: Candidate) -> SplineNarx:
+    """An identifier that has the model's parameters, and the gain that all samples leave it."""
+    settings = problem.model(best.fit.features)
+    model = SplineNarx(settings)
+    model.parameters = best.fit.theta
+    simulator = Simulator(settings, problem.records)
+    own = one_step_stretches(problem, settings.lags)
+    found = simulator.sums(best.fit.theta, own, sensitivities=True)
+    information = found.products + np.eye(len(best.fit.theta)) / _INITIAL_GAIN
+    gain = np.linalg.inv(information)
+    model.set_gain((gain + gain.T) / 2)
+    # The past of the last samples; a frozen identifier takes them in without learning.
+    u, y = _for(model, problem.records[-1])
+    model.freeze()
+    model.run(u[-settings.lags - 1 :], y[-settings.lags - 1 :], missing="skip")
+    model.freeze(False)
+    return model
+
+
+def _drift(
+    learned: Sequence[Record], tested: Sequence[Record], inputs: Sequence[str], output: str
+) -> tuple[str, ...]:
+    """Where test data lie beyond the training data, or about another mean."""
+    if not tested:
+        return ()
+    notes = []
+    columns = [(output, [r.y for r in learned], [r.y for r in tested])]
+    for j, name in enumerate(inputs):
+        columns.append((name, [r.u[:, j] for r in learned], [r.u[:, j] for r in tested]))
+    for name, before, after in columns:
+        a, b = (np.concatenate(part) for part in (before, after))
+        low, high = np.nanmin(a), np.nanmax(a)
+        slack = 0.02 * (high - low)
+        beyond = float(np.nanmean((b < low - slack) | (b > high + slack)))
+        if beyond > 0.001:
+            notes.append(f"{100 * beyond:.2g} % of the test data of {name!r} lie beyond training")
+        shift = abs(np.nanmean(b) - np.nanmean(a)) / np.nanstd(a)
+        if shift > 0.5:
+            notes.append(f"the mean of {name!r} drifts by {shift:.2g} deviations from training on")
+    return tuple(notes)

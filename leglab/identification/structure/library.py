@@ -1,0 +1,146 @@
+"""Features that a structure may take, made from the lags of its signals."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from leglab.identification.basis import Basis
+from leglab.identification.features import Constant, Feature, Lags, Spline, Term
+from leglab.identification.structure.fit import Problem
+
+HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges stand
+SPLINES, FINE = 8, 16  # of a curve
+_SPLINE_RANGE = (0.005, 0.995)  # quantiles of a signal between which a curve has its knots
+# Widths of smooth signs, in standard deviations: nearly a jump, and how friction and valves bend.
+WIDTHS = (0.01, 0.1, 0.5)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Lags of a structure.
+
+    Attributes:
+        outputs: Lags of y: 1 ... outputs.
+        inputs: Number of lags of each input.
+        delays: First lag of each input [samples].
+    """
+
+    outputs: int
+    inputs: int
+    delays: tuple[int, ...]
+
+    def lags(self, problem: Problem) -> Iterator[tuple[str, int]]:
+        """All lags, by signal."""
+        template = problem.template
+        for k in range(1, self.outputs + 1):
+            yield template.output.name, k
+        for signal, delay in zip(template.inputs, self.delays, strict=True):
+            for k in range(delay, delay + self.inputs):
+                yield signal.name, k
+
+    def linear(self, problem: Problem) -> tuple[Feature, ...]:
+        """The linear model of these lags; without any, a constant."""
+        template = problem.template
+        parts: list[Feature] = []
+        if self.outputs:
+            parts.append(Lags(signal=template.output.name, first=1, count=self.outputs))
+        if self.inputs:
+            inputs = zip(template.inputs, self.delays, strict=True)
+            parts += [Lags(signal=s.name, first=d, count=self.inputs) for s, d in inputs]
+        return (*parts, Constant())
+
+
+def terms(problem: Problem, orders: Orders) -> list[Feature]:
+    """Products, cubes and hinges of all lags, signs of signals and of their changes."""
+    lags = list(orders.lags(problem))
+    out: list[Feature] = []
+    for i, (name, lag) in enumerate(lags):
+        out.extend(Term(signal=name, lag=lag, times=other) for other in lags[i:])
+        out.append(Term(signal=name, lag=lag, degree=3))
+        places = np.unique(np.quantile(problem.samples[name], HINGES))
+        out.extend(Term(signal=name, lag=lag, curve="hinge", at=float(at)) for at in places)
+    firsts = dict(reversed(lags))
+    for name, lag in firsts.items():
+        signs = list(_signs(name, lag, problem.samples[name]))
+        out.extend(signs)
+        others = [other for other in firsts.items() if other[0] != name]
+        out.extend(replace(sign, times=other) for sign in signs for other in others)
+    return out
+
+
+def _signs(name: str, lag: int, values: np.ndarray) -> Iterator[Term]:
+    for change, spread in ((True, np.diff(values)), (False, values)):
+        if spread.size and spread.min() < 0 < spread.max():
+            for share in WIDTHS:
+                width = share * float(np.std(spread))
+                yield Term(signal=name, lag=lag, curve="sign", width=width, change=change)
+
+
+def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Feature]:
+    """Smooth curves of all lags."""
+    out: list[Feature] = []
+    for name, lag in orders.lags(problem):
+        low, high = map(float, np.quantile(problem.samples[name], _SPLINE_RANGE))
+        if high > low:
+            basis = Basis.uniform(low, high, splines, outside="linear")
+            out.append(Spline(signal=name, lag=lag, basis=basis))
+    return out
+
+
+# Those that are tried first, and what the best one may become.
+Maker = Callable[[Problem, Orders], list[Feature]]
+KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
+REFINED: dict[str, Maker] = {"fine curves": partial(curves, splines=FINE)}
+
+
+def kind_of(problem: Problem, features: Sequence[Feature]) -> str:
+    """What a field calls a model of these features."""
+    output = problem.template.output.name
+    bent = [f for f in features if isinstance(f, Term | Spline)]
+    if all(isinstance(f, Constant) for f in features):
+        return "a constant: no model was better"
+    if not bent:
+        return "linear (ARX form, output-error fit)"
+    signals = {f.signal for f in bent} | {f.times[0] for f in bent if f.times is not None}
+    if output not in signals:
+        single = all(f.times is None for f in bent)
+        return "Hammerstein: curves of the inputs" if single else "Hammerstein: functions of inputs"
+    return "nonlinear in the output's lags as well (NARX)"
+
+
+def names(features: Sequence[Feature]) -> list[str]:
+    """Features as formulas."""
+    return [name_of(feature) for feature in features]
+
+
+def name_of(feature: Feature) -> str:
+    """A feature as a formula."""
+    if isinstance(feature, Constant):
+        return "1"
+    if isinstance(feature, Spline):
+        return f"curve of {_lagged(feature.signal, feature.lag)}"
+    if isinstance(feature, Term):
+        return _term(feature)
+    first = _lagged(feature.signal, feature.first)
+    last = feature.first + feature.count - 1
+    return first if feature.count == 1 else f"{first} ... {_lagged(feature.signal, last)}"
+
+
+def _lagged(signal: str, lag: int) -> str:
+    return f"{signal}(t-{lag})" if lag else f"{signal}(t)"
+
+
+def _term(term: Term) -> str:
+    x = _lagged(term.signal, term.lag)
+    if term.change:
+        x = f"{x} - {_lagged(term.signal, term.lag + 1)}"
+    if term.curve == "hinge":
+        sign = "-" if term.at >= 0 else "+"
+        g = f"max({x} {sign} {abs(term.at):.3g}, 0)"
+    elif term.curve == "sign":
+        g = f"sign({x})"
+    else:
+        g = x if term.degree == 1 else f"{x}^{term.degree}"
+    return g if term.times is None else f"{g} {_lagged(*term.times)}"

@@ -1,0 +1,60 @@
+"""Tests of residuals: whiteness and correlation with inputs (Ljung 1999, section 16.6)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LAGS = 25
+_QUANTILE = 2.5758  # of the normal distribution, 99 % two-sided
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """Correlations of a residual over lags.
+
+    Attributes:
+        name: With what.
+        lags: (L,).
+        correlation: (L,).
+        band: 99 % of them lie within it if there is none.
+    """
+
+    name: str
+    lags: NDArray[np.int64]
+    correlation: Array
+    band: float
+
+    @property
+    def outside(self) -> float:
+        """Share of lags beyond the band; .01 is expected."""
+        counted = self.lags != 0 if self.name == "itself" else np.ones(len(self.lags), bool)
+        return float(np.mean(np.abs(self.correlation[counted]) > self.band))
+
+
+def residual_tests(residual: Array, inputs: dict[str, Array]) -> tuple[ResidualTest, ...]:
+    """Correlation of one-step residuals with themselves and with past inputs.
+
+    Args:
+        residual: (N,), NaN where the output is missing.
+        inputs: Columns of shape (N,) by name.
+    """
+    e = np.nan_to_num(residual - np.nanmean(residual))
+    n = len(e)
+    most = min(LAGS, n // 4)
+    lags = np.arange(most + 1)
+    power = float(np.sqrt(np.sum(e**2))) or 1.0
+    own = np.array([np.sum(e[k:] * e[: n - k]) for k in lags]) / power**2
+    tests = [ResidualTest("itself", lags, own, _QUANTILE / np.sqrt(n))]
+    for name, column in inputs.items():
+        u = column - column.mean()
+        scale = power * (float(np.sqrt(np.sum(u**2))) or 1.0)
+        cross = np.array([np.sum(e[k:] * u[: n - k]) for k in lags]) / scale
+        # Of correlated series: var = sum_k R_e(k) R_u(k) / N (Ljung, eq. 16.69).
+        auto = np.array([np.sum(u[k:] * u[: n - k]) for k in lags]) / max(
+            float(np.sum(u**2)), 1e-300
+        )
+        spread = max(1.0 + 2.0 * float(np.sum(own[1:] * auto[1:])), 0.1)
+        tests.append(ResidualTest(name, lags, cross, _QUANTILE * np.sqrt(spread / n)))
+    return tuple(tests)

@@ -1,0 +1,440 @@
+"""Choice of a structure by the free run over blocks that no fit has seen.
+
+A structure is scored by the mean logarithm of its error over the blocks, each simulated in one go
+by a model that was chosen and fitted on the others: what the number of terms and the lags gain is
+gained on data that neither saw. The logarithm keeps one block that reaches beyond the others from
+deciding alone. Eighths ask for what lies between the data, thirds for what lies beyond; a nonlinear
+model is taken only if it is better than the linear ones in both.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from leglab.identification.features import Feature
+from leglab.identification.structure import library
+from leglab.identification.structure.fit import (
+    ITERATIONS,
+    Array,
+    Fit,
+    Further,
+    Problem,
+    Simulator,
+    Stretch,
+    fit,
+    one_step,
+    prior,
+    solve,
+    startable,
+)
+from leglab.identification.structure.library import Orders
+
+BLOCKS = (8, 3)
+# Samples that a fit simulates: more hardly move its parameters, and all are seen at the end.
+SKETCH, FULL, LAST = 4000, 12000, 100_000
+_LEAD_IN = 10_000  # samples of a free run before the block of which it is
+_OVERLAP = 4  # stretches of a fit start every such part of their length
+_TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
+_GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
+_WORTH = 0.997  # of the error: a feature that lowers it by less ends a path
+_PATIENCE = 3  # sizes without a better score after which a path ends
+MOST_TERMS, FEW_TERMS = 20, 5
+_KEPT = 3  # structures of the sketch that are searched in full
+_LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
+           (12, 12), (16, 16))  # fmt: skip
+_BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
+_MOST_LAGS = 24  # of all signals, from which terms are made
+_DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
+_LENGTHS = (60, 200, 600)  # samples of a stretch; as long as the machine remembers is best
+_STRENGTHS = (1.0, 10.0, 100.0)  # of the prior; errors are correlated, so one is too weak mostly
+_USUAL = 10.0
+# Linear models, by the free run or by least squares of one step, which is better where the machine
+# is disturbed rather than its sensor.
+LINEAR = ("linear", "one step")
+CONSTANT = "constant"
+SIMPLE = (*LINEAR, CONSTANT)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A structure that is searched.
+
+    Attributes:
+        kind: Of `SIMPLE`, or of the library.
+        orders: Its lags.
+        length: Samples of a stretch of its fits.
+        strength: Of the prior of its parameters.
+        most: Features beyond the linear ones.
+        budget: Samples that a fit simulates.
+    """
+
+    kind: str
+    orders: Orders
+    length: int
+    strength: float = _USUAL
+    most: int = 0
+    budget: int = FULL
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What became of a plan.
+
+    Attributes:
+        plan: The plan.
+        fit: The model, fitted to all records.
+        scores: RMS error over eighths and over thirds of the records, geometric mean, in standard
+            deviations of the output.
+        path: Score at each number of features.
+    """
+
+    plan: Plan
+    fit: Fit
+    scores: tuple[float, ...]
+    path: tuple[float, ...]
+
+    @property
+    def score(self) -> float:
+        """Geometric mean of both."""
+        return float(np.exp(np.mean(np.log(self.scores))))
+
+
+def score_of(held_out: Sequence[float] | Array) -> float:
+    """Geometric mean of RMS errors, from their squares."""
+    return float(np.exp(np.mean(np.log(held_out)) / 2))
+
+
+def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
+    """About so many blocks of all records, which are held out in turn."""
+    out = []
+    total = sum(map(len, problem.records))
+    for k, record in enumerate(problem.records):
+        pieces = max(1, round(count * len(record) / total))
+        usable = np.flatnonzero(startable(record, depth))
+        if len(usable) < 2 * pieces:
+            continue
+        edges = usable[np.linspace(0, len(usable) - 1, pieces + 1).astype(int)]
+        edges[-1] = len(record)
+        out += [Stretch(k, int(a), int(b - a)) for a, b in pairwise(edges)]
+    return out
+
+
+def lead_in(problem: Problem, block: Stretch, depth: int) -> int:
+    """Sample at which the free run begins whose error is that of a block."""
+    usable = np.flatnonzero(startable(problem.records[block.record], depth))
+    return int(usable[np.searchsorted(usable, max(0, block.start - _LEAD_IN))])
+
+
+def stretches(
+    problem: Problem, depth: int, length: int, budget: int, without: Stretch | None = None
+) -> list[Stretch]:
+    """Stretches of a fit, outside of a block that is held out."""
+    out: list[Stretch] = []
+    while not out and length > 1:
+        for k, record in enumerate(problem.records):
+            size = min(length, len(record) - depth)
+            usable = startable(record, depth)
+            for start in range(depth, len(record) - size + 1, max(1, size // _OVERLAP)):
+                if usable[start] and not _touches(Stretch(k, start, size), without, depth):
+                    out.append(Stretch(k, start, size))
+        length //= 2
+    total = sum(s.length for s in out)
+    if total <= budget:
+        return out
+    keep = max(2, int(len(out) * budget / total))
+    return [out[i] for i in np.unique(np.linspace(0, len(out) - 1, keep).round().astype(int))]
+
+
+def _touches(stretch: Stretch, block: Stretch | None, depth: int) -> bool:
+    return (
+        block is not None
+        and block.record == stretch.record
+        and stretch.start + stretch.length > block.start
+        and stretch.start - depth < block.start + block.length
+    )
+
+
+class Path:
+    """Models that grow by the feature that promises to explain most of the free run's error."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        start: Fit,
+        further: Further,
+        own: list[Stretch],
+        strength: float,
+    ) -> None:
+        self._problem, self._further, self._stretches = problem, further, own
+        self._strength = strength
+        self.fit, self.ended = start, False
+
+    def grow(self) -> None:
+        """Takes one more feature, or ends where none is worth it."""
+        self.ended = self.ended or not self._further.features
+        if self.ended:
+            return
+        gains = promises(self._problem, self.fit, self._further, self._stretches, self._strength)
+        best: tuple[Fit, int] | None = None
+        for k in np.argsort(-gains, kind="stable")[:_TRIED]:
+            theta = np.append(self.fit.theta, np.zeros(self._further.blocks[k].count))
+            features = (*self.fit.features, self._further.features[k])
+            tried = self._fitted(features, theta, _GLANCE)
+            if best is None or tried.error < best[0].error:
+                best = tried, int(k)
+        if best is not None:
+            best = self._fitted(best[0].features, best[0].theta, _STEPS), best[1]
+        if best is None or best[0].error > _WORTH * self.fit.error:
+            self.ended = True
+            return
+        self.fit, taken = best
+        self._further = self._further.without(taken)
+
+    def _fitted(self, features: tuple[Feature, ...], theta: Array, iterations: int) -> Fit:
+        return fit(self._problem, features, theta, self._stretches, self._strength, iterations)
+
+
+def promises(
+    problem: Problem, now: Fit, further: Further, own: Sequence[Stretch], strength: float
+) -> Array:
+    """Share of the error's square that each feature explains beside those of the model.
+
+    To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
+    the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
+    """
+    settings = problem.model(now.features)
+    simulator = Simulator(settings, problem.records, further.blocks)
+    found = simulator.sums(now.theta, own, sensitivities=True)
+    scale = max(found.error, 1e-20)
+    p = len(now.theta)
+    share = strength / problem.count
+    form = share * prior(now.features, settings.blocks)
+    hessian = found.products[:p] / scale + form
+    downhill = found.gradient[:p] / scale - form @ now.theta
+    cross = found.products[p:] / scale
+    inner = solve(hessian, np.column_stack([cross.T, downhill]))
+    left = found.gradient[p:] / scale - cross @ inner[:, -1]
+    cost = share * np.diag(prior(further.features, further.blocks))
+    sizes = np.array([block.count for block in further.blocks])
+    ends, corners = np.cumsum(sizes), np.cumsum(sizes * (sizes + 1) // 2)
+    beside = np.einsum("ij,ji->i", cross, inner[:, :-1])  # diagonal of D'J (J'J)^-1 J'D
+    gains = np.zeros(len(sizes))
+    single = sizes == 1
+    at = ends[single] - 1
+    gram = found.squares[corners[single] - 1] / scale + cost[at] - beside[at]
+    gains[single] = left[at] ** 2 / np.maximum(gram, cost[at])
+    for k in np.flatnonzero(~single):
+        n = sizes[k]
+        rows = slice(ends[k] - n, ends[k])
+        block = np.zeros((n, n))
+        block[np.tril_indices(n)] = (
+            found.squares[corners[k] - n * (n + 1) // 2 : corners[k]] / scale
+        )
+        block += np.tril(block, -1).T + np.diag(cost[rows])
+        block -= cross[rows] @ inner[:, :-1][:, rows]
+        gains[k] = left[rows] @ solve(block, left[rows])
+    return np.where(np.isfinite(gains), gains, 0.0)
+
+
+def searched(problem: Problem, plan: Plan) -> Candidate:
+    """Carries out a plan: paths in step with each block held out, then one on all records."""
+    linear = plan.orders.linear(problem)
+    makers = {**library.KINDS, **library.REFINED}.get(plan.kind)
+    further = Further(problem.template, makers(problem, plan.orders) if makers else ())
+    depth = problem.model(linear).lags + 1  # that of a change, too
+
+    def begun(block: Stretch | None) -> Path:
+        own = stretches(problem, depth, plan.length, plan.budget, block)
+        iterations = ITERATIONS if plan.kind != "one step" else 0
+        theta = one_step(problem, linear, block)
+        start = fit(problem, linear, theta, own, plan.strength, iterations)
+        return Path(problem, start, further, own, plan.strength)
+
+    held = [blocks(problem, depth, count) for count in BLOCKS]
+    paths = [[begun(block) for block in part] for part in held]
+
+    def scores() -> tuple[float, ...]:
+        return tuple(
+            score_of([
+                problem.error_of(path.fit, b, lead_in(problem, b, depth))
+                for path, b in zip(some, part, strict=True)
+            ])
+            for some, part in zip(paths, held, strict=True)
+        )  # fmt: skip
+
+    table = [scores()]
+    flat = [path for part in paths for path in part]
+    while len(table) <= plan.most and not all(path.ended for path in flat):
+        best = int(np.argmin([np.prod(row) for row in table]))
+        if len(table) - 1 - best >= _PATIENCE:
+            break
+        for path in flat:
+            path.grow()
+        table.append(scores())
+    size = int(np.argmin([np.prod(row) for row in table]))
+    whole = begun(None)
+    for _ in range(size):
+        whole.grow()
+    tried = [float(np.sqrt(np.prod(row))) for row in table]
+    return Candidate(plan, whole.fit, table[size], tuple(tried))
+
+
+def delays(problem: Problem) -> tuple[int, ...]:
+    """Delay of each input, by the free run of a second-order linear model."""
+    allowed = [d for d in _DELAYS if d <= _shortest(problem) // 20]
+    found = [0] * len(problem.template.inputs)
+    for j in range(len(found)):
+        errors = []
+        for d in allowed:
+            orders = Orders(2, 3, (*found[:j], d, *found[j + 1 :]))
+            features = orders.linear(problem)
+            own = stretches(problem, problem.model(features).lags, _LENGTHS[1], SKETCH)
+            start = one_step(problem, features)
+            errors.append(fit(problem, features, start, own, _USUAL).error)
+        # The shortest of nearly equal ones: a delay that is too long cannot be made up for.
+        least = min(errors)
+        found[j] = next(d for d, e in zip(allowed, errors, strict=True) if e <= 1.01 * least)
+    return tuple(found)
+
+
+def _shortest(problem: Problem) -> int:
+    return min(map(len, problem.records))
+
+
+def _lengths(problem: Problem) -> list[int]:
+    most = max(2, _shortest(problem) // 4)
+    return list(dict.fromkeys(min(n, most) for n in _LENGTHS))
+
+
+def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
+    """Linear structures, and the constant that they have to beat."""
+    lengths = _lengths(problem)
+    return [
+        Plan(CONSTANT, Orders(0, 0, lead), lengths[0]),
+    ] + [
+        Plan(kind, Orders(ny, nu, delays_), lengths[len(lengths) // 2])
+        for kind in LINEAR
+        for ny, nu in _LINEAR
+        for delays_ in dict.fromkeys((lead, (0,) * len(lead)))
+        if ny + nu * len(lead) <= _shortest(problem) // 20
+    ]
+
+
+def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
+    """The best linear structures, with other stretches and priors."""
+    return [
+        replace(c.plan, length=length, strength=strength)
+        for c in sorted(_of("linear", linear), key=_score)[:_KEPT]
+        for length in _lengths(problem)
+        for strength in _STRENGTHS
+        if (length, strength) != (c.plan.length, c.plan.strength)
+    ]
+
+
+def plans_bent(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
+    """Structures with nonlinear features, first with few of them."""
+    best = [min(_of(kind, linear), key=_score).plan for kind in LINEAR]
+    inputs = len(problem.template.inputs)
+    orders = [p.orders for p in best if p.orders.outputs + inputs * p.orders.inputs <= _MOST_LAGS]
+    for ny, nu in _BENT:
+        most = max(1, (_MOST_LAGS - ny) // inputs)
+        orders.append(Orders(ny, min(nu, most), best[0].orders.delays))
+    return [
+        Plan(kind, one, length, most=FEW_TERMS, budget=SKETCH)
+        for one in dict.fromkeys(orders)
+        for kind in library.KINDS
+        for length in dict.fromkeys((min(_lengths(problem)), best[0].length))
+    ]
+
+
+def plans_full(bent: Sequence[Candidate]) -> list[Plan]:
+    """The best structures once more, with all samples and as many features as they bear."""
+    best = sorted(bent, key=_score)[:_KEPT]
+    return [replace(c.plan, most=MOST_TERMS, budget=FULL) for c in best]
+
+
+def plans_strengths(bent: Sequence[Candidate]) -> list[Plan]:
+    """The best structure with other priors, and with finer curves."""
+    best = min(bent, key=_score).plan
+    wanted = replace(best, most=MOST_TERMS, budget=FULL)
+    out = [replace(wanted, strength=s) for s in _STRENGTHS if s != best.strength]
+    if best.kind == "curves":
+        out += [replace(wanted, kind=k, strength=s) for k in library.REFINED for s in _STRENGTHS]
+    return out
+
+
+def _score(candidate: Candidate) -> float:
+    return candidate.score
+
+
+def _of(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
+    return [c for c in candidates if c.plan.kind == kind]
+
+
+# Told after each structure: how many are done, how many there will be in this stage, the stage.
+Progress = Callable[[int, int, str], None]
+
+
+def search(
+    problem: Problem,
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    kept: Mapping[Plan, Candidate] | None = None,
+    keep: Callable[[Candidate], None] | None = None,
+) -> list[Candidate]:
+    """All candidates, the chosen one first.
+
+    Args:
+        problem: Records and signals.
+        jobs: Structures at a time; the result does not depend on it.
+        progress: Told after each structure.
+        kept: Results of an interrupted search.
+        keep: Called with each new result.
+    """
+    known = dict(kept or {})
+
+    def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
+        wanted = list(plans)
+        done = []
+        with ThreadPoolExecutor(jobs) as pool:
+            results = pool.map(lambda p: known.get(p) or searched(problem, p), wanted)
+            for number, candidate in enumerate(results, 1):
+                if candidate.plan not in known and keep is not None:
+                    keep(candidate)
+                if progress is not None:
+                    progress(number, len(wanted), stage)
+                done.append(candidate)
+        return done
+
+    linear = made("linear models", plans_linear(problem, delays(problem)))
+    linear += made("linear models, tuned", plans_tuned(problem, linear))
+    bent = made("nonlinear models", plans_bent(problem, linear))
+    bent += made("best models", plans_full(bent))
+    bent += made("best model, other priors", plans_strengths(bent))
+    return chosen_first(linear, bent, problem.count)
+
+
+def chosen_first(
+    linear: Sequence[Candidate], bent: Sequence[Candidate], samples: int
+) -> list[Candidate]:
+    """Candidates by score, those behind that do not beat simpler ones in both block sizes.
+
+    A linear model has to beat the constant, a nonlinear one every linear one. The best of n
+    candidates that are equally good is ahead by some log n nats of the samples' likelihood.
+    """
+    luck = np.exp(-np.log(len(linear) + len(bent)) / samples)
+    constant = np.min([c.scores for c in _of(CONSTANT, linear)], axis=0)
+    simple = np.min([c.scores for c in linear], axis=0)
+
+    def rank(candidate: Candidate) -> tuple[bool, float]:
+        kind = candidate.plan.kind
+        if kind == CONSTANT:
+            return False, candidate.score
+        least = constant if kind in LINEAR else simple
+        return bool(np.any(candidate.scores > luck * least)), candidate.score
+
+    return sorted([*linear, *bent], key=rank)

@@ -1,0 +1,238 @@
+"""Signals of recordings as an identifier needs them: one period, no garbage, gaps marked."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leglab.base.errors import RecordingError, SettingsError
+from leglab.base.recording import Recording
+from leglab.identification.structure.fit import Record
+
+Array = NDArray[np.float64]
+LEAST_SAMPLES = 100
+# Intervals count as one period within this share of it, and as several with samples missing.
+_JITTER = 0.05
+# A sample farther from the middle half than so many times its width is no measurement, and a column
+# with more than this share of them is garbage.
+_WILD, _MOST_WILD = 1e4, 0.2
+_SAME = 1e-3  # share by which periods may differ that count as one
+_LONGEST_GAP = 100_000  # periods
+# The output hardly moves from one sample to the next: lags of a period say little.
+_SLOW = 0.01
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What is learned from.
+
+    Attributes:
+        records: One a recording, inputs in the order of `inputs`; one tuple for each output.
+        inputs: Names of the columns that are used.
+        outputs: Names of the columns to be modelled.
+        period: Sampling period [s].
+        notes: What was left out, bridged or is doubtful.
+    """
+
+    records: tuple[tuple[Record, ...], ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    period: float
+    notes: tuple[str, ...]
+
+
+def columns_of(
+    recordings: Mapping[str, Recording], inputs: Sequence[str], outputs: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Columns to be used: those that are named, or `u...` and `y...` where none are.
+
+    Raises:
+        SettingsError: A name is unknown, stands on both sides, or none can be guessed.
+    """
+    known = list(dict.fromkeys(c for r in recordings.values() for c in r.columns))
+    for kind, names in (("input", inputs), ("output", outputs)):
+        for name in names:
+            if name not in known:
+                raise SettingsError.unknown(kind, name, known)
+    both = sorted(set(inputs) & set(outputs))
+    if both:
+        raise SettingsError(f"{both[0]!r} is input and output: give it once", given=both[0])
+    rest = [c for c in known if c not in inputs and c not in outputs]
+    guessed_in = tuple(inputs) or tuple(c for c in rest if c.lower().startswith("u"))
+    guessed_out = tuple(outputs) or tuple(c for c in rest if c.lower().startswith("y"))
+    for kind, names in (("input", guessed_in), ("output", guessed_out)):
+        if not names:
+            told = f"which column is the {kind}? Give --{kind}, one of "
+            raise SettingsError(told, given=None, allowed=rest or known)
+    return guessed_in, guessed_out
+
+
+def signals_of(
+    recordings: Mapping[str, Recording],
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+    *,
+    period: float | None = None,
+) -> Signals:
+    """Reads signals on one uniform time axis a recording.
+
+    Args:
+        recordings: By name.
+        inputs: Columns; see `columns_of`.
+        outputs: Columns.
+        period: To resample to [s]; None takes that of the recordings.
+
+    Raises:
+        RecordingError: A recording is too short or not uniformly sampled, lacks a column, or a
+            column that is needed holds no signal.
+        SettingsError: As `columns_of`, or the period is no positive number.
+    """
+    if period is not None and not (np.isfinite(period) and period > 0):
+        raise SettingsError(f"period is {period}; allowed: ", given=period, allowed="above 0")
+    inputs, outputs = columns_of(recordings, inputs, outputs)
+    notes: list[str] = []
+    usual = {name: _period(r) for name, r in recordings.items()}
+    wanted = period or next(iter(usual.values()))
+    tables = {}
+    for name, recording in recordings.items():
+        if len(recording) < LEAST_SAMPLES:
+            told = f"{name}: {len(recording)} samples; needed are {LEAST_SAMPLES}"
+            raise RecordingError(told, given=len(recording))
+        for column in (*inputs, *outputs):
+            if column not in recording:
+                told = f"{name}: no column {column!r}, found "
+                raise RecordingError(told, given=column, allowed=recording.columns)
+        same = abs(usual[name] - wanted) <= _SAME * wanted
+        tables[name] = (_on_grid if same or period is None else _resampled)(
+            name, recording, (*inputs, *outputs), wanted, notes
+        )
+    used_in = tuple(c for c in inputs if _sound(c, tables, notes))
+    if not used_in:
+        raise RecordingError("no input is left: " + "; ".join(notes), given=inputs)
+    for output in outputs:
+        reasons: list[str] = []
+        if not _sound(output, tables, reasons):
+            raise RecordingError(f"output {reasons[0]}", given=output)
+        notes += reasons
+    driven = {name: _driven(name, table, used_in, notes) for name, table in tables.items()}
+    records = tuple(
+        tuple(Record(driven[name], table[output], name) for name, table in tables.items())
+        for output in outputs
+    )
+    for own in records:
+        _check_sampling(own, wanted, notes)
+    return Signals(records, used_in, tuple(outputs), wanted, tuple(notes))
+
+
+def _period(recording: Recording) -> float:
+    """Usual interval [s], without the rounding of single stamps."""
+    steps = np.diff(recording.time)
+    if not len(steps):
+        return 1.0
+    usual = float(np.median(steps))
+    regular = steps[np.abs(steps - usual) <= _JITTER * usual]
+    return float(f"{regular.mean():.9g}")
+
+
+def _on_grid(
+    name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
+) -> dict[str, Array]:
+    """Columns on the recording's own uniform axis, NaN where samples are missing."""
+    steps = np.diff(recording.time) / period
+    whole = np.maximum(np.round(steps), 1)
+    if np.any(np.abs(steps - whole) > _JITTER * whole) or whole.sum() > _LONGEST_GAP + len(steps):
+        low, high = float(np.diff(recording.time).min()), float(np.diff(recording.time).max())
+        told = f"{name}: sampled every {low:.4g} to {high:.4g} s, one period is needed; "
+        raise RecordingError(told + f"--period {period:.4g} resamples it", given=name)
+    at = np.concatenate([[0], np.cumsum(whole)]).astype(int)
+    missing = at[-1] + 1 - len(at)
+    if missing:
+        notes.append(f"{name}: {missing} samples are missing from the time axis; bridged")
+    out = {}
+    for column in columns:
+        out[column] = np.full(at[-1] + 1, np.nan)
+        out[column][at] = recording[column]
+    return out
+
+
+def _resampled(
+    name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
+) -> dict[str, Array]:
+    """Columns interpolated linearly to a period."""
+    time = recording.time
+    axis = np.arange(time[0], time[-1] + 0.5 * period, period)
+    axis = axis[axis <= time[-1]]
+    if len(axis) < LEAST_SAMPLES:
+        told = f"{name}: {len(axis)} samples of {period:g} s; needed are {LEAST_SAMPLES}"
+        raise RecordingError(told, given=period)
+    notes.append(f"{name}: {len(time)} samples became {len(axis)} of {period:g} s")
+    out = {}
+    for column in columns:
+        good = np.isfinite(recording[column])
+        if not good.any():
+            out[column] = np.full(len(axis), np.nan)
+            continue
+        out[column] = np.interp(axis, time[good], recording[column][good])
+        # What lies in a gap of the column is not measured.
+        gap = np.interp(axis, time, (~good).astype(float)) > 0.5
+        out[column][gap] = np.nan
+    return out
+
+
+def _sound(column: str, tables: Mapping[str, dict[str, Array]], notes: list[str]) -> bool:
+    """Whether a column holds a signal; wild samples of one that does become missing ones."""
+    values = np.concatenate([table[column] for table in tables.values()])
+    finite = values[np.isfinite(values)]
+    if len(finite) < len(values) / 2:
+        notes.append(f"{column!r} is left out: {len(values) - len(finite)} samples are no numbers")
+        return False
+    low, middle, high = np.quantile(finite, (0.25, 0.5, 0.75))
+    width = (high - low) or float(np.ptp(finite)) or 1.0
+    wild = np.abs(values - middle) > _WILD * max(width, abs(middle) * 1e-6)
+    usual = finite[~wild[np.isfinite(values)]]
+    if not len(usual) or np.ptp(usual) <= 1e-9 * np.max(np.abs(usual)):
+        notes.append(f"{column!r} is left out: it is constant, {middle:.4g}")
+        return False
+    if wild.mean() > _MOST_WILD or np.max(np.abs(usual)) > 1e12:
+        worst = float(np.max(np.abs(finite)))
+        notes.append(f"{column!r} is left out: values of {worst:.3g} are no measurements")
+        return False
+    if wild.any():
+        notes.append(f"{column!r}: {int(wild.sum())} wild samples count as missing")
+        for table in tables.values():
+            far = np.abs(table[column] - middle) > _WILD * max(width, abs(middle) * 1e-6)
+            table[column] = np.where(far, np.nan, table[column])
+    return True
+
+
+def _driven(
+    name: str, table: Mapping[str, Array], inputs: Sequence[str], notes: list[str]
+) -> Array:
+    """Inputs of one recording, missing samples bridged by a straight line, (N, M)."""
+    out = np.column_stack([table[column] for column in inputs])
+    at = np.arange(len(out))
+    for j, column in enumerate(inputs):
+        good = np.isfinite(out[:, j])
+        if not good.all():
+            notes.append(f"{name}: {int((~good).sum())} missing samples of {column!r} are bridged")
+            out[:, j] = np.interp(at, at[good], out[good, j]) if good.any() else 0.0
+        levels = len(np.unique(out[:, j]))
+        if levels == 2:
+            notes.append(
+                f"{name}: {column!r} takes two values only: how it acts between them, and "
+                "beyond, cannot be seen"
+            )
+    return out
+
+
+def _check_sampling(records: Sequence[Record], period: float, notes: list[str]) -> None:
+    moves = np.concatenate([np.diff(r.y) for r in records])
+    spread = float(np.nanstd(np.concatenate([r.y for r in records])))
+    share = float(np.sqrt(np.nanmean(moves**2))) / spread
+    if share < _SLOW:
+        better = period * _SLOW / share
+        notes.append(
+            f"the output moves by {100 * share:.2g} % of its spread a sample; "
+            f"--period {better:.2g} would show more of its dynamics to as many lags"
+        )

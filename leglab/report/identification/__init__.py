@@ -1,0 +1,1 @@
+"""The page of `leglab identify`, its figures and its files."""
