@@ -129,16 +129,15 @@ def test_a_nonlinear_structure_must_win_between_the_data_and_beyond_them():
         plan = search.Plan(kind, search.Orders(1, 1, (0,)), 60)
         return search.Candidate(plan, None, (eighths, thirds), ())
 
-    flat, line, bend, sure = (
-        candidate("constant", 1.0, 1.0),
-        candidate("linear", 0.5, 0.6),
-        candidate("terms", 0.1, 0.7),
-        candidate("curves", 0.4, 0.5),
-    )
-    assert search.chosen_first([flat, line], [bend, sure], 1000) == [sure, line, flat, bend]
-    assert search.chosen_first([flat, line], [bend], 1000)[0] == line
-    # A gain that the best of three has by chance in so few samples.
-    assert search.chosen_first([flat, candidate("linear", 0.99, 0.99)], [], 50)[0] == flat
+    flat = candidate("constant", (1.0, 1.0, 1.0), (1.0, 1.0))
+    line = candidate("linear", (0.5, 0.4, 0.6), (0.5, 0.5))
+    beyond = candidate("terms", (0.1, 0.1, 0.1), (0.6, 0.5))
+    lucky = candidate("terms", (0.1, 0.5, 0.7), (0.4, 0.4))
+    sure = candidate("curves", (0.4, 0.3, 0.5), (0.4, 0.4))
+    assert search.chosen_first([flat, line], [beyond, lucky, sure])[0] == sure
+    assert search.chosen_first([flat, line], [beyond, lucky])[0] == line
+    chance = candidate("linear", (0.9, 1.05, 0.99), (0.9, 0.9))
+    assert search.chosen_first([flat, chance], [])[0] == flat
 
 
 def test_garbage_is_named_and_left_out():

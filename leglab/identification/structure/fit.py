@@ -19,6 +19,7 @@ ITERATIONS = 25
 _CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
 _LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
+_MOST_STARTS = 20_000  # one-step errors from which a fit starts
 # An error that overflows counts as so many variances.
 DIVERGED = 1e9
 
@@ -245,6 +246,7 @@ def one_step(
     settings = problem.model(features)
     simulator = Simulator(settings, problem.records)
     stretches = one_step_stretches(problem, settings.lags, without)
+    stretches = stretches[:: max(1, len(stretches) // _MOST_STARTS)]
     theta = np.zeros(sum(block.count for block in settings.blocks))
     found = simulator.sums(theta, stretches, sensitivities=True)
     scale = problem.variance * max(found.samples, 1)
@@ -262,7 +264,7 @@ def one_step_stretches(
         usable = startable(record, depth)
         if without is not None and without.record == k:
             usable[without.start : without.start + without.length + depth] = False
-        out += [Stretch(k, int(t), 1) for t in np.flatnonzero(usable)]
+        out += [Stretch(k, t, 1) for t in np.flatnonzero(usable).tolist()]
     return out
 
 

@@ -99,7 +99,9 @@ class Identified:
     @property
     def kind(self) -> str:
         """What a field calls the model."""
-        return library.kind_of(self.problem, self.model.settings.features)
+        kind = library.kind_of(self.problem, self.model.settings.features)
+        how = {"linear": ", fitted to the free run", "one step": ", fitted to one step (ARX)"}
+        return kind + how.get(self.chosen.plan.kind, "")
 
     @property
     def better_than_mean(self) -> bool:

@@ -56,7 +56,7 @@ def _line(output: str, candidate: Candidate) -> str:
         "features": encode(candidate.fit.features),
         "theta": candidate.fit.theta.tolist(),
         "error": candidate.fit.error,
-        "scores": list(candidate.scores),
+        "held_out": candidate.held_out,
         "path": list(candidate.path),
     }
     return json.dumps(content)
@@ -68,4 +68,5 @@ def _read(line: str) -> tuple[str, Candidate]:
     kind, length, strength, most, budget = content["plan"]
     plan = Plan(kind, Orders(outputs, inputs, tuple(delays)), length, strength, most, budget)
     fit = Fit(decode(content["features"]), np.array(content["theta"]), content["error"])
-    return content["output"], Candidate(plan, fit, tuple(content["scores"]), tuple(content["path"]))
+    held_out = tuple(map(tuple, content["held_out"]))
+    return content["output"], Candidate(plan, fit, held_out, tuple(content["path"]))

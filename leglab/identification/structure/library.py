@@ -102,7 +102,7 @@ def kind_of(problem: Problem, features: Sequence[Feature]) -> str:
     if all(isinstance(f, Constant) for f in features):
         return "a constant: no model was better"
     if not bent:
-        return "linear (ARX form, output-error fit)"
+        return "linear"
     signals = {f.signal for f in bent} | {f.times[0] for f in bent if f.times is not None}
     if output not in signals:
         single = all(f.times is None for f in bent)

@@ -86,25 +86,34 @@ class Candidate:
     Attributes:
         plan: The plan.
         fit: The model, fitted to all records.
-        scores: RMS error over eighths and over thirds of the records, geometric mean, in standard
-            deviations of the output.
+        held_out: Mean square of the error over each eighth, and each third, of the records, as a
+            share of the output's variance.
         path: Score at each number of features.
     """
 
     plan: Plan
     fit: Fit
-    scores: tuple[float, ...]
+    held_out: tuple[tuple[float, ...], ...]
     path: tuple[float, ...]
+
+    @property
+    def scores(self) -> tuple[float, ...]:
+        """RMS error over eighths and thirds, geometric mean, in deviations of the output."""
+        return tuple(map(score_of, self.held_out))
 
     @property
     def score(self) -> float:
         """Geometric mean of both."""
-        return float(np.exp(np.mean(np.log(self.scores))))
+        return _mean_score(self.held_out)
 
 
 def score_of(held_out: Sequence[float] | Array) -> float:
     """Geometric mean of RMS errors, from their squares."""
     return float(np.exp(np.mean(np.log(held_out)) / 2))
+
+
+def _mean_score(held_out: Sequence[Sequence[float]]) -> float:
+    return float(np.exp(np.mean([np.log(score_of(part)) for part in held_out])))
 
 
 def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
@@ -256,29 +265,29 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
     held = [blocks(problem, depth, count) for count in BLOCKS]
     paths = [[begun(block) for block in part] for part in held]
 
-    def scores() -> tuple[float, ...]:
+    def errors() -> tuple[tuple[float, ...], ...]:
         return tuple(
-            score_of([
+            tuple(
                 problem.error_of(path.fit, b, lead_in(problem, b, depth))
                 for path, b in zip(some, part, strict=True)
-            ])
+            )
             for some, part in zip(paths, held, strict=True)
-        )  # fmt: skip
+        )
 
-    table = [scores()]
+    table = [errors()]
     flat = [path for part in paths for path in part]
     while len(table) <= plan.most and not all(path.ended for path in flat):
-        best = int(np.argmin([np.prod(row) for row in table]))
+        best = int(np.argmin([_mean_score(row) for row in table]))
         if len(table) - 1 - best >= _PATIENCE:
             break
         for path in flat:
             path.grow()
-        table.append(scores())
-    size = int(np.argmin([np.prod(row) for row in table]))
+        table.append(errors())
+    tried = [_mean_score(row) for row in table]
+    size = int(np.argmin(tried))
     whole = begun(None)
     for _ in range(size):
         whole.grow()
-    tried = [float(np.sqrt(np.prod(row))) for row in table]
     return Candidate(plan, whole.fit, table[size], tuple(tried))
 
 
@@ -415,26 +424,31 @@ def search(
     bent = made("nonlinear models", plans_bent(problem, linear))
     bent += made("best models", plans_full(bent))
     bent += made("best model, other priors", plans_strengths(bent))
-    return chosen_first(linear, bent, problem.count)
+    return chosen_first(linear, bent)
 
 
-def chosen_first(
-    linear: Sequence[Candidate], bent: Sequence[Candidate], samples: int
-) -> list[Candidate]:
-    """Candidates by score, those behind that do not beat simpler ones in both block sizes.
+def chosen_first(linear: Sequence[Candidate], bent: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates by score, those behind that are not surely better than simpler ones.
 
-    A linear model has to beat the constant, a nonlinear one every linear one. The best of n
-    candidates that are equally good is ahead by some log n nats of the samples' likelihood.
+    A linear model has to beat the constant, a nonlinear one every linear one: by more than a
+    standard error over the eighths, and over the thirds.
     """
-    luck = np.exp(-np.log(len(linear) + len(bent)) / samples)
-    constant = np.min([c.scores for c in _of(CONSTANT, linear)], axis=0)
-    simple = np.min([c.scores for c in linear], axis=0)
+    constant, simple = _of(CONSTANT, linear), list(linear)
 
     def rank(candidate: Candidate) -> tuple[bool, float]:
-        kind = candidate.plan.kind
-        if kind == CONSTANT:
+        if candidate.plan.kind == CONSTANT:
             return False, candidate.score
-        least = constant if kind in LINEAR else simple
-        return bool(np.any(candidate.scores > luck * least)), candidate.score
+        rivals = constant if candidate.plan.kind in LINEAR else simple
+        return not all(_beats(candidate, rival) for rival in rivals), candidate.score
 
     return sorted([*linear, *bent], key=rank)
+
+
+def _beats(candidate: Candidate, rival: Candidate) -> bool:
+    (eighths, thirds), (its_eighths, its_thirds) = candidate.held_out, rival.held_out
+    if score_of(thirds) >= score_of(its_thirds):
+        return False
+    if len(eighths) != len(its_eighths):  # other lags may leave one block fewer
+        return score_of(eighths) < score_of(its_eighths)
+    gain = np.log(its_eighths) - np.log(eighths)
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))

@@ -30,7 +30,7 @@ def free_run_figure(found: Identified, errors: Errors) -> Figure:
             label="free run",
         )
         top.set_ylabel(found.output)
-        top.legend(loc="upper right", ncols=2)
+        top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
         top.set_title(f"{errors.recording}: free run, fit {errors.fit:.1f} %")
         residual = errors.measured - errors.simulated
         bottom.plot(time, residual[shown], color=BLUE, linewidth=0.7)

@@ -26,7 +26,7 @@ from leglab.report.page.wording import number
 VERSION = 1
 RESULT, PAGE = "identify.json", "identify.html"
 _TABLE_POINTS = 41
-_MOST_TRIED = 25
+_MOST_TRIED = 10  # linear structures, and as many nonlinear ones
 
 
 def stem(found: Identified, models: Mapping[str, Identified]) -> str:
@@ -291,12 +291,15 @@ def _transfer_table(found: Identified) -> Table:
 def _tried_table(found: Identified) -> Table:
     rows: list[list[str]] = []
     seen: set[str] = set()
+    left = {True: _MOST_TRIED, False: _MOST_TRIED}
     best = found.chosen.score
     for candidate in found.candidates:
         words = _words(candidate, found)
-        if words in seen or len(rows) == _MOST_TRIED:
+        simple = candidate.plan.kind in LINEAR
+        if words in seen or not left[simple]:
             continue
         seen.add(words)
+        left[simple] -= 1
         ratio = candidate.score / best
         why = "chosen" if not rows else f"{ratio:.2f} times the error of the chosen one"
         if rows and ratio < 1:
