@@ -19,7 +19,7 @@ ITERATIONS = 25
 _CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
 _LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
-_MOST_STARTS = 20_000  # one-step errors from which a fit starts
+_MOST_STARTS = 5000  # one-step errors from which a fit starts
 # An error that overflows counts as so many variances.
 DIVERGED = 1e9
 
@@ -245,8 +245,7 @@ def one_step(
     """Least squares of the one-step error, from which output-error fits start."""
     settings = problem.model(features)
     simulator = Simulator(settings, problem.records)
-    stretches = one_step_stretches(problem, settings.lags, without)
-    stretches = stretches[:: max(1, len(stretches) // _MOST_STARTS)]
+    stretches = one_step_stretches(problem, settings.lags, without, _MOST_STARTS)
     theta = np.zeros(sum(block.count for block in settings.blocks))
     found = simulator.sums(theta, stretches, sensitivities=True)
     scale = problem.variance * max(found.samples, 1)
@@ -256,15 +255,23 @@ def one_step(
 
 
 def one_step_stretches(
-    problem: Problem, depth: int, without: Stretch | None = None
+    problem: Problem, depth: int, without: Stretch | None = None, most: int | None = None
 ) -> list[Stretch]:
-    """Free runs of one sample from every start whose past is measured: one-step predictions."""
+    """Free runs of one sample from starts whose past is measured: one-step predictions.
+
+    Args:
+        problem: Records.
+        depth: Samples of the past.
+        without: Stretch that is held out.
+        most: About so many starts, evenly; None takes all.
+    """
+    every = 1 if most is None else max(1, problem.count // most)
     out = []
     for k, record in enumerate(problem.records):
         usable = startable(record, depth)
         if without is not None and without.record == k:
             usable[without.start : without.start + without.length + depth] = False
-        out += [Stretch(k, t, 1) for t in np.flatnonzero(usable).tolist()]
+        out += [Stretch(k, t, 1) for t in np.flatnonzero(usable)[::every].tolist()]
     return out
 
 

@@ -40,7 +40,8 @@ _OVERLAP = 4  # stretches of a fit start every such part of their length
 _TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
 _GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
 _WORTH = 0.997  # of the error: a feature that lowers it by less ends a path
-_PATIENCE = 3  # sizes without a better score after which a path ends
+# A path ends after so many sizes that do not lower the score to this share.
+_PATIENCE, _PROGRESS = 3, 0.99
 MOST_TERMS, FEW_TERMS = 20, 5
 _KEPT = 3  # structures of the sketch that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
@@ -276,13 +277,14 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
 
     table = [errors()]
     flat = [path for part in paths for path in part]
-    while len(table) <= plan.most and not all(path.ended for path in flat):
-        best = int(np.argmin([_mean_score(row) for row in table]))
-        if len(table) - 1 - best >= _PATIENCE:
-            break
+    best, since = _mean_score(table[0]), 0
+    while len(table) <= plan.most and since < _PATIENCE and not all(path.ended for path in flat):
         for path in flat:
             path.grow()
         table.append(errors())
+        score = _mean_score(table[-1])
+        since = 0 if score < _PROGRESS * best else since + 1
+        best = min(best, score)
     tried = [_mean_score(row) for row in table]
     size = int(np.argmin(tried))
     whole = begun(None)
@@ -352,10 +354,9 @@ def plans_bent(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
         most = max(1, (_MOST_LAGS - ny) // inputs)
         orders.append(Orders(ny, min(nu, most), best[0].orders.delays))
     return [
-        Plan(kind, one, length, most=FEW_TERMS, budget=SKETCH)
+        Plan(kind, one, best[0].length, most=FEW_TERMS, budget=SKETCH)
         for one in dict.fromkeys(orders)
         for kind in library.KINDS
-        for length in dict.fromkeys((min(_lengths(problem)), best[0].length))
     ]
 
 
@@ -365,14 +366,20 @@ def plans_full(bent: Sequence[Candidate]) -> list[Plan]:
     return [replace(c.plan, most=MOST_TERMS, budget=FULL) for c in best]
 
 
-def plans_strengths(bent: Sequence[Candidate]) -> list[Plan]:
-    """The best structure with other priors, and with finer curves."""
+def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
+    """The best structure with other stretches, then priors and finer curves."""
     best = min(bent, key=_score).plan
     wanted = replace(best, most=MOST_TERMS, budget=FULL)
-    out = [replace(wanted, strength=s) for s in _STRENGTHS if s != best.strength]
-    if best.kind == "curves":
-        out += [replace(wanted, kind=k, strength=s) for k in library.REFINED for s in _STRENGTHS]
-    return out
+    kinds = [best.kind, *(library.REFINED if best.kind == "curves" else ())]
+    plans = [replace(wanted, length=n) for n in _lengths(problem)]
+    most = {best.kind: MOST_TERMS}
+    plans += [
+        replace(wanted, kind=k, strength=s, most=most.get(k, FEW_TERMS))
+        for k in kinds
+        for s in _STRENGTHS
+    ]
+    known = {candidate.plan for candidate in bent}
+    return [plan for plan in dict.fromkeys(plans) if plan not in known]
 
 
 def _score(candidate: Candidate) -> float:
@@ -423,7 +430,7 @@ def search(
     linear += made("linear models, tuned", plans_tuned(problem, linear))
     bent = made("nonlinear models", plans_bent(problem, linear))
     bent += made("best models", plans_full(bent))
-    bent += made("best model, other priors", plans_strengths(bent))
+    bent += made("best model, varied", plans_varied(problem, bent))
     return chosen_first(linear, bent)
 
 
