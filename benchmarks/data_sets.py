@@ -1,14 +1,14 @@
 """Two measured data sets, the Silverbox circuit and a hydraulic actuator, and models of them.
 
-Every model learns in one online pass over the training part and then runs free. The structure of
-the deployed identifier is the first of its grid, ranked on the training part alone. The recordings
-are other people's: `shared_data` says where they are looked for.
+Every model learns in one online pass over the training part and then runs free. The structures of
+the deployed identifier were chosen on the training part alone, from a grid that a person made; what
+`leglab identify` chooses by itself is in `identify.py`. The recordings are other people's:
+`shared_data` says where they are looked for.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import product
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from scipy.io import loadmat
@@ -21,7 +21,6 @@ from leglab.identification import (
     Rls,
     Signal,
     Spline,
-    SplineNarx,
     SplineNarxSettings,
 )
 from leglab.studies.replication.paper import Array
@@ -177,71 +176,3 @@ ACTUATOR: dict[str, Any] = {
     "input_lags": (1, 2, 3),
     "initial_gain": 30.0,
 }
-
-
-class RankedStructure(NamedTuple):
-    """A structure as `spline_narx` takes it, and its error in the unit of the table."""
-
-    error: float
-    structure: dict[str, Any]
-
-
-def select(
-    data: Dataset, grid: Sequence[dict[str, Any]], splits: Sequence[tuple[slice, slice]]
-) -> list[RankedStructure]:
-    """Ranks arguments of `spline_narx` by their mean free-run error, the best first.
-
-    `splits` are (learn online, run free), parts of the training part.
-    """
-    u, y = data.u[data.train], data.y[data.train]
-    ranked = []
-    for structure in grid:
-        settings, errors = spline_narx(data, **structure), []
-        for learned, held_out in splits:
-            model = SplineNarx(settings)
-            model.run(u[learned], y[learned])
-            errors.append(free_run_error(model, u[held_out], y[held_out], data.given))
-        ranked.append(RankedStructure(float(np.mean(errors)) * data.unit[1], structure))
-    return sorted(ranked, key=lambda candidate: candidate.error)
-
-
-def _product(**choices: Sequence[Any]) -> list[dict[str, Any]]:
-    return [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
-
-
-def actuator_grid() -> list[dict[str, Any]]:
-    """Orders, blocks of u and of y, their number of splines, and F(0) as regularisation."""
-    rest = _product(
-        na=(2, 3, 4, 5, 6, 8),
-        splines=(5, 8, 12, 16),
-        input_lags=((), (1,), (1, 2), (1, 2, 3), (0, 1), (0, 1, 2)),
-        output_lags=((), (1,)),
-        initial_gain=(10.0, 30.0, 100.0, 1e4),
-    )
-    orders = ((2, 1), (3, 1), (4, 1), (6, 1), (4, 0))
-    return [{"nb": nb, "nk": nk, **others} for (nb, nk), others in product(orders, rest)]
-
-
-ACTUATOR_SPLITS = (
-    (slice(0, 340), slice(340, 512)),
-    (slice(172, 512), slice(0, 172)),
-    (slice(0, 256), slice(256, 512)),
-    (slice(256, 512), slice(0, 256)),
-)
-"""A third or half of the first 512 samples held out, at either end."""
-
-
-def silverbox_grid() -> list[dict[str, Any]]:
-    """Orders, splines of y over the range of the training output (+-2 %), start of stage 2."""
-    shared = {"nk": 0, "reach": 0.85, "outside": "quadratic"}
-    candidates = _product(
-        na=(2, 3, 4, 5, 6),
-        splines=(5, 6, 7, 8, 9, 10, 12, 14),
-        output_lags=((1,), (1, 2)),
-        output_error_after=(1000, 2000, 5000),
-    )
-    return [{**shared, **rest, "nb": rest["na"] + 1} for rest in candidates]
-
-
-SILVERBOX_SPLITS = ((slice(0, 52050), slice(52050, 65062)),)
-"""The last fifth of the training part held out."""

@@ -1,7 +1,6 @@
 """Every model of this project on the measured benchmarks, next to the published rows.
 
-python -m benchmarks real_data            # the table
-python -m benchmarks real_data --select   # how the structures were chosen (minutes)
+python -m benchmarks real_data
 """
 
 import argparse
@@ -126,27 +125,15 @@ def figures(data: Dataset, deployed: dict, folder: Path) -> None:
         figure.savefig(folder / f"{stem}.png", dpi=110)
 
 
-def show_selection(data: Dataset, grid: list, splits: tuple) -> None:
-    ranked = data_sets.select(data, grid, splits)
-    print(f"{data.name}: {len(grid)} candidates, mean error on held-out training data; best ten:")
-    for candidate in ranked[:10]:
-        settings = data_sets.spline_narx(data, **candidate.structure)
-        errors = data_sets.free_run_errors(data_sets.train(SplineNarx(settings), data), data)
-        shown = ", ".join(f"{value:.3f}" for value in errors.values())
-        print(f"  {candidate.error:.3f}  tests, for information: {shown}  {candidate.structure}")
-
-
 def measure(options: argparse.Namespace) -> dict[str, Any] | None:
-    """Tables by data set; None where figures or a selection were wanted."""
+    """Tables by data set; None where figures were wanted."""
     cases = (
-        (data_sets.silverbox(), SILVERBOX, data_sets.silverbox_grid, data_sets.SILVERBOX_SPLITS),
-        (data_sets.actuator(), ACTUATOR, data_sets.actuator_grid, data_sets.ACTUATOR_SPLITS),
+        (data_sets.silverbox(), SILVERBOX),
+        (data_sets.actuator(), ACTUATOR),
     )
     found = {}
-    for data, deployed, grid, splits in cases:
-        if options.select:
-            show_selection(data, grid(), splits)
-        elif options.figures:
+    for data, deployed in cases:
+        if options.figures:
             options.figures.mkdir(parents=True, exist_ok=True)
             figures(data, deployed, options.figures)
         else:
@@ -172,6 +159,5 @@ def shown(error: float | None) -> str:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--select", action="store_true", help="choose the structures again")
     parser.add_argument("--no-networks", action="store_true", help="leave out NNARX and NNOE")
     parser.add_argument("--figures", type=Path, help="folder for figures of the free runs")
