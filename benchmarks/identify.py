@@ -283,6 +283,6 @@ def _shown(error: float | None) -> str:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sets", nargs="*", help="part of the names of those wanted; default: all")
-    parser.add_argument("--samples", type=int, nargs="+", default=[1000, 20000])
+    parser.add_argument("--samples", type=int, nargs="+", default=[1000])
     parser.add_argument("--noise", type=int, nargs="+", default=[20, 40], help="dB")
     parser.add_argument("--jobs", type=int, default=2)

@@ -86,7 +86,7 @@ BENCHMARKS = {
         _kept("never_worse", 4),
         _kept("two_routes", 0.5),
         _kept("real_data", 0.2),
-        _kept("identify", 40),
+        _kept("identify", 12),
         _kept("replication", 1),
         _kept("sweeps", 2, quick="--short 100 --long 2 --rows 2000"),
         _kept("squat_limits", 1),
