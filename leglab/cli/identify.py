@@ -41,7 +41,7 @@ def identify(
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/identify"),
     period: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Resample to this period; default: that of the data."),
+        typer.Option(metavar="S", help="Resample to this period; period of data without a time."),
     ] = None,
     columns: Columns = None,
     since: From = None,
@@ -67,8 +67,8 @@ def identify(
     check_jobs(jobs)
     check_apart(out, [*recordings, *(test or [])])
     span = (since, until)
-    learned = _read(recordings, columns, span, salvage)
-    tested = _read(test or [], columns, span, salvage)
+    learned = _read(recordings, columns, span, salvage, period)
+    tested = _read(test or [], columns, span, salvage, period)
     inputs, outputs = tuple(input_ or ()), tuple(output_ or ())
     # What is wrong with the data is said before anything is made.
     signals_of(learned, inputs, outputs, period=period)
@@ -114,8 +114,11 @@ def _read(
     columns: Path | None,
     span: tuple[float | None, float | None],
     salvage: bool,
+    period: float | None,
 ) -> "dict[str, Recording]":
-    """Recordings by name; rows without a time count as seconds."""
+    """Recordings by name; rows without a time are a period apart."""
+    import numpy as np
+
     from leglab import data
     from leglab.data.checks import to_recording
 
@@ -125,11 +128,11 @@ def _read(
         for name, (table, metadata) in tables.items():
             source = f"{path.name}: {name}" if name else path.name
             if "time" not in table:
-                import numpy as np
-
-                complain(f"{source} has no time: a sample counts as 1 s", "warning")
+                if period is None:
+                    told = f"{source} has no time: a sample counts as 1 s, or --period"
+                    complain(told, "warning")
                 length = len(next(iter(table.values()), ()))
-                table = {"time": np.arange(length, dtype=float), **table}
+                table = {"time": np.arange(length) * (period or 1.0), **table}
             recording = to_recording(table, metadata, source=str(path), repair=True)
             for column, why in metadata.get("unreadable", {}).items():
                 complain(f"{source}: {column!r} is left out: {why}", "warning")
