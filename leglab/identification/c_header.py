@@ -18,7 +18,14 @@ _HEAD = """\
  */
 #ifndef LEGLAB_{upper}_H
 #define LEGLAB_{upper}_H
-#include <math.h>
+
+#ifndef LEGLAB_SIGN
+#define LEGLAB_SIGN
+static inline double leglab_sign(double s) {{
+  s = s < -1 ? -1 : s > 1 ? 1 : s;
+  return s * (3 - s * s) / 2;
+}}
+#endif
 
 #define {upper}_INPUTS {count}
 #define {upper}_LAGS {lags}
@@ -117,14 +124,12 @@ def _block(block: ParameterBlock, theta: np.ndarray) -> str:
         if block.change:
             x = f"({x} - {_at(block.signal, block.lag + 1)})"
         d = f"({x} - {_number(block.at)})"
-        width = _number(block.width**2)
+        s = f"{d} / {_number(block.width)}"
         g = {
             "power": " * ".join([x] * block.degree),
             "hinge": f"({d} > 0 ? {d} : 0)",
-            "sign": f"{d} / sqrt({d} * {d} + {width})",
+            "sign": f"leglab_sign({s})",
         }[block.curve]
-        if block.curve == "sign" and not block.width:
-            g = f"(({d} > 0) - ({d} < 0))"
         return f"  sum += {_number(theta[0])} * {g}{factor};\n"
     if block.feature != "spline" or block.basis is None:
         told = f"a {block.feature} feature has no C form; allowed: "

@@ -121,10 +121,10 @@ class Term(checks.Settings):
         signal: Name of x.
         lag: Samples; at least 1 for the output.
         curve: g: "power" is x^degree of the scaled x, "hinge" max(x - at, 0), "sign"
-            d / sqrt(d^2 + width^2) with d = x - at, a smooth sign.
+            s (3 - s^2) / 2 with s = (x - at) / width held in [-1, 1], a smooth sign.
         degree: Of "power".
         at: Of "hinge" and "sign", in units of x.
-        width: Of "sign", in units of x.
+        width: Of "sign", in units of x: beyond it the sign is -1 or 1.
         change: Takes the change x(t - lag) - x(t - lag - 1) in place of x: its sign is what
             friction and hysteresis depend on. `at` is then in units of the change.
         times: Optional (signal, lag) that multiplies g; a product of two lags is a power of
@@ -137,7 +137,7 @@ class Term(checks.Settings):
     curve: Curve = "power"
     degree: int = a_whole(1, least=1, most=5)
     at: float = a_number(0.0)
-    width: float = a_number(0.0, least=0.0)
+    width: float = a_number(1.0, above=0.0)
     change: bool = False
     times: tuple[str, int] | None = None
 

@@ -49,7 +49,7 @@ class ParameterBlock:
     curve: Curve = "power"
     degree: int = 1
     at: float = 0.0
-    width: float = 0.0
+    width: float = 1.0
     change: bool = False
 
     @property
@@ -319,9 +319,8 @@ def _add_term(
     elif block.curve == "hinge":
         value, slope = max(d, 0.0), float(d > 0)
     else:
-        root = np.hypot(d, block.width)
-        value = d / root if root > 0 else 0.0
-        slope = (1 - value**2) / root if root > 0 else 0.0
+        s = float(np.clip(d / block.width, -1.0, 1.0))
+        value, slope = s * (3 - s**2) / 2, 1.5 * (1 - s**2) / block.width
     factor = 1.0 if block.factor_signal < 0 or point is None else point[block.factor_signal]
     gains[block.signal, block.lag] += theta * slope * factor
     if block.change:

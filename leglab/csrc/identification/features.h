@@ -19,7 +19,7 @@ enum class Feature : int {
 enum class Curve : int {
   power,  // x^degree
   hinge,  // max(d, 0)
-  sign,   // d / sqrt(d^2 + width^2)
+  sign,   // s (3 - s^2) / 2 with s = d / width, held at -1 and 1
 };
 
 // Signal 0 is the output, whose lags start at 1; signals 1, 2, ... are the inputs.
@@ -36,7 +36,7 @@ struct Block {
   Curve curve = Curve::power;  // of term, and all below
   int degree = 1;
   T at = T(0);
-  T width = T(0);
+  T width = T(1);
   bool change = false;  // of x(t - lag) - x(t - lag - 1)
 
   int count() const {
@@ -67,9 +67,9 @@ struct Block {
         value = slope * d;
         break;
       case Curve::sign: {
-        const T root = square_root(d * d + width * width);
-        value = root > T(0) ? d / root : T(0);
-        slope = root > T(0) ? (T(1) - value * value) / root : T(0);
+        const T s = clamp(d / width, T(-1), T(1));
+        value = s * (T(3) - s * s) / T(2);
+        slope = T(1.5) * (T(1) - s * s) / width;
         break;
       }
     }

@@ -30,10 +30,6 @@ constexpr bool is_finite(T x) {
   return x - x == T(0);
 }
 
-// Correctly rounded on every machine that has the instruction.
-inline double square_root(double x) { return __builtin_sqrt(x); }
-inline float square_root(float x) { return __builtin_sqrtf(x); }
-
 // Whether all of `count` values are finite.
 template <class T>
 constexpr bool all_finite(const T* values, int count) {
