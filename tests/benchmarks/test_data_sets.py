@@ -40,23 +40,6 @@ def test_actuator_after_one_online_pass():
     assert errors["second half"] <= 0.55
 
 
-def test_selection_looks_at_the_training_part_alone():
-    data = recording(data_sets.actuator)
-    grid = [{"na": na, "nb": 4, "nk": 1, "splines": 5, "input_lags": (1,)} for na in (2, 3, 4)]
-    ranked = data_sets.select(data, grid, data_sets.ACTUATOR_SPLITS)
-    data.y[512:] = data.u[512:] = 0.0
-    assert data_sets.select(data, grid, data_sets.ACTUATOR_SPLITS) == ranked
-    assert [c.error for c in ranked] == sorted(c.error for c in ranked)
-
-
-def test_structures_are_in_their_grids():
-    for structure, grid in (
-        (SILVERBOX, data_sets.silverbox_grid()),
-        (ACTUATOR, data_sets.actuator_grid()),
-    ):
-        assert any(structure.items() <= candidate.items() for candidate in grid)
-
-
 def test_missing_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("LEGLAB_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(LeglabError, match="nowhere"):

@@ -167,7 +167,8 @@ id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   out.guard = read_guard<T>(settings.attr("guard"));
   LEGLAB_READ_3(output_error_after, resynchronise_above, pole_limit)
   const nb::object limits = settings.attr("free_run_limits");
-  if (!limits.is_none()) {
+  out.held = !limits.is_none();
+  if (out.held) {
     const auto ends = nb::cast<std::vector<double>>(limits);
     out.lower = out.output.apply(T(ends.at(0)));
     out.upper = out.output.apply(T(ends.at(1)));

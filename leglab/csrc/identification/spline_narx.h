@@ -29,7 +29,8 @@ struct SplineNarxSettings {
   int output_error_after = 0;       // learned samples until the output-error stage; 0: never
   T resynchronise_above = T(0.5);   // simulation error that restarts the simulation (scaled)
   T pole_limit = T(0);              // largest pole radius of the lags of y; 0: any
-  T lower = T(-1e30);  // the model's own output never leaves these in free run (scaled)
+  bool held = false;  // whether the model's own output never leaves the following (scaled)
+  T lower = T(-1e30);
   T upper = T(1e30);
 };
 
@@ -125,7 +126,9 @@ class SplineNarx {
   // Prediction without learning, and the output that is to stand for y(t) afterwards; for
   // validation and free run on a copy of the workspace.
   T predict_next(const T* u) {
-    return settings_.output.undo(clamp(expect(u), settings_.lower, settings_.upper));
+    const T own = expect(u);
+    const T shown = settings_.held ? clamp(own, settings_.lower, settings_.upper) : own;
+    return settings_.output.undo(shown);
   }
   void remember(T y) { remember_scaled(settings_.output.apply(y)); }
 
