@@ -22,8 +22,8 @@ _HEAD = """\
 #ifndef LEGLAB_SIGN
 #define LEGLAB_SIGN
 static inline double leglab_sign(double s) {{
-  s = s < -1 ? -1 : s > 1 ? 1 : s;
-  return s * (3 - s * s) / 2;
+  const double a = s < 0 ? -s : s, q = a * (a + 0.5), share = 0.5 / (q + 0.5);
+  return s < 0 ? share - 1 : 1 - share;
 }}
 #endif
 

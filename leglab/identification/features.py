@@ -121,10 +121,11 @@ class Term(checks.Settings):
         signal: Name of x.
         lag: Samples; at least 1 for the output.
         curve: g: "power" is x^degree of the scaled x, "hinge" max(x - at, 0), "sign"
-            s (3 - s^2) / 2 with s = (x - at) / width held in [-1, 1], a smooth sign.
+            q / (q + 1/2) with s = |x - at| / width and q = s (s + 1/2), and the sign of x - at: as
+            smooth as s / sqrt(1 + s^2), without a root.
         degree: Of "power".
         at: Of "hinge" and "sign", in units of x.
-        width: Of "sign", in units of x: beyond it the sign is -1 or 1.
+        width: Of "sign", in units of x: at that distance it is three quarters.
         change: Takes the change x(t - lag) - x(t - lag - 1) in place of x: its sign is what
             friction and hysteresis depend on. `at` is then in units of the change.
         times: Optional (signal, lag) that multiplies g; a product of two lags is a power of

@@ -319,8 +319,9 @@ def _add_term(
     elif block.curve == "hinge":
         value, slope = max(d, 0.0), float(d > 0)
     else:
-        s = float(np.clip(d / block.width, -1.0, 1.0))
-        value, slope = s * (3 - s**2) / 2, 1.5 * (1 - s**2) / block.width
+        s = abs(d) / block.width
+        share = 0.5 / (s * (s + 0.5) + 0.5)
+        value, slope = np.copysign(1 - share, d), 2 * share**2 * (2 * s + 0.5) / block.width
     factor = 1.0 if block.factor_signal < 0 or point is None else point[block.factor_signal]
     gains[block.signal, block.lag] += theta * slope * factor
     if block.change:

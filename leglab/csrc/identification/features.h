@@ -19,7 +19,7 @@ enum class Feature : int {
 enum class Curve : int {
   power,  // x^degree
   hinge,  // max(d, 0)
-  sign,   // s (3 - s^2) / 2 with s = d / width, held at -1 and 1
+  sign,   // q / (q + 1/2) with s = |d| / width and q = s (s + 1/2), and the sign of d
 };
 
 // Signal 0 is the output, whose lags start at 1; signals 1, 2, ... are the inputs.
@@ -67,9 +67,9 @@ struct Block {
         value = slope * d;
         break;
       case Curve::sign: {
-        const T s = clamp(d / width, T(-1), T(1));
-        value = s * (T(3) - s * s) / T(2);
-        slope = T(1.5) * (T(1) - s * s) / width;
+        const T s = magnitude(d) / width, q = s * (s + T(0.5)), share = T(0.5) / (q + T(0.5));
+        value = d < T(0) ? share - T(1) : T(1) - share;
+        slope = T(2) * share * share * (T(2) * s + T(0.5)) / width;
         break;
       }
     }
