@@ -13,7 +13,7 @@ from leglab.cli.app import main
 from leglab.data import write
 from leglab.identification import load
 from leglab.identification.structure import search
-from leglab.identification.structure.identify import rms
+from leglab.identification.structure.identified import rms
 from leglab.identification.structure.journal import Journal
 from leglab.identification.structure.signals import signals_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from leglab.identification.structure.identify import Errors, Identified
+from leglab.identification.structure.identified import Errors, Identified
 from leglab.identification.structure.residuals import ResidualTest
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 

@@ -14,7 +14,7 @@ from leglab.identification.c_header import c_header
 from leglab.identification.features import Lags, Spline
 from leglab.identification.storage import save
 from leglab.identification.structure import library
-from leglab.identification.structure.identify import Errors, Identified
+from leglab.identification.structure.identified import Errors, Identified
 from leglab.identification.structure.residuals import ResidualTest, residual_tests
 from leglab.identification.structure.search import CONSTANT, LINEAR
 from leglab.report.figures import png
