@@ -282,3 +282,13 @@ def test_the_command_writes_model_page_and_header(tmp_path, capsys):
         main([*words, "--out", str(tmp_path / "out")])
     assert stopped.value.code == 2
     assert "give --overwrite" in capsys.readouterr().err
+
+
+def test_many_inputs_and_few_samples_leave_a_structure():
+    rng = np.random.default_rng(11)
+    u, y = rng.normal(size=(110, 5)), np.zeros(110)
+    for t in range(1, 110):
+        y[t] = 0.7 * y[t - 1] + u[t - 1] @ [1, 0.5, 0, 0, -0.3]
+    columns = {f"u{j}": u[:, j].copy() for j in range(5)}
+    (found,) = identify(Recording(time=np.arange(110.0), columns={**columns, "y": y})).values()
+    assert found.trained[0].fit > 99

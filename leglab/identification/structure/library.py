@@ -110,11 +110,6 @@ def kind_of(problem: Problem, features: Sequence[Feature]) -> str:
     return "nonlinear in the output's lags as well (NARX)"
 
 
-def names(features: Sequence[Feature]) -> list[str]:
-    """Features as formulas."""
-    return [name_of(feature) for feature in features]
-
-
 def name_of(feature: Feature) -> str:
     """A feature as a formula."""
     if isinstance(feature, Constant):

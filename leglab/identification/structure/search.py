@@ -264,15 +264,16 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
         return Path(problem, start, further, own, plan.strength)
 
     held = [blocks(problem, depth, count) for count in BLOCKS]
+    firsts = [[lead_in(problem, block, depth) for block in part] for part in held]
     paths = [[begun(block) for block in part] for part in held]
 
     def errors() -> tuple[tuple[float, ...], ...]:
         return tuple(
             tuple(
-                problem.error_of(path.fit, b, lead_in(problem, b, depth))
-                for path, b in zip(some, part, strict=True)
+                problem.error_of(path.fit, block, first)
+                for path, block, first in zip(*row, strict=True)
             )
-            for some, part in zip(paths, held, strict=True)
+            for row in zip(paths, held, firsts, strict=True)
         )
 
     table = [errors()]
@@ -330,7 +331,8 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
         for kind in LINEAR
         for ny, nu in _LINEAR
         for delays_ in dict.fromkeys((lead, (0,) * len(lead)))
-        if ny + nu * len(lead) <= _shortest(problem) // 20
+        # The smallest is always among them, however few samples and many inputs there are.
+        if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= _shortest(problem) // 20
     ]
 
 
