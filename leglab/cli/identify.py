@@ -60,7 +60,7 @@ def identify(
     """
     from leglab.identification.structure import identify as run_identify
     from leglab.identification.structure.journal import Journal
-    from leglab.identification.structure.signals import signals_of
+    from leglab.identification.structure.signals import columns_of
     from leglab.jobs.fingerprint import own_fingerprint
     from leglab.report.identification import output as results
 
@@ -69,10 +69,9 @@ def identify(
     span = (since, until)
     learned = _read(recordings, columns, span, salvage, period)
     tested = _read(test or [], columns, span, salvage, period)
-    inputs, outputs = tuple(input_ or ()), tuple(output_ or ())
-    # What is wrong with the data is said before anything is made.
-    signals_of(learned, inputs, outputs, period=period)
-    made = ("identify.html", *(f"{n}{e}" for n in _stems(outputs) for e in (".leglab", ".h")))
+    inputs, outputs = columns_of(learned, input_ or (), output_ or ())
+    stems = ("model", *map(results.stem_of, outputs))
+    made = (results.PAGE, *(f"{name}{end}" for name in stems for end in (".leglab", ".h")))
     with new_folder(out, mark=results.RESULT, made=made, overwrite=overwrite) as folder:
         place = Path(os.path.realpath(out))
         key = _digest(learned, inputs, outputs, period, own_fingerprint())
@@ -103,10 +102,6 @@ def identify(
     for found in models.values():
         _show(found)
     tell(f"written to {out}: {results.PAGE}, {results.RESULT}, the model and its C header")
-
-
-def _stems(outputs: Sequence[str]) -> list[str]:
-    return ["model", *(f"model_{name}" for name in outputs)]
 
 
 def _read(

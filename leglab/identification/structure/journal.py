@@ -24,23 +24,22 @@ class Journal:
         self.path = path
         self.kept: dict[str, dict[Plan, Candidate]] = defaultdict(dict)
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        self._whole = [key]  # lines that the file has from now on, written with the next result
         if lines[:1] != [key]:
-            path.write_text(key + "\n", encoding="utf-8")
             return
-        whole = [key]
         for line in lines[1:]:
             try:
                 output, candidate = _read(line)
             except (ValueError, LookupError, TypeError):
                 break  # the line in which the earlier search was interrupted
             self.kept[output][candidate.plan] = candidate
-            whole.append(line)
-        path.write_text("\n".join(whole) + "\n", encoding="utf-8")
+            self._whole.append(line)
 
     def keep(self, output: str, candidate: Candidate) -> None:
         """Writes a result."""
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(_line(output, candidate) + "\n")
+        with self.path.open("w" if self._whole else "a", encoding="utf-8") as stream:
+            stream.writelines(f"{line}\n" for line in (*self._whole, _line(output, candidate)))
+        self._whole = []
 
     def done(self) -> None:
         """Removes the file: the search is over."""

@@ -1,6 +1,7 @@
 """Files of `leglab identify`: identify.json, the model, its C header, the page."""
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,13 @@ _MOST_TRIED = 10  # linear structures, and as many nonlinear ones
 
 
 def stem(found: Identified, models: Mapping[str, Identified]) -> str:
-    """File name of a model without its suffix."""
-    return "model" if len(models) == 1 else f"model_{found.output}"
+    """File name of a model without its suffix; signs of a column that no file has become _."""
+    return "model" if len(models) == 1 else stem_of(found.output)
+
+
+def stem_of(output: str) -> str:
+    """File name where there are several models."""
+    return "model_" + re.sub(r"\W", "_", output)
 
 
 def write_all(models: Mapping[str, Identified], folder: Path) -> dict[str, str]:
@@ -74,6 +80,7 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
         "period": found.period,
         "files": {"model": f"{name}.leglab", "c_header": f"{name}.h"},
         "kind": found.kind,
+        "scaled_ranges": {s.name: [s.lower, s.upper] for s in found.model.settings.signals},
         "features": features(found),
         "transfer_functions": transfer_functions(found),
         "curves": curves(found),
@@ -101,7 +108,7 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
 
 
 def features(found: Identified) -> list[dict[str, Any]]:
-    """Features with their parameters in scaled units, and what each contributes to the output."""
+    """Features with their parameters, of signals that are scaled to [-1, 1]."""
     out = []
     settings = found.model.settings
     for feature, (_, theta, _) in zip(settings.features, found.model._learned(0), strict=True):
@@ -274,7 +281,7 @@ def _features_table(found: Identified) -> Table:
     return Table(
         caption=f"{found.output}(t) is the sum of these; parameters of signals scaled to [-1, 1]",
         head=("feature", "parameters"),
-        rows=[r for r in rows if r],
+        rows=rows,
     )
 
 
