@@ -292,3 +292,11 @@ def test_many_inputs_and_few_samples_leave_a_structure():
     columns = {f"u{j}": u[:, j].copy() for j in range(5)}
     (found,) = identify(Recording(time=np.arange(110.0), columns={**columns, "y": y})).values()
     assert found.trained[0].fit > 99
+
+
+def test_an_input_that_rests_in_the_test_is_a_signal():
+    n = 150
+    data = recorded(np.full(n, 0.5), np.full(n, 0.1), w=np.zeros(n))
+    found = signals_of({"rest": data}, ("u", "w"), ("y",), resting=True)
+    assert found.inputs == ("u", "w")
+    assert (found.records[0][0].u[:, 0] == 0.5).all()

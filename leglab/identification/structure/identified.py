@@ -228,8 +228,16 @@ def identify(
     learned = signals_of(recordings, inputs, outputs, period=period)
     tested = None
     if tests:
-        tested = signals_of(tests, learned.inputs, learned.outputs, period=period or learned.period)
-        tested = _same_inputs(tests, learned, tested, period)
+        tested = signals_of(
+            tests,
+            learned.inputs,
+            learned.outputs,
+            period=period or learned.period,
+            resting=True,
+        )
+        if lacking := set(learned.inputs) - set(tested.inputs):
+            why = next(n for n in tested.notes if n.startswith(repr(min(lacking))))
+            raise RecordingError(f"test data: {why}", given=min(lacking))
     out = {}
     for k, output in enumerate(learned.outputs):
         problem = _problem(learned, k)
@@ -265,33 +273,6 @@ def identify(
             tuple(dict.fromkeys(notes)),
         )
     return out
-
-
-def _same_inputs(
-    tests: Mapping[str, Recording], learned: Signals, tested: Signals, period: float | None
-) -> Signals:
-    """Test signals with the inputs that were learned from, constant ones among them."""
-    if tested.inputs == learned.inputs:
-        return tested
-    lacking = next(name for name in learned.inputs if name not in tested.inputs)
-    told = next(note for note in tested.notes if note.startswith(repr(lacking)))
-    if "constant" not in told:
-        raise RecordingError(f"test data: input {told}", given=lacking)
-    # An input that happens to rest in the test is a signal all the same.
-    records = []
-    for own in tested.records:
-        row = []
-        for record in own:
-            u = np.empty((len(record), len(learned.inputs)))
-            for j, name in enumerate(learned.inputs):
-                if name in tested.inputs:
-                    u[:, j] = record.u[:, tested.inputs.index(name)]
-                else:
-                    u[:, j] = np.nanmedian(tests[record.name][name])
-            row.append(Record(u, record.y, record.name))
-        records.append(tuple(row))
-    notes = tuple(n for n in tested.notes if n != told)
-    return Signals(tuple(records), learned.inputs, tested.outputs, tested.period, notes)
 
 
 def _problem(learned: Signals, k: int) -> Problem:

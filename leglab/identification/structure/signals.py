@@ -74,6 +74,7 @@ def signals_of(
     outputs: Sequence[str] = (),
     *,
     period: float | None = None,
+    resting: bool = False,
 ) -> Signals:
     """Reads signals on one uniform time axis a recording.
 
@@ -82,6 +83,7 @@ def signals_of(
         inputs: Columns; see `columns_of`.
         outputs: Columns.
         period: To resample to [s]; None takes that of the recordings.
+        resting: Whether constant columns are signals as well, as in a test they are.
 
     Raises:
         RecordingError: A recording is too short or not uniformly sampled, lacks a column, or a
@@ -107,12 +109,12 @@ def signals_of(
         tables[name] = (_on_grid if same or period is None else _resampled)(
             name, recording, (*inputs, *outputs), wanted, notes
         )
-    used_in = tuple(c for c in inputs if _sound(c, tables, notes))
+    used_in = tuple(c for c in inputs if _sound(c, tables, notes, resting))
     if not used_in:
         raise RecordingError("no input is left: " + "; ".join(notes), given=inputs)
     for output in outputs:
         reasons: list[str] = []
-        if not _sound(output, tables, reasons):
+        if not _sound(output, tables, reasons, resting):
             raise RecordingError(f"output {reasons[0]}", given=output)
         notes += reasons
     driven = {name: _driven(name, table, used_in, notes) for name, table in tables.items()}
@@ -180,7 +182,9 @@ def _resampled(
     return out
 
 
-def _sound(column: str, tables: Mapping[str, dict[str, Array]], notes: list[str]) -> bool:
+def _sound(
+    column: str, tables: Mapping[str, dict[str, Array]], notes: list[str], resting: bool
+) -> bool:
     """Whether a column holds a signal; wild samples of one that does become missing ones."""
     values = np.concatenate([table[column] for table in tables.values()])
     finite = values[np.isfinite(values)]
@@ -191,7 +195,8 @@ def _sound(column: str, tables: Mapping[str, dict[str, Array]], notes: list[str]
     width = (high - low) or float(np.ptp(finite)) or 1.0
     wild = np.abs(values - middle) > _WILD * max(width, abs(middle) * 1e-6)
     usual = finite[~wild[np.isfinite(values)]]
-    if not len(usual) or np.ptp(usual) <= 1e-9 * np.max(np.abs(usual)):
+    constant = not len(usual) or np.ptp(usual) <= 1e-9 * np.max(np.abs(usual))
+    if constant and not resting:
         notes.append(f"{column!r} is left out: it is constant, {middle:.4g}")
         return False
     if wild.mean() > _MOST_WILD or np.max(np.abs(usual)) > 1e12:
@@ -229,7 +234,7 @@ def _driven(
 def _check_sampling(records: Sequence[Record], period: float, notes: list[str]) -> None:
     moves = np.concatenate([np.diff(r.y) for r in records])
     spread = float(np.nanstd(np.concatenate([r.y for r in records])))
-    share = float(np.sqrt(np.nanmean(moves**2))) / spread
+    share = float(np.sqrt(np.nanmean(moves**2))) / spread if spread > 0 else 1.0
     if share < _SLOW:
         better = period * _SLOW / share
         notes.append(
