@@ -149,7 +149,7 @@ class Problem:
         run = simulator.simulate(fit.theta, Stretch(block.record, first, end - first))
         error = self.records[block.record].y[block.start : end] - run[-block.length :]
         share = float(np.nanmean(error**2)) / self.deviation**2
-        return min(share, DIVERGED) if np.isfinite(share) else DIVERGED
+        return float(np.clip(share, _LEAST_SHARE, DIVERGED)) if np.isfinite(share) else DIVERGED
 
 
 @dataclass(frozen=True)

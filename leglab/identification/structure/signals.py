@@ -234,8 +234,8 @@ def _driven(
 def _check_sampling(records: Sequence[Record], period: float, notes: list[str]) -> None:
     moves = np.concatenate([np.diff(r.y) for r in records])
     spread = float(np.nanstd(np.concatenate([r.y for r in records])))
-    share = float(np.sqrt(np.nanmean(moves**2))) / spread if spread > 0 else 1.0
-    if share < _SLOW:
+    share = float(np.sqrt(np.nanmean(moves**2))) / spread if spread > 0 else 0.0
+    if 0 < share < _SLOW:
         better = period * _SLOW / share
         notes.append(
             f"the output moves by {100 * share:.2g} % of its spread a sample; "

@@ -213,9 +213,11 @@ def headline(found: Identified) -> str:
     if not found.better_than_mean:
         return f"No model of {found.output} is better than a constant"
     pool = found.tested or found.trained
-    worst = min(e.fit for e in pool)
     where = "test" if found.tested else "training"
-    return f"{found.output}: free run fits {worst:.1f} % of the {where} data"
+    fits = [e.fit for e in pool if np.isfinite(e.fit)]
+    if not fits:  # an output that rests has nothing to fit
+        return f"{found.output}: free run errs by {number(pool[0].free_run)} on the {where} data"
+    return f"{found.output}: free run fits {min(fits):.1f} % of the {where} data"
 
 
 def sections(found: Identified) -> tuple[Section, ...]:
@@ -263,7 +265,7 @@ def errors_table(found: Identified) -> Table:
     rows = []
     for use, pool in (("training", found.trained), ("test", found.tested)):
         rows += [
-            [e.recording, use, f"{e.fit:.1f}", number(e.free_run), number(e.one_step),
+            [e.recording, use, f"{e.fit:.1f}" if np.isfinite(e.fit) else "-", number(e.free_run), number(e.one_step),
              number(e.linear), number(e.mean)]
             for e in pool
         ]  # fmt: skip
