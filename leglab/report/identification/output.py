@@ -264,11 +264,10 @@ def errors_table(found: Identified) -> Table:
     """Errors on all records."""
     rows = []
     for use, pool in (("training", found.trained), ("test", found.tested)):
-        rows += [
-            [e.recording, use, f"{e.fit:.1f}" if np.isfinite(e.fit) else "-", number(e.free_run), number(e.one_step),
-             number(e.linear), number(e.mean)]
-            for e in pool
-        ]  # fmt: skip
+        for e in pool:
+            fit = f"{e.fit:.1f}" if np.isfinite(e.fit) else "-"
+            errors = map(number, (e.free_run, e.one_step, e.linear, e.mean))
+            rows.append([e.recording, use, fit, *errors])
     head = ("recording", "use", "fit [%]", "free run", "one step", "linear, free run", "constant")
     return Table(caption=f"RMS errors of {found.output}", head=head, rows=rows, words=2)
 
