@@ -14,7 +14,16 @@ from leglab.identification import (
     SplineNarxSettings,
     Term,
 )
-from leglab.identification.structure.fit import Problem, Record, Simulator, Stretch, fit, one_step
+from leglab.identification.structure import search
+from leglab.identification.structure.fit import (
+    Problem,
+    Record,
+    Simulator,
+    Stretch,
+    fit,
+    one_step,
+    one_step_stretches,
+)
 from leglab.identification.structure.search import Further, promises
 
 Y, U = Signal(name="y", lower=-2.0, upper=2.0), Signal(name="u", lower=-1.0, upper=3.0)
@@ -176,3 +185,19 @@ def test_samples_that_are_missing_do_not_count(problem):
 def test_a_wrong_term_is_refused(fields, message):
     with pytest.raises(SettingsError, match=message):
         SplineNarxSettings(output=Y, inputs=(U,), features=(Term(**fields),))
+
+
+def test_no_fit_sees_the_block_that_is_held_out(problem):
+    rng = np.random.default_rng(3)
+    records = [Record(rng.normal(size=(n, 1)), rng.normal(size=n)) for n in (300, 200)]
+    own = Problem(records, problem.template)
+    depth = 4
+    for count in search.BLOCKS:
+        held = search.blocks(own, depth, count)
+        assert sum(block.length for block in held) == 500 - 2 * depth
+        for block in held:
+            used = search.stretches(own, depth, 60, 10**6, block)
+            used += one_step_stretches(own, depth, block)
+            seen = [(s.start - depth, s.start + s.length) for s in used if s.record == block.record]
+            assert len(used) > 100
+            assert all(b <= block.start or a >= block.start + block.length for a, b in seen)
