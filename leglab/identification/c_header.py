@@ -104,7 +104,7 @@ def c_header(model: SplineNarx, name: str, period: float) -> str:
         low, high = map(_number, settings.free_run_limits)
         words["held"] = f"y < {low} ? {low} : y > {high} ? {high} : y"
     parts = [_HEAD.format(**words)]
-    for block, theta, _ in model._learned(0):
+    for block, theta, _ in model.learned_blocks():
         parts.append(_block(block, theta))
     return "".join([*parts, _TAIL.format(**words)])
 

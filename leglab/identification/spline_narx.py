@@ -233,7 +233,7 @@ class SplineNarx(Identifier):
                     raise SettingsError(told, given=tuple(at), allowed=self.settings.names)
                 point[i] = (at[signal.name] - signal.centre) / signal.half_range
         gains = np.zeros((len(signals), self.lags + 1))
-        for block, theta, weights in self._learned(joint):
+        for block, theta, weights in self.learned_blocks(joint):
             row, lags = gains[block.signal], slice(block.lag, block.lag + block.lags)
             if block.feature == "lags":
                 row[lags] += theta
@@ -289,13 +289,13 @@ class SplineNarx(Identifier):
         if not isinstance(chosen, Spline | Hammerstein):
             told = f"feature {feature} is {type(chosen).__name__}: it has no spline"
             raise SettingsError(told, given=feature, allowed=("Spline", "Hammerstein"))
-        block, theta, weights = list(self._learned(joint))[feature]
+        block, theta, weights = list(self.learned_blocks(joint))[feature]
         if isinstance(chosen, Spline):
             return chosen.basis.spline(theta * self.settings.output.half_range)
         signal = self.settings.inputs[block.signal - 1]
         return chosen.basis.spline(weights * signal.half_range, signal.centre)
 
-    def _learned(self, joint: int) -> Iterator[tuple[ParameterBlock, Array, Array]]:
+    def learned_blocks(self, joint: int = 0) -> Iterator[tuple[ParameterBlock, Array, Array]]:
         """Yields every block with its parameters and its weights, which most have none of."""
         theta = np.atleast_2d(self.theta)[joint]
         weights = np.atleast_2d(self.parameters)[joint, len(theta) :]

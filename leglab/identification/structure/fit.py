@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 SMOOTHNESS = 10.0
 ITERATIONS = 25
 _CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
-_LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
+LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
 _MOST_STARTS = 5000  # one-step errors from which a fit starts
 # An error that overflows counts as so many variances.
@@ -149,7 +149,7 @@ class Problem:
         run = simulator.simulate(fit.theta, Stretch(block.record, first, end - first))
         error = self.records[block.record].y[block.start : end] - run[-block.length :]
         share = float(np.nanmean(error**2)) / self.deviation**2
-        return float(np.clip(share, _LEAST_SHARE, DIVERGED)) if np.isfinite(share) else DIVERGED
+        return float(np.clip(share, LEAST_SHARE, DIVERGED)) if np.isfinite(share) else DIVERGED
 
 
 @dataclass(frozen=True)
@@ -211,12 +211,12 @@ def fit(
     def cost(error: float, at: Array) -> float:
         if not np.isfinite(error):
             return np.inf
-        return float(np.log(max(error / scale, _LEAST_SHARE)) + at @ form @ at)
+        return float(np.log(max(error / scale, LEAST_SHARE)) + at @ form @ at)
 
     error, damping = found.error, _FIRST_DAMPING
     best = cost(error, theta)
     for _ in range(iterations):
-        level = max(error, _LEAST_SHARE * scale)
+        level = max(error, LEAST_SHARE * scale)
         hessian = found.products / level + form
         downhill = found.gradient / level - form @ theta
         for _ in range(_TRIES):

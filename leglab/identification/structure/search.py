@@ -18,6 +18,7 @@ from leglab.identification.features import Feature
 from leglab.identification.structure import library
 from leglab.identification.structure.fit import (
     ITERATIONS,
+    LEAST_SHARE,
     Array,
     Fit,
     Further,
@@ -218,7 +219,7 @@ def promises(
     settings = problem.model(now.features)
     simulator = Simulator(settings, problem.records, further.blocks)
     found = simulator.sums(now.theta, own, sensitivities=True)
-    scale = max(found.error, 1e-20)
+    scale = max(found.error, LEAST_SHARE)
     p = len(now.theta)
     share = strength / problem.count
     form = share * prior(now.features, settings.blocks)
@@ -227,15 +228,15 @@ def promises(
     cross = found.products[p:] / scale
     inner = solve(hessian, np.column_stack([cross.T, downhill]))
     left = found.gradient[p:] / scale - cross @ inner[:, -1]
-    cost = share * np.diag(prior(further.features, further.blocks))
     sizes = np.array([block.count for block in further.blocks])
     ends, corners = np.cumsum(sizes), np.cumsum(sizes * (sizes + 1) // 2)
     beside = np.einsum("ij,ji->i", cross, inner[:, :-1])  # diagonal of D'J (J'J)^-1 J'D
     gains = np.zeros(len(sizes))
     single = sizes == 1
     at = ends[single] - 1
-    gram = found.squares[corners[single] - 1] / scale + cost[at] - beside[at]
-    gains[single] = left[at] ** 2 / np.maximum(gram, cost[at])
+    gram = found.squares[corners[single] - 1] / scale + share - beside[at]
+    # Rounding may leave less than the prior.
+    gains[single] = left[at] ** 2 / np.maximum(gram, share)
     for k in np.flatnonzero(~single):
         n = sizes[k]
         rows = slice(ends[k] - n, ends[k])
@@ -243,7 +244,8 @@ def promises(
         block[np.tril_indices(n)] = (
             found.squares[corners[k] - n * (n + 1) // 2 : corners[k]] / scale
         )
-        block += np.tril(block, -1).T + np.diag(cost[rows])
+        block += np.tril(block, -1).T
+        block += share * prior(further.features[k : k + 1], further.blocks[k : k + 1])
         block -= cross[rows] @ inner[:, :-1][:, rows]
         gains[k] = left[rows] @ solve(block, left[rows])
     return np.where(np.isfinite(gains), gains, 0.0)

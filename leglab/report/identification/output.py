@@ -110,8 +110,8 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
 def features(found: Identified) -> list[dict[str, Any]]:
     """Features with their parameters, of signals that are scaled to [-1, 1]."""
     out = []
-    settings = found.model.settings
-    for feature, (_, theta, _) in zip(settings.features, found.model._learned(0), strict=True):
+    blocks = found.model.learned_blocks()
+    for feature, (_, theta, _) in zip(found.model.settings.features, blocks, strict=True):
         out.append({"feature": library.name_of(feature), "scaled_parameters": theta.tolist()})
     return out
 
