@@ -50,7 +50,7 @@ class Runs {
                           array_of(found.squares, {found.squares.size()}));
   }
 
-  // The model's own outputs over one stretch, in units of the output.
+  // Free run over one stretch, in units of the output.
   Made simulate(Input theta, std::int64_t start, std::int64_t length) {
     require_size(std::size_t(run_->parameters()), theta);
     std::vector<double> out(static_cast<std::size_t>(length));

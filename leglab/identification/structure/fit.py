@@ -1,4 +1,4 @@
-"""Output-error fits: the error of a model's own simulation over stretches of records."""
+"""Output-error fits: they minimise the error of the free run over stretches of records."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,14 +13,15 @@ from leglab.identification.features import Feature, Spline
 from leglab.identification.spline_narx import ParameterBlock, SplineNarxSettings
 
 Array = NDArray[np.float64]
-# The second difference between weights of a spline is so many times as surely zero as a weight.
+# Prior precision of second differences of a spline's weights, relative to that of a weight. Signals
+# are scaled to [-1, 1], so it and all numbers here are free of units.
 SMOOTHNESS = 10.0
 ITERATIONS = 25
 _CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
 LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
 _MOST_STARTS = 5000  # one-step errors from which a fit starts
-# An error that overflows counts as so many variances.
+# Mean squared error of a run that diverges, in variances of the output.
 DIVERGED = 1e9
 
 
@@ -200,7 +201,7 @@ def fit(
     """Maximum a posteriori of the free run by damped Gauss-Newton steps (Marquardt 1963).
 
     With N samples, the mean square E of the error and the prior's form R of some strength s it
-    minimises log E + s theta' R theta / N: the error's variance is unknown and drops out.
+    minimises log E + s theta' R theta / N; the unknown variance of the error is eliminated.
     """
     settings = problem.model(features)
     simulator = Simulator(settings, problem.records)
@@ -249,7 +250,7 @@ def one_step(
     theta = np.zeros(sum(block.count for block in settings.blocks))
     found = simulator.sums(theta, stretches, sensitivities=True)
     scale = problem.variance * max(found.samples, 1)
-    # The prior beside an error of a thousandth of the output, which is usual of one step.
+    # Prior at a one-step error of a thousandth of the output's deviation.
     form = 1e-6 * prior(features, settings.blocks) / problem.count
     return solve(found.products / scale + form, found.gradient / scale)
 
@@ -276,7 +277,7 @@ def one_step_stretches(
 
 
 def startable(record: Record, depth: int) -> NDArray[np.bool_]:
-    """Samples before which so many outputs are measured, (N,)."""
+    """Tests which samples have `depth` measured outputs before them, (N,)."""
     gaps = np.concatenate([[0], np.cumsum(~np.isfinite(record.y))])
     out = np.zeros(len(record), dtype=bool)
     at = np.arange(depth, len(record))

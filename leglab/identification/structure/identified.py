@@ -1,4 +1,4 @@
-"""A model from data: structure, parameters, and how far both can be trusted."""
+"""`identify`: a model of each output, with its errors on training and test data."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,8 @@ from leglab.identification.structure.fit import (
 from leglab.identification.structure.search import Candidate
 from leglab.identification.structure.signals import Signals, signals_of
 
-# The free run is held within the range of the data, widened by this share on each side.
+# The free run is held within the range of the training output, widened on each side by this share:
+# far enough for a test beyond it, near enough for an unstable model to be bounded.
 _REACH = 0.3
 _INITIAL_GAIN = 1e4  # F(0) of a pass from nothing, and of what the data do not show
 
@@ -59,7 +60,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Identified:
-    """A model of one output, and what it was chosen from.
+    """A model of one output and the candidates it was chosen from.
 
     Attributes:
         output: Name of the output.
@@ -67,7 +68,7 @@ class Identified:
         period: Sampling period [s].
         model: Goes on learning where the training data ended.
         candidates: All structures, the chosen one first.
-        problem: What was learned from.
+        problem: Training records.
         tests: Records that no fit has seen.
         notes: What was left out, bridged or is doubtful about the data.
     """
@@ -315,7 +316,7 @@ def _going_on(problem: Problem, best: Candidate) -> SplineNarx:
 def _drift(
     learned: Sequence[Record], tested: Sequence[Record], inputs: Sequence[str], output: str
 ) -> tuple[str, ...]:
-    """Where test data lie beyond the training data, or about another mean."""
+    """Reports test data beyond the range of the training data, or with another mean."""
     if not tested:
         return ()
     notes = []

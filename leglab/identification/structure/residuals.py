@@ -15,10 +15,10 @@ class ResidualTest:
     """Correlations of a residual over lags.
 
     Attributes:
-        name: With what.
+        name: The signal it is correlated with, or "itself".
         lags: (L,).
         correlation: (L,).
-        band: 99 % of them lie within it if there is none.
+        band: Bound of 99 % of the values where there is no correlation.
     """
 
     name: str

@@ -1,10 +1,10 @@
 """Choice of a structure by the free run over blocks that no fit has seen.
 
 A structure is scored by the mean logarithm of its error over the blocks, each simulated in one go
-by a model that was chosen and fitted on the others: what the number of terms and the lags gain is
-gained on data that neither saw. The logarithm keeps one block that reaches beyond the others from
-deciding alone. Eighths ask for what lies between the data, thirds for what lies beyond; a nonlinear
-model is taken only if it is better than the linear ones in both.
+by a model that was chosen and fitted on the others. So neither lags nor the number of features can
+be fitted to the block. The mean of logarithms keeps a single block that exceeds the range of the
+others from deciding. Eighths test interpolation, thirds extrapolation; a nonlinear model is taken
+only if it is better than the linear ones in both.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -34,24 +34,27 @@ from leglab.identification.structure.fit import (
 from leglab.identification.structure.library import Orders
 
 BLOCKS = (8, 3)
-# Samples that a fit simulates: more hardly move its parameters, and all are seen at the end.
+# Simulated samples of a fit. Parameters hardly depend on more; the last fit has all up to LAST.
 SKETCH, FULL, LAST = 4000, 12000, 100_000
-_LEAD_IN = 10_000  # samples of a free run before the block of which it is
-_OVERLAP = 4  # stretches of a fit start every such part of their length
+_LEAD_IN = 10_000  # samples of a free run before the block that is scored
+_OVERLAP = 4  # stretches that contain a sample
 _TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
 _GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
-_WORTH = 0.997  # of the error: a feature that lowers it by less ends a path
-# A path ends after so many sizes that do not lower the score to this share.
+_WORTH = 0.997  # a feature that leaves more of the RMS error of the fit ends a path
+# A path ends after _PATIENCE features in a row that leave more than this share of the score.
 _PATIENCE, _PROGRESS = 3, 0.99
 MOST_TERMS, FEW_TERMS = 20, 5
-_KEPT = 3  # structures of the sketch that are searched in full
+_KEPT = 3  # structures of the first search that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
 _BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
 _MOST_LAGS = 24  # of all signals, from which terms are made
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
-_LENGTHS = (60, 200, 600)  # samples of a stretch; as long as the machine remembers is best
-_STRENGTHS = (1.0, 10.0, 100.0)  # of the prior; errors are correlated, so one is too weak mostly
+# Samples of a stretch; the best length is the memory of the machine, which the blocks decide.
+_LENGTHS = (60, 200, 600)
+# Precision of the prior. With white errors and parameters of about one it would be one; errors of
+# a free run are correlated, which makes N samples worth a tenth or a hundredth.
+_STRENGTHS = (1.0, 10.0, 100.0)
 _USUAL = 10.0
 # Linear models, by the free run or by least squares of one step, which is better where the machine
 # is disturbed rather than its sensor.
@@ -83,7 +86,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What became of a plan.
+    """Result of a plan.
 
     Attributes:
         plan: The plan.
@@ -211,7 +214,7 @@ class Path:
 def promises(
     problem: Problem, now: Fit, further: Further, own: Sequence[Stretch], strength: float
 ) -> Array:
-    """Share of the error's square that each feature explains beside those of the model.
+    """Computes the share of the squared error that each feature explains in addition to the model.
 
     To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
     the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
@@ -333,7 +336,7 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
         for kind in LINEAR
         for ny, nu in _LINEAR
         for delays_ in dict.fromkeys((lead, (0,) * len(lead)))
-        # The smallest is always among them, however few samples and many inputs there are.
+        # The smallest structure is always tried, also with few samples and many inputs.
         if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= _shortest(problem) // 20
     ]
 
@@ -439,7 +442,7 @@ def search(
 
 
 def chosen_first(linear: Sequence[Candidate], bent: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates by score, those behind that are not surely better than simpler ones.
+    """Sorts candidates by score; those that do not beat every simpler one come last.
 
     A linear model has to beat the constant, a nonlinear one every linear one: by more than a
     standard error over the eighths, and over the thirds.

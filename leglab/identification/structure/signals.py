@@ -1,4 +1,4 @@
-"""Signals of recordings as an identifier needs them: one period, no garbage, gaps marked."""
+"""Signals for the identification: one period, unusable columns left out, gaps marked by NaN."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 LEAST_SAMPLES = 100
 # Intervals count as one period within this share of it, and as several with samples missing.
 _JITTER = 0.05
-# A sample farther from the middle half than so many times its width is no measurement, and a column
-# with more than this share of them is garbage.
+# A sample farther from the median than _WILD interquartile ranges is no measurement; a column with
+# more than the share _MOST_WILD of them is left out.
 _WILD, _MOST_WILD = 1e4, 0.2
-_SAME = 1e-3  # share by which periods may differ that count as one
+_SAME = 1e-3  # relative difference of periods that count as equal
 _LONGEST_GAP = 100_000  # periods
-# The output hardly moves from one sample to the next: lags of a period say little.
+# RMS change of the output a sample, in deviations, below which a longer period is recommended.
 _SLOW = 0.01
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What is learned from.
+    """Signals of all recordings.
 
     Attributes:
         records: One a recording, inputs in the order of `inputs`; one tuple for each output.
@@ -185,7 +185,7 @@ def _resampled(
 def _sound(
     column: str, tables: Mapping[str, dict[str, Array]], notes: list[str], resting: bool
 ) -> bool:
-    """Whether a column holds a signal; wild samples of one that does become missing ones."""
+    """Tests whether a column holds a signal; its wild samples become NaN."""
     values = np.concatenate([table[column] for table in tables.values()])
     finite = values[np.isfinite(values)]
     if len(finite) < len(values) / 2:
