@@ -16,6 +16,7 @@ from leglab.cli.terminal import complain, plain_table, print_json, print_wide, p
 if TYPE_CHECKING:
     from leglab.base.recording import Recording
     from leglab.identification.structure import Identified
+    from leglab.identification.structure.journal import Journal
 
 
 def identify(
@@ -58,10 +59,7 @@ def identify(
     model (model.leglab, which goes on learning online) and a C header. An interrupted search goes
     on where it was.
     """
-    from leglab.identification.structure import identify as run_identify
-    from leglab.identification.structure.journal import Journal
     from leglab.identification.structure.signals import columns_of
-    from leglab.jobs.fingerprint import own_fingerprint
     from leglab.report.identification import output as results
 
     check_jobs(jobs)
@@ -69,30 +67,13 @@ def identify(
     span = (since, until)
     learned = _read(recordings, columns, span, salvage, period)
     tested = _read(test or [], columns, span, salvage, period)
-    inputs, outputs = columns_of(learned, input_ or (), output_ or ())
-    stems = ("model", *map(results.stem_of, outputs))
+    named = columns_of(learned, input_ or (), output_ or ())
+    stems = ("model", *map(results.stem_of, named[1]))
     made = (results.PAGE, *(f"{name}{end}" for name in stems for end in (".leglab", ".h")))
     with new_folder(out, mark=results.RESULT, made=made, overwrite=overwrite) as folder:
-        place = Path(os.path.realpath(out))
-        key = _digest(learned, inputs, outputs, period, own_fingerprint())
-        journal = Journal(place.with_name(f".{place.name}.search"), key)
-        if journal.kept:
-            count = sum(map(len, journal.kept.values()))
-            complain(f"{count} structures of an interrupted search are taken over", "warning")
-        with progress("identify") as show:
-            models = run_identify(
-                learned,
-                inputs=inputs,
-                outputs=outputs,
-                tests=tested or None,
-                period=period,
-                jobs=(os.cpu_count() or 1) if jobs == -1 else jobs,
-                progress=lambda n, total, stage: show(description=stage, completed=n, total=total),
-                kept=journal.kept,
-                keep=journal.keep,
-            )
-            show(description="writing")
-            missing = results.write_all(models, folder)
+        threads = (os.cpu_count() or 1) if jobs == -1 else jobs
+        models, journal = _identified(learned, tested, named, period, threads, out)
+        missing = results.write_all(models, folder)
     journal.done()
     for name, why in missing.items():
         complain(f"{name} is missing: {why}", "warning")
@@ -102,6 +83,41 @@ def identify(
     for found in models.values():
         _show(found)
     tell(f"written to {out}: {results.PAGE}, {results.RESULT}, the model and its C header")
+
+
+def _identified(
+    learned: "Mapping[str, Recording]",
+    tested: "Mapping[str, Recording]",
+    named: tuple[tuple[str, ...], tuple[str, ...]],
+    period: float | None,
+    threads: int,
+    out: Path,
+) -> "tuple[dict[str, Identified], Journal]":
+    """Models by output, and the journal beside the folder from which a search resumes."""
+    from leglab.identification.structure import identify as run_identify
+    from leglab.identification.structure.journal import Journal
+    from leglab.jobs.fingerprint import own_fingerprint
+
+    inputs, outputs = named
+    place = Path(os.path.realpath(out))
+    key = _digest(learned, inputs, outputs, period, own_fingerprint())
+    journal = Journal(place.with_name(f".{place.name}.search"), key)
+    if journal.kept:
+        count = sum(map(len, journal.kept.values()))
+        complain(f"{count} structures of an interrupted search are taken over", "warning")
+    with progress("identify") as show:
+        models = run_identify(
+            learned,
+            inputs=inputs,
+            outputs=outputs,
+            tests=tested or None,
+            period=period,
+            jobs=threads,
+            progress=lambda n, total, stage: show(description=stage, completed=n, total=total),
+            kept=journal.kept,
+            keep=journal.keep,
+        )
+    return models, journal
 
 
 def _read(

@@ -249,31 +249,38 @@ def identify(
             kept=(kept or {}).get(output),
             keep=None if keep is None else partial(keep, output),
         )
-        best = found[0]
-        own = search.stretches(
-            problem,
-            problem.model(best.fit.features).lags + 1,
-            best.plan.length,
-            search.LAST,
-        )
-        last = best.fit
-        if best.plan.kind != "one step":
-            last = fit(problem, last.features, last.theta, own, best.plan.strength)
-        best = replace(best, fit=last)
-        test_records = tested.records[k] if tested else ()
-        notes = (*learned.notes, *(tested.notes if tested else ()))
-        notes += _drift(problem.records, test_records, learned.inputs, output)
-        out[output] = Identified(
-            output,
-            learned.inputs,
-            learned.period,
-            _going_on(problem, best),
-            (best, *found[1:]),
-            problem,
-            test_records,
-            tuple(dict.fromkeys(notes)),
-        )
+        out[output] = _identified(problem, found, learned, tested, k)
     return out
+
+
+def _identified(
+    problem: Problem,
+    found: Sequence[Candidate],
+    learned: Signals,
+    tested: Signals | None,
+    k: int,
+) -> Identified:
+    """Fits the chosen structure to all records."""
+    best = found[0]
+    if best.plan.kind != "one step":
+        own = search.stretches(
+            problem, problem.model(best.fit.features).lags, best.plan.length, search.LAST
+        )
+        last = fit(problem, best.fit.features, best.fit.theta, own, best.plan.strength)
+        best = replace(best, fit=last)
+    output, tests = learned.outputs[k], tested.records[k] if tested else ()
+    notes = (*learned.notes, *(tested.notes if tested else ()))
+    notes += _drift(problem.records, tests, learned.inputs, output)
+    return Identified(
+        output=output,
+        inputs=learned.inputs,
+        period=learned.period,
+        model=_going_on(problem, best),
+        candidates=(best, *found[1:]),
+        problem=problem,
+        tests=tests,
+        notes=tuple(dict.fromkeys(notes)),
+    )
 
 
 def _problem(learned: Signals, k: int) -> Problem:
