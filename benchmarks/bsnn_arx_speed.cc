@@ -111,3 +111,31 @@ extern "C" double core_float(const double* u, const double* y, int samples, int 
   Core<float> model(splines, parameters / 2, parameters / 2);
   return pass(model, u, y, samples);
 }
+
+// Dense recursive least squares (Eqs. 6 to 8) over given regressors, (samples, count), and no more.
+extern "C" double bare_rls(const double* phi, const double* y, int samples, int count) {
+  std::vector<double> theta(count), spread(count), gain(std::size_t(count) * count);
+  for (int i = 0; i < count; ++i) gain[std::size_t(i) * count + i] = 1e4;
+  double sum = 0;
+  for (int t = 0; t < samples; ++t) {
+    const double* x = phi + std::size_t(t) * count;
+    double prediction = 0, power = 0;
+    for (int i = 0; i < count; ++i) {
+      const double* row = gain.data() + std::size_t(i) * count;
+      double along = 0;
+      for (int j = 0; j < count; ++j) along += row[j] * x[j];
+      spread[i] = along;
+      prediction += theta[i] * x[i];
+      power += along * x[i];
+    }
+    const double scale = 1 / (1 + power), error = y[t] - prediction;
+    for (int i = 0; i < count; ++i) {
+      double* row = gain.data() + std::size_t(i) * count;
+      const double k = spread[i] * scale;
+      for (int j = 0; j < count; ++j) row[j] -= k * spread[j];
+      theta[i] += k * error;
+    }
+    sum += prediction;
+  }
+  return sum;
+}

@@ -19,7 +19,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import padasip
 
 from benchmarks import results
 from leglab.identification import BsnnArx, BsnnArxSettings
@@ -54,6 +53,8 @@ def library(folder: str) -> ctypes.CDLL:
 
 def works(native: ctypes.CDLL) -> dict[str, tuple[Callable[[], object], int]]:
     """Calls to be timed, each with its number of samples."""
+    import padasip
+
     rng = np.random.default_rng(1)
     u, y = rng.uniform(0, 0.8, SAMPLES), np.zeros(SAMPLES)
     for t in range(2, SAMPLES):

@@ -1,24 +1,27 @@
 """Structures that `leglab identify` chooses by itself, beside what is known of each data set.
 
-Public sets from $LEGLAB_DATA or ../shared/data, and machines that are simulated here: a
-Wiener-Hammerstein system, the Bouc-Wen hysteresis by its equations (Wen 1976), a tank with an
-overflow, and a heater of two inputs. Everything is chosen from the training part; the free run on
-the test part is scored.
+Public sets from $LEGLAB_DATA or ../shared/data, and machines that are simulated: four whose
+equations are fitted as well, and a family that is drawn by a seed (`--drawn SEED NUMBER`).
+Everything is chosen from the training part; the free run on the test part is scored. Each chosen
+structure also learns online: its time per sample beside a loop of the same recursive least squares
+without anything around it, and a stream made to break it.
 """
 
 import argparse
+import ctypes
+import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
-from scipy.signal import lfilter
 
-from benchmarks import data_sets, results
+from benchmarks import bsnn_arx_speed, data_sets, results, structure_peers
+from benchmarks.simulated_machines import MACHINES, drawn
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
+from leglab.identification import SplineNarx
 from leglab.identification.structure import Identified, identify
 from leglab.studies.shared_data import shared_data
 
@@ -42,12 +45,15 @@ PUBLIC = {
     "robot arm": "robot_arm",
     "Bouc-Wen damper": "bouc_wen_damper",
 }
+PEERS = tuple(structure_peers.PEERS)
 HEAD = (
-    *("data", "samples", "structure", "free run", "best linear", "a constant"),
-    *("SysIdentPy", "known", "s"),
+    *("data", "samples", "structure", "free run", "after one pass", "best linear", "a constant"),
+    *("known", "s"),
 )
-# Lags and degree of the peer: FROLS with its own order selection needs both from a person.
-PEER_LAGS, PEER_DEGREE, PEER_SAMPLES = 4, 2, 5000
+ONLINE = ("data", "structure", "parameters", "ns a sample", "over a bare loop", "10^6 samples")
+TOLD = ("data", "samples", "noise", "free run", "equations known", "ratio with the noise")
+MISSING = "-"  # the library is not installed, or takes no such data
+STREAM = 1_000_000
 # Training part, tests by name, factor of the table's unit.
 Set = tuple[Recording, dict[str, Recording], float]
 
@@ -104,73 +110,8 @@ def _public(file: str) -> Set:
     return train, {title: test}, 1.0
 
 
-def drive(rng: np.random.Generator, n: int, hold: int) -> np.ndarray:
-    """Random levels in [-1, 1], each held for so many samples on average."""
-    change = rng.random(n) < 1 / hold
-    return rng.uniform(-1, 1, n)[np.maximum.accumulate(np.where(change, np.arange(n), 0))]
-
-
-def wiener_hammerstein(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """A dead zone that saturates between two linear filters of second order."""
-    u = drive(rng, n, 5)
-    x = lfilter([0.1, 0.1], [1, -1.5, 0.7], u)
-    bent = np.clip(np.sign(x) * np.maximum(np.abs(x) - 0.1, 0), -0.6, 0.6)
-    return u, lfilter([0.2, 0.1], [1, -1.2, 0.5], bent)
-
-
-def bouc_wen(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """M y'' + c y' + k y + z = F, z' = a y' - b (g |y'| |z|^(v-1) z + d y' |z|^v), v = 1 (Wen)."""
-    force = 100 * lfilter([0.05], [1, -0.95], rng.normal(size=n)) * 3
-    m, c, k, a, b, g, d = 2.0, 10.0, 5e4, 5e4, 1e3, 0.8, -1.1
-    steps, dt = 20, 1 / 750
-    y = v = z = 0.0
-    out = np.empty(n)
-    for t in range(n):
-        for _ in range(steps):
-            rate = a * v - b * (g * abs(v) * z + d * v * abs(z))
-            v += dt / steps * (force[t] - c * v - k * y - z) / m
-            y += dt / steps * v
-            z += dt / steps * rate
-        out[t] = 1e3 * y
-    return force, out
-
-
-def tank(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two tanks in a row, the upper with an overflow into the lower; the lower level is seen."""
-    u = np.clip(2.6 + 2.6 * drive(rng, n, 40), 0, None)
-    upper = lower = 3.0
-    out = np.empty(n)
-    for t in range(n):
-        spill = max(upper - 10.0, 0.0)
-        upper += 0.25 * u[t] - 0.30 * np.sqrt(upper) - spill
-        lower += 0.30 * np.sqrt(upper) - 0.28 * np.sqrt(lower) + 0.5 * spill
-        upper, lower = max(upper, 0.0), min(max(lower, 0.0), 10.0)
-        out[t] = lower
-    return u, out
-
-
-def heater(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Temperature by electric power (a square of voltage, late by 4 samples) and air flow."""
-    u = np.column_stack([1 + drive(rng, n, 30), 1.2 + drive(rng, n, 50)])
-    y = 30.0
-    out = np.empty(n)
-    for t in range(n):
-        power = u[max(t - 4, 0), 0] ** 2
-        y += 0.6 * power - 0.02 * (y - 20) * (0.3 + u[t, 1])
-        out[t] = y
-    return u, out
-
-
-MACHINES = {
-    "Wiener-Hammerstein": wiener_hammerstein,
-    "Bouc-Wen": bouc_wen,
-    "tank with overflow": tank,
-    "two-input heater": heater,
-}
-
-
 def simulated(sizes: tuple[int, ...], noises: tuple[int, ...]) -> Iterator[tuple[str, Callable]]:
-    """Machines of this page by name, in some sizes and noises [dB]."""
+    """Machines with known equations by name, in some sizes and noises [dB]."""
     for name in MACHINES:
         for n in sizes:
             for noise in noises:
@@ -179,68 +120,115 @@ def simulated(sizes: tuple[int, ...], noises: tuple[int, ...]) -> Iterator[tuple
 
 def _simulated(name: str, n: int, noise: int) -> Set:
     rng = np.random.default_rng([len(name), n, noise])
-    u, y = MACHINES[name](rng, 2 * n)
-    scale = np.std(y) * 10 ** (-noise / 20)
-    train = recording(u[:n], y[:n] + scale * rng.normal(size=n))
+    machine = MACHINES[name]
+    u = machine.drive(rng, 2 * n)
+    y = machine.output(u)
+    disturbed = y[:n] + np.std(y) * 10 ** (-noise / 20) * rng.normal(size=n)
     # The test is free of noise: what is scored is the machine.
-    return train, {f"{name}, {noise} dB, {n}": recording(u[n:], y[n:])}, 1.0
+    return recording(u[:n], disturbed), {f"{name}, {noise} dB, {n}": recording(u[n:], y[n:])}, 1.0
 
 
-def sysidentpy(train: Recording, tests: dict[str, Recording]) -> dict[str, float]:
-    """RMS free run of SysIdentPy's FROLS, polynomials of lags; infinite where it diverges."""
-    from sysidentpy.basis_function import Polynomial
-    from sysidentpy.model_structure_selection import FROLS
+def told(name: str, n: int, noise: int, free_run: float) -> list[Any]:
+    """Row beside a fit that knows the equations.
 
-    def signals(one: Recording) -> tuple[np.ndarray, np.ndarray]:
-        u = np.column_stack([one[c] for c in one.columns if c.startswith("u")])
-        return (u - centre[1:]) / scale[1:], (one["y"][:, None] - centre[0]) / scale[0]
-
-    names = [c for c in train.columns if c.startswith("u")]
-    columns = np.column_stack([train["y"], *(train[c] for c in names)])[:PEER_SAMPLES]
-    centre, scale = columns.mean(axis=0), columns.std(axis=0)
-    u, y = (part[:PEER_SAMPLES] for part in signals(train))
-    lags = list(range(1, PEER_LAGS + 1))
-    xlag: Any = lags if len(names) == 1 else [lags] * len(names)
-    model = FROLS(
-        order_selection=True,
-        n_info_values=20,
-        ylag=PEER_LAGS,
-        xlag=xlag,
-        basis_function=Polynomial(degree=PEER_DEGREE),
-    )
-    out = {}
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        model.fit(X=u, y=y)
-        for name, test in tests.items():
-            u_test, y_test = signals(test)
-            run = model.predict(X=u_test, y=y_test[: model.max_lag])
-            error = float(np.sqrt(np.mean((run - y_test)[model.max_lag :] ** 2))) * scale[0]
-            out[name] = error if np.isfinite(error) else float("inf")
-    return out
+    The ratio is that of errors with the sensor's noise, as a measured test shows them.
+    """
+    rng = np.random.default_rng([len(name), n, noise, 1])
+    machine = MACHINES[name]
+    train, tests, _ = _simulated(name, n, noise)
+    (test,) = tests.values()
+    u = [np.column_stack([r[c] for c in r.columns if c != "y"]).squeeze() for r in (train, test)]
+    theta = machine.fitted(rng, u[0], train["y"])
+    # Without the state at which training ends, both parts are run in one go.
+    run = machine.run(theta[:, None], np.concatenate(u))[n:, 0]
+    error = float(np.sqrt(np.mean((run - test["y"]) ** 2)))
+    level = float(np.std(np.concatenate([train["y"], test["y"]]))) * 10 ** (-noise / 20)
+    ratio = np.hypot(free_run, level) / np.hypot(error, level)
+    return [name, n, noise, free_run, error, float(ratio)]
 
 
-def rows_of(made: Set, jobs: int) -> list[list[Any]]:
-    """Rows of the table for one set."""
+def _drawn(seed: int, number: int) -> Set:
+    name, u, y = drawn(seed, number)
+    half = len(y) // 2
+    return recording(u[:half], y[:half]), {name: recording(u[half:], y[half:])}, 1.0
+
+
+def online(found: Identified) -> list[Any]:
+    """Row of the chosen structure's learning: parameters, ns a sample, over a bare loop, stream.
+
+    The bare loop is dense recursive least squares with as many parameters and nothing else: no
+    regressors, no forgetting, no guards.
+    """
+    record = found.problem.records[0]
+    u = record.u[:, 0] if found.model.inputs == 1 else record.u
+    use = np.isfinite(record.y)
+    u, y = u[use][:20_000], record.y[use][:20_000]
+    native = _native()
+    count, samples = len(found.model.parameters), len(y)
+    phi = np.random.default_rng(0).normal(size=(samples, count))
+    works = {
+        "online": (lambda: SplineNarx(found.model.settings).run(u, y), samples),
+        "bare": (
+            lambda: native.bare_rls(
+                *(a.ctypes.data_as(ctypes.c_void_p) for a in (phi, y)), samples, count
+            ),
+            samples,
+        ),
+    }
+    best = bsnn_arx_speed.fastest(works, 20)
+    return [count, best["online"], best["online"] / best["bare"], stands(found.model)]
+
+
+_LIBRARIES: list[ctypes.CDLL] = []
+
+
+def _native() -> ctypes.CDLL:
+    if not _LIBRARIES:
+        with tempfile.TemporaryDirectory() as folder:
+            _LIBRARIES.append(bsnn_arx_speed.library(folder))
+    return _LIBRARIES[0]
+
+
+def stands(model: SplineNarx) -> bool:
+    """Whether all stays finite over jumps, NaN, rests and changes of scale in a stream."""
+    rng = np.random.default_rng(0)
+    learner = SplineNarx(model.settings)
+    signals = model.settings.signals
+    for _ in range(STREAM // 10_000):
+        columns = []
+        for signal in signals:
+            x = rng.normal(size=10_000).cumsum() * 10 ** rng.uniform(-12, 12)
+            x[rng.integers(0, 10_000, 20)] *= 1e6
+            x[rng.integers(0, 10_000, 20)] = rng.choice([np.nan, np.inf, -np.inf, 1e308])
+            at = rng.integers(0, 8000)
+            x[at : at + 2000] = x[at]
+            if rng.random() < 0.5:  # as often within the range of training
+                x = signal.lower + (signal.upper - signal.lower) * (0.5 + 0.5 * np.tanh(x))
+            columns.append(x)
+        y, inputs = columns[0], np.column_stack(columns[1:])
+        predicted = learner.run(inputs[:, 0] if learner.inputs == 1 else inputs, y, missing="skip")
+        if not (np.isfinite(predicted).all() and np.isfinite(learner.parameters).all()):
+            return False
+    return True
+
+
+def rows_of(made: Set, jobs: int) -> tuple[list[Any], list[Any], list[Any]]:
+    """Rows of one set: errors, peers, and learning online."""
     train, tests, factor = made
     begun = time.perf_counter()
     (found,) = identify(train, tests=tests, jobs=jobs).values()
     took = time.perf_counter() - begun
-    peer = sysidentpy(train, tests)
-    return [
-        [
-            errors.recording,
-            len(train),
-            structure(found),
-            factor * errors.free_run,
-            factor * errors.linear,
-            factor * errors.mean,
-            factor * peer[errors.recording],
-            KNOWN.get(errors.recording, ("", ""))[0],
-            took,
-        ]
-        for errors in found.tested
-    ]
+    peers = structure_peers.errors(train, tests)
+    rows, beside = [], []
+    for errors in found.tested:
+        name = errors.recording
+        own = (errors.free_run, errors.online, errors.linear, errors.mean)
+        known = " ".join(KNOWN.get(name, ("", ""))).strip()
+        rows.append([name, len(train), structure(found), *(factor * e for e in own), known, took])
+        found_by = [peers.get(peer, {}).get(name) for peer in PEERS]
+        told_by = [MISSING if error is None else factor * error for error in found_by]
+        beside.append([name, factor * errors.free_run, *told_by])
+    return rows, beside, [[next(iter(tests)), structure(found), *online(found)]]
 
 
 def structure(found: Identified) -> str:
@@ -253,8 +241,12 @@ def structure(found: Identified) -> str:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Rows of all sets that are wanted."""
-    wanted = [*measured(), *simulated(tuple(options.samples), tuple(options.noise))]
-    rows: list[list[Any]] = []
+    if options.drawn:
+        seed, number = options.drawn
+        wanted = [("", lambda k=k: _drawn(seed, k)) for k in range(number)]
+    else:
+        wanted = [*measured(), *simulated(tuple(options.samples), tuple(options.noise))]
+    kept: dict[str, Any] = {"rows": [], "peers": [], "online": [], "told": []}
     for name, make in wanted:
         if options.sets and not any(one.lower() in name.lower() for one in options.sets):
             continue
@@ -263,26 +255,63 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         except LeglabError as error:
             print(f"{name}: {error}")
             continue
-        rows += rows_of(made, options.jobs)
-        print(rows[-1], flush=True)
-    return {"rows": rows}
+        for part, rows in zip(
+            ("rows", "peers", "online"), rows_of(made, options.jobs), strict=True
+        ):
+            kept[part] += rows
+            print(*rows, sep="\n", flush=True)
+        if (machine := name.split(", ")[0]) in MACHINES:
+            _, noise, n = name.split(", ")
+            free_run = kept["rows"][-1][3]
+            kept["told"].append(told(machine, int(n), int(noise.split()[0]), free_run))
+            print(kept["told"][-1], flush=True)
+    return {**kept, "drawn": bool(options.drawn)}
 
 
 def tables(kept: dict[str, Any]) -> str:
-    """The table."""
+    """Errors of all sets; peers; learning online; known equations; counts of a drawn family."""
     rows = [
         (name, str(n), chosen, *map(_shown, errors), known, f"{s:.0f}")
         for name, n, chosen, *errors, known, s in kept["rows"]
     ]
-    return results.table(HEAD, rows)
+    peers = [(name, *map(_shown, errors)) for name, *errors in kept["peers"]]
+    learning = [
+        (name, chosen, str(p), f"{ns:.0f}", f"{ratio:.2f}", "finite" if finite else "NOT FINITE")
+        for name, chosen, p, ns, ratio, finite in kept["online"]
+    ]
+    text = results.table(HEAD, rows)
+    text += "\n" + results.table(("data", "leglab", *PEERS), peers)
+    text += "\n" + results.table(ONLINE, learning)
+    if kept["told"]:
+        known = [(a, str(n), f"{dB} dB", *map(_shown, rest)) for a, n, dB, *rest in kept["told"]]
+        text += "\n" + results.table(TOLD, known)
+    if kept["drawn"]:
+        ratios = np.array([[row[3] / row[5], row[3] / row[6]] for row in kept["rows"]])
+        linear, constant = ratios.T
+        text += (
+            f"\nOf {len(ratios)} machines: worse than the best linear model in "
+            f"{np.sum(linear > 1.0005)} (at most {linear.max():.3f} of it), worse than a constant "
+            f"in {np.sum(constant > 1.0005)}, better than linear by a tenth in "
+            f"{np.sum(linear <= 0.9)}.\n"
+        )
+    return text
 
 
-def _shown(error: float | None) -> str:
+def _shown(error: float | str | None) -> str:
+    if isinstance(error, str):
+        return error
     return f"{error:.3g}" if error is not None and error < 1e6 else "diverges"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sets", nargs="*", help="part of the names of those wanted; default: all")
-    parser.add_argument("--samples", type=int, nargs="+", default=[1000])
+    parser.add_argument("--samples", type=int, nargs="+", default=[1000, 20_000])
     parser.add_argument("--noise", type=int, nargs="+", default=[20, 40], help="dB")
+    parser.add_argument(
+        "--drawn",
+        type=int,
+        nargs=2,
+        metavar=("SEED", "NUMBER"),
+        help="machines of a family instead",
+    )
     parser.add_argument("--jobs", type=int, default=2)

@@ -85,7 +85,6 @@ BENCHMARKS = {
         _kept("readaptation_limit", 0.4),
         _kept("never_worse", 4),
         _kept("two_routes", 0.5),
-        _kept("real_data", 0.2),
         _kept("identify", 12),
         _kept("replication", 1),
         _kept("sweeps", 2, quick="--short 100 --long 2 --rows 2000"),
