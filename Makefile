@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PACKAGE := $(VENV)/package
 STAMP := $(VENV)/installed
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --durations=15
+# A test that hangs fails after 20 minutes and tells where.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --durations=15 --timeout=1200
 # Python compiles at the first import: most files of the packages are never imported.
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc rigs/csrc -type f)

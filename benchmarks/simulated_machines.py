@@ -148,9 +148,9 @@ def drawn(seed: int, number: int) -> tuple[str, Array, Array]:
     name = list(_FAMILY)[number % len(_FAMILY)]
     n = int(np.exp(rng.uniform(np.log(400), np.log(100_000))))
     memory = float(np.exp(rng.uniform(np.log(3), np.log(60))))  # time constant [samples]
-    u = np.column_stack(
-        [held(rng, n, rng.uniform(0.3, 3) * memory) for _ in range(rng.integers(1, 6))]
-    )
+    # At least some fifty levels, of which half are learned from.
+    holds = [min(rng.uniform(0.3, 3) * memory, n / 50) for _ in range(rng.integers(1, 6))]
+    u = np.column_stack([held(rng, n, hold) for hold in holds])
     push = u[:, 0].copy()
     for j in range(1, u.shape[1]):
         late = rng.integers(0, 6)
@@ -205,7 +205,7 @@ def _stiffening(rng: np.random.Generator, x: Array, memory: float) -> Array:
         pull = push - s[0] - cubic * s[0] ** 3 - loss * s[1]
         return rate * np.array([s[1], pull])
 
-    return _steps(x, np.zeros(2), slope, 4)
+    return _steps(x, np.zeros(2), slope, 16)
 
 
 def _friction(rng: np.random.Generator, x: Array, memory: float) -> Array:

@@ -48,6 +48,7 @@ _KEPT = 3  # structures of the first search that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
 _BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
+_SAMPLES = 5  # per parameter of a linear structure, at least: fewer do not determine it
 _MOST_LAGS = 24  # of all signals, from which terms are made
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
 # Samples of a stretch; the best length is the memory of the machine, which the blocks decide.
@@ -337,7 +338,7 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
         for ny, nu in _LINEAR
         for delays_ in dict.fromkeys((lead, (0,) * len(lead)))
         # The smallest structure is always tried, also with few samples and many inputs.
-        if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= _shortest(problem) // 20
+        if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= _shortest(problem) // _SAMPLES
     ]
 
 
