@@ -276,6 +276,16 @@ def one_step_stretches(
     return out
 
 
+def whole_runs(problem: Problem, depth: int) -> list[Stretch]:
+    """A free run of each record from its first sample that has a measured past."""
+    out = []
+    for k, record in enumerate(problem.records):
+        usable = np.flatnonzero(startable(record, depth))
+        if len(usable):
+            out.append(Stretch(k, int(usable[0]), len(record) - int(usable[0])))
+    return out
+
+
 def startable(record: Record, depth: int) -> NDArray[np.bool_]:
     """Tests which samples have `depth` measured outputs before them, (N,)."""
     gaps = np.concatenate([[0], np.cumsum(~np.isfinite(record.y))])

@@ -19,6 +19,7 @@ from leglab.identification.structure.fit import (
     Simulator,
     fit,
     one_step_stretches,
+    whole_runs,
 )
 from leglab.identification.structure.search import Candidate
 from leglab.identification.structure.signals import Signals, signals_of
@@ -115,7 +116,8 @@ class Identified:
 
         Parameters have shape (N, P), in scaled units.
         """
-        model = SplineNarx(self.model.settings)
+        rls = Rls(initial_gain=_INITIAL_GAIN)
+        model = SplineNarx(replace(self.model.settings, rls=rls, output_error_after=0))
         trajectory = np.zeros((0, 0))
         for record in self.problem.records:
             u, y = _for(model, record)
@@ -291,27 +293,47 @@ def _problem(learned: Signals, k: int) -> Problem:
     for j, name in enumerate(learned.inputs):
         column = np.concatenate([r.u[:, j] for r in records])
         signals.append(Signal(name=name, lower=float(column.min()), upper=float(column.max())))
+    # What is learned later counts as much as the training data after as many samples.
+    kept = 1 - 1 / max(int(np.isfinite(y).sum()), 2)
     template = SplineNarxSettings(
         output=Signal(name=learned.outputs[k], lower=low, upper=high),
         inputs=tuple(signals),
         features=(Constant(),),
-        rls=Rls.adaptive(_INITIAL_GAIN),
+        rls=Rls(
+            initial_gain=_INITIAL_GAIN,
+            forgetting="exponential",
+            forgetting_factor=kept,
+            gain_bound=_INITIAL_GAIN,
+        ),
         free_run_limits=(low - _REACH * (high - low), high + _REACH * (high - low)),
     )
     return Problem(records, template)
 
 
 def _going_on(problem: Problem, best: Candidate) -> SplineNarx:
-    """An identifier that has the model's parameters, and the gain that all samples leave it."""
+    """An identifier that has the model's parameters, and the gain that all samples leave it.
+
+    It minimises the error of the free run or that of one step: whichever leaves the model better
+    after another pass over the training data. One-step learning moves a model of a machine with a
+    noisy sensor away from the machine, learning by the free run one of a disturbed machine.
+    """
     settings = problem.model(best.fit.features)
-    model = SplineNarx(settings)
-    model.parameters = best.fit.theta
     simulator = Simulator(settings, problem.records)
-    own = one_step_stretches(problem, settings.lags)
-    found = simulator.sums(best.fit.theta, own, sensitivities=True)
-    information = found.products + np.eye(len(best.fit.theta)) / _INITIAL_GAIN
-    gain = np.linalg.inv(information)
-    model.set_gain((gain + gain.T) / 2)
+    whole = whole_runs(problem, settings.lags)
+    tried = []
+    for after, own in ((1, whole), (0, one_step_stretches(problem, settings.lags))):
+        model = SplineNarx(replace(settings, output_error_after=after))
+        model.parameters = best.fit.theta
+        found = simulator.sums(best.fit.theta, own, sensitivities=True)
+        information = found.products + np.eye(len(best.fit.theta)) / _INITIAL_GAIN
+        gain = np.linalg.inv(information)
+        model.set_gain((gain + gain.T) / 2)
+        again = model.copy()
+        for record in problem.records:
+            again.run(*_for(again, record), missing="skip")
+        left = simulator.sums(again.parameters, whole, sensitivities=False).error
+        tried.append((left if np.isfinite(left) else np.inf, model))
+    model = min(tried, key=lambda one: one[0])[1]
     # The past of the last samples; a frozen identifier takes them in without learning.
     u, y = _for(model, problem.records[-1])
     model.freeze()
