@@ -305,7 +305,7 @@ def _shown(error: float | str | None) -> str:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sets", nargs="*", help="part of the names of those wanted; default: all")
-    parser.add_argument("--samples", type=int, nargs="+", default=[1000, 20_000])
+    parser.add_argument("--samples", type=int, nargs="+", default=[1000])
     parser.add_argument("--noise", type=int, nargs="+", default=[20, 40], help="dB")
     parser.add_argument(
         "--drawn",

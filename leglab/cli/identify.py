@@ -52,7 +52,7 @@ def identify(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Identifies a dynamic model from measured inputs and outputs; nothing has to be chosen.
+    """Identifies a dynamic model from measured inputs and outputs.
 
     Delays, lags and nonlinear features are chosen by the free run over parts of the data that no
     fit has seen; linear models are always among the candidates. Writes identify.json, a page, the
@@ -82,7 +82,8 @@ def identify(
         return
     for found in models.values():
         _show(found)
-    tell(f"written to {out}: {results.PAGE}, {results.RESULT}, the model and its C header")
+    files = "the model and its C header" if len(models) == 1 else "the models and their C headers"
+    tell(f"written to {out}: {results.PAGE}, {results.RESULT}, {files}")
 
 
 def _identified(
@@ -105,18 +106,23 @@ def _identified(
     if journal.kept:
         count = sum(map(len, journal.kept.values()))
         complain(f"{count} structures of an interrupted search are taken over", "warning")
-    with progress("identify") as show:
-        models = run_identify(
-            learned,
-            inputs=inputs,
-            outputs=outputs,
-            tests=tested or None,
-            period=period,
-            jobs=threads,
-            progress=lambda n, total, stage: show(description=stage, completed=n, total=total),
-            kept=journal.kept,
-            keep=journal.keep,
-        )
+    try:
+        with progress("identify") as show:
+            models = run_identify(
+                learned,
+                inputs=inputs,
+                outputs=outputs,
+                tests=tested or None,
+                period=period,
+                jobs=threads,
+                progress=lambda n, total, stage: show(description=stage, completed=n, total=total),
+                kept=journal.kept,
+                keep=journal.keep,
+            )
+    except KeyboardInterrupt:
+        if journal.path.exists():
+            complain(f"the same command goes on from {journal.path}", "warning")
+        raise
     return models, journal
 
 
@@ -140,7 +146,9 @@ def _read(
             source = f"{path.name}: {name}" if name else path.name
             if "time" not in table:
                 if period is None:
-                    told = f"{source} has no time: a sample counts as 1 s, or --period"
+                    told = (
+                        f"{source} has no time: samples count as 1 s apart; --period S tells theirs"
+                    )
                     complain(told, "warning")
                 length = len(next(iter(table.values()), ()))
                 table = {"time": np.arange(length) * (period or 1.0), **table}

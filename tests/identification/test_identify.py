@@ -88,19 +88,29 @@ def test_an_output_that_the_input_does_not_drive_gets_a_constant():
     assert found.kind.startswith("a constant")
 
 
-def test_the_model_goes_on_learning_where_the_data_ended(dead_zone):
-    model = dead_zone.model.copy()
-    record = dead_zone.tests[0]
-    # Information of the constant is the number of samples that were learned from.
-    constant = sum(b.count for b in model.settings.blocks[:2])
-    information = np.linalg.inv(model.gain())[constant, constant]
-    assert information == pytest.approx(len(dead_zone.problem.records[0]) - model.lags, rel=1e-3)
-    before = model.parameters.copy()
-    errors = record.y - model.run(record.u[:, 0], record.y)
-    assert np.sqrt(np.mean(errors**2)) < 0.1 * np.std(record.y)
-    assert np.abs(model.parameters - before).max() < 0.5
-    # Its gain was opened by no change: the first samples do not throw it off.
-    assert model.diagnostics()["changes"] == 0
+@pytest.mark.parametrize(
+    ("name", "machine", "noise"), [("dead_zone", bent, 0.005), ("linear", oscillator, 0.05)]
+)
+def test_a_model_that_learns_on_stays_with_its_machine_and_follows_it(
+    name, machine, noise, request
+):
+    model = request.getfixturevalue(name).model.copy()
+    rng = np.random.default_rng(20)
+    u = levels(rng, 6000)
+    y = machine(u) + noise * rng.normal(size=6000)
+    u_test = levels(rng, 1000)
+    y_test = machine(u_test)
+
+    def error(gain=1.0):
+        run = model.copy().free_run(u_test, gain * y_test[: model.lags])
+        return rms(run - gain * y_test, model.lags)
+
+    before = error()
+    model.update(np.nan, np.nan)  # another recording follows
+    model.run(u, y)
+    assert error() < 1.2 * before
+    model.run(u[:3000], 1.3 * y[:3000])
+    assert error(1.3) < 0.3 * 0.3 * np.std(y_test)
 
 
 def test_threads_and_an_interruption_change_no_bit(tmp_path):
@@ -160,20 +170,34 @@ def test_garbage_is_named_and_left_out():
     assert np.abs(found.records[0][0].u).max() <= 1
 
 
-def test_missing_samples_and_rows_are_bridged():
+def test_a_recording_is_split_where_inputs_are_missing():
     rng = np.random.default_rng(6)
     u = levels(rng, 300)
     y = oscillator(u)
     u_gap, y_gap = u.copy(), y.copy()
-    u_gap[30:33], y_gap[100:110] = np.nan, np.nan
-    keep = np.r_[0:150, 160:300]
+    u_gap[90:93], y_gap[100:110] = np.nan, np.nan
+    keep = np.r_[0:200, 210:300]
     data = Recording(time=keep * 0.01, columns={"u": u_gap[keep], "y": y_gap[keep]})
     found = signals_of({"a": data})
+    parts = found.records[0]
+    assert [(r.name, len(r)) for r in parts] == [
+        ("a, part 1", 90),
+        ("a, part 2", 107),
+        ("a, part 3", 90),
+    ]
+    assert (parts[1].u[:, 0] == u[93:200]).all()
+    assert np.isnan(parts[1].y).sum() == 10
+    notes = "\n".join(found.notes)
+    assert "10 rows are missing" in notes
+    assert "inputs are missing in 13 samples; split there into 3 parts" in notes
+    assert "20 samples of 'y' are missing" in notes
+    # Gaps that leave no parts are bridged.
+    u_gap[::40] = np.nan
+    data = Recording(time=np.arange(300) * 0.01, columns={"u": u_gap, "y": y})
+    found = signals_of({"a": data})
     (record,) = found.records[0]
-    assert len(record) == 300
     assert np.isfinite(record.u).all()
-    assert np.isnan(record.y).sum() == 20
-    assert any("10 samples are missing" in note for note in found.notes)
+    assert "bridged by straight lines" in "\n".join(found.notes)
 
 
 def test_irregular_sampling_is_refused_with_the_remedy():
@@ -185,6 +209,12 @@ def test_irregular_sampling_is_refused_with_the_remedy():
     found = signals_of({"a": data}, period=0.01)
     assert found.period == 0.01
     assert "became" in found.notes[0]
+    # A clock that trembles about the very period that is asked for.
+    time = 0.01 * np.arange(300) + rng.normal(0, 0.0004, 300)
+    data = Recording(time=time, columns={"u": levels(rng, 300), "y": np.sin(time)})
+    with pytest.raises(RecordingError, match="resamples"):
+        signals_of({"a": data})
+    assert len(signals_of({"a": data}, period=0.01).records[0][0]) in (299, 300)
 
 
 @pytest.mark.parametrize(
@@ -304,3 +334,10 @@ def test_an_input_that_rests_in_the_test_is_a_signal():
     found = signals_of({"rest": data}, ("u", "w"), ("y",), resting=True)
     assert found.inputs == ("u", "w")
     assert (found.records[0][0].u[:, 0] == 0.5).all()
+
+
+def test_a_test_that_lacks_an_input_is_named():
+    u = levels(np.random.default_rng(12), 200)
+    tests = {"walk.csv": Recording(time=np.arange(200.0), columns={"y": u, "w": u})}
+    with pytest.raises(RecordingError, match=r"walk\.csv: no column 'u', found "):
+        identify(recorded(u, bent(u), 1.0), tests=tests)

@@ -19,6 +19,7 @@ from leglab.identification.structure.fit import (
     Simulator,
     fit,
     one_step_stretches,
+    startable,
     whole_runs,
 )
 from leglab.identification.structure.search import Candidate
@@ -110,6 +111,20 @@ class Identified:
         """Whether the free run over unseen blocks beats a constant."""
         return self.chosen.plan.kind != search.CONSTANT
 
+    def at_rest(self, signal: str, values: Array) -> Array:
+        """Predicted output where all lags of a signal have one value, the others their means, (n,).
+
+        Args:
+            signal: The output or an input.
+            values: In its units, (n,).
+        """
+        names = self.model.settings.names
+        table = np.tile([np.mean(self.problem.samples[name]) for name in names], (len(values), 1))
+        table[:, names.index(signal)] = values
+        held = np.repeat(table, self.model.lags + 2, axis=0)
+        u = held[:, 1] if self.model.inputs == 1 else held[:, 1:]
+        return self.model.one_step(u, held[:, 0])[self.model.lags + 1 :: self.model.lags + 2]
+
     @cached_property
     def online(self) -> tuple[SplineNarx, Array]:
         """The structure learned in one pass from nothing, and its parameters over the first record.
@@ -129,12 +144,20 @@ class Identified:
     @cached_property
     def trained(self) -> tuple[Errors, ...]:
         """Errors on the training records, each simulated from its beginning."""
-        return tuple(self._errors(record) for record in self.problem.records)
+        return self._all_errors(self.problem.records)
 
     @cached_property
     def tested(self) -> tuple[Errors, ...]:
         """Errors on the test records."""
-        return tuple(self._errors(record) for record in self.tests)
+        return self._all_errors(self.tests)
+
+    def _all_errors(self, records: Sequence[Record]) -> tuple[Errors, ...]:
+        """Errors on the records that are long enough for a past."""
+        lags = max(self.model.lags, self._linear.lags)
+        usable = [record for record in records if startable(record, lags).any()]
+        if records and not usable:
+            raise RecordingError(f"{records[0].name}: no {lags} outputs in a row are measured")
+        return tuple(map(self._errors, usable))
 
     def _errors(self, record: Record) -> Errors:
         runs = [self._run(m, record) for m in (self.model, self._linear, self.online[0])]
@@ -164,7 +187,7 @@ class Identified:
 
     def _run(self, model: SplineNarx, record: Record) -> Array:
         u, y = _for(model, record)
-        first = _first(record, max(model.lags, self.model.lags))
+        first = int(startable(record, max(model.lags, self.model.lags)).argmax())
         run = model.free_run(u[first - model.lags :], y[first - model.lags : first])
         return np.concatenate([record.y[: first - model.lags], run])
 
@@ -184,15 +207,6 @@ def rms(residual: Array, given: int = 0) -> float:
 def _for(model: SplineNarx, record: Record) -> tuple[Array, Array]:
     """Inputs and output in the shape that the identifier takes."""
     return (record.u[:, 0] if model.inputs == 1 else record.u), record.y
-
-
-def _first(record: Record, lags: int) -> int:
-    """First sample before which as many outputs as a model has lags are measured."""
-    good = np.isfinite(record.y)
-    for at in range(lags, len(record)):
-        if good[at - lags : at].all():
-            return at
-    raise RecordingError(f"{record.name}: no {lags} outputs in a row are measured")
 
 
 def identify(

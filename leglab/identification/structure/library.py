@@ -135,7 +135,17 @@ def _term(term: Term) -> str:
         sign = "-" if term.at >= 0 else "+"
         g = f"max({x} {sign} {abs(term.at):.3g}, 0)"
     elif term.curve == "sign":
-        g = f"sign({x})"
+        g = f"sign({x}; width {term.width:.3g})"
     else:
         g = x if term.degree == 1 else f"{x}^{term.degree}"
+    if term.curve == "power" and term.times == (term.signal, term.lag) and not term.change:
+        return f"{x}^{term.degree + 1}"
     return g if term.times is None else f"{g} {_lagged(*term.times)}"
+
+
+def parameter_names(feature: Feature, count: int) -> list[str]:
+    """A name for each of the parameters of a feature."""
+    if isinstance(feature, Lags):
+        return [_lagged(feature.signal, feature.first + k) for k in range(count)]
+    name = name_of(feature)
+    return [name] if count == 1 else [f"{name}, weight {k + 1}" for k in range(count)]

@@ -151,6 +151,8 @@ def stretches(
     while not out and length > 1:
         for k, record in enumerate(problem.records):
             size = min(length, len(record) - depth)
+            if size < 1:
+                continue
             usable = startable(record, depth)
             for start in range(depth, len(record) - size + 1, max(1, size // _OVERLAP)):
                 if usable[start] and not _touches(Stretch(k, start, size), without, depth):
@@ -302,7 +304,7 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
 
 def delays(problem: Problem) -> tuple[int, ...]:
     """Delay of each input, by the free run of a second-order linear model."""
-    allowed = [d for d in _DELAYS if d <= _shortest(problem) // 20]
+    allowed = [d for d in _DELAYS if d <= _longest(problem) // 20]
     found = [0] * len(problem.template.inputs)
     for j in range(len(found)):
         errors = []
@@ -318,12 +320,12 @@ def delays(problem: Problem) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _shortest(problem: Problem) -> int:
-    return min(map(len, problem.records))
+def _longest(problem: Problem) -> int:
+    return max(map(len, problem.records))
 
 
 def _lengths(problem: Problem) -> list[int]:
-    most = max(2, _shortest(problem) // 4)
+    most = max(2, _longest(problem) // 4)
     return list(dict.fromkeys(min(n, most) for n in _LENGTHS))
 
 
@@ -338,7 +340,7 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
         for ny, nu in _LINEAR
         for delays_ in dict.fromkeys((lead, (0,) * len(lead)))
         # The smallest structure is always tried, also with few samples and many inputs.
-        if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= _shortest(problem) // _SAMPLES
+        if (ny, nu) == _LINEAR[0] or ny + nu * len(lead) <= problem.count // _SAMPLES
     ]
 
 
@@ -424,7 +426,8 @@ def search(
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
         done = []
-        with ThreadPoolExecutor(jobs) as pool:
+        pool = ThreadPoolExecutor(jobs)
+        try:
             results = pool.map(lambda p: known.get(p) or searched(problem, p), wanted)
             for number, candidate in enumerate(results, 1):
                 if candidate.plan not in known and keep is not None:
@@ -432,6 +435,8 @@ def search(
                 if progress is not None:
                     progress(number, len(wanted), stage)
                 done.append(candidate)
+        finally:
+            pool.shutdown(cancel_futures=True)
         return done
 
     linear = made("linear models", plans_linear(problem, delays(problem)))

@@ -21,6 +21,8 @@ _SAME = 1e-3  # relative difference of periods that count as equal
 _LONGEST_GAP = 100_000  # periods
 # RMS change of the output a sample, in deviations, below which a longer period is recommended.
 _SLOW = 0.01
+# Shortest part between two gaps of the inputs: a free run needs the past, and samples to err over.
+_LEAST_PART = 60
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ def signals_of(
         inputs: Columns; see `columns_of`.
         outputs: Columns.
         period: To resample to [s]; None takes that of the recordings.
-        resting: Whether constant columns are signals as well, as in a test they are.
+        resting: Whether constant columns are signals as well, as in a test they are; all columns
+            have to be named then.
 
     Raises:
         RecordingError: A recording is too short or not uniformly sampled, lacks a column, or a
@@ -92,7 +95,8 @@ def signals_of(
     """
     if period is not None and not (np.isfinite(period) and period > 0):
         raise SettingsError(f"period is {period}; allowed: ", given=period, allowed="above 0")
-    inputs, outputs = columns_of(recordings, inputs, outputs)
+    if not resting:
+        inputs, outputs = columns_of(recordings, inputs, outputs)
     notes: list[str] = []
     usual = {name: _period(r) for name, r in recordings.items()}
     wanted = period or next(iter(usual.values()))
@@ -106,7 +110,8 @@ def signals_of(
                 told = f"{name}: no column {column!r}, found "
                 raise RecordingError(told, given=column, allowed=recording.columns)
         same = abs(usual[name] - wanted) <= _SAME * wanted
-        tables[name] = (_on_grid if same or period is None else _resampled)(
+        uniform = _is_uniform(recording.time, wanted)
+        tables[name] = (_on_grid if period is None or (same and uniform) else _resampled)(
             name, recording, (*inputs, *outputs), wanted, notes
         )
     used_in = tuple(c for c in inputs if _sound(c, tables, notes, resting))
@@ -117,11 +122,13 @@ def signals_of(
         if not _sound(output, tables, reasons, resting):
             raise RecordingError(f"output {reasons[0]}", given=output)
         notes += reasons
-    driven = {name: _driven(name, table, used_in, notes) for name, table in tables.items()}
     records = tuple(
-        tuple(Record(driven[name], table[output], name) for name, table in tables.items())
+        tuple(r for name, table in tables.items() for r in _records(name, table, used_in, output))
         for output in outputs
     )
+    for name, table in tables.items():
+        _note_gaps(name, table, used_in, outputs, notes)
+    notes += _note_copies(tables, used_in, outputs)
     for own in records:
         _check_sampling(own, wanted, notes)
     return Signals(records, used_in, tuple(outputs), wanted, tuple(notes))
@@ -137,20 +144,27 @@ def _period(recording: Recording) -> float:
     return float(f"{regular.mean():.9g}")
 
 
+def _is_uniform(time: Array, period: float) -> bool:
+    """Tests whether all intervals are multiples of a period, and not too long."""
+    steps = np.diff(time) / period
+    whole = np.maximum(np.round(steps), 1)
+    few = whole.sum() <= _LONGEST_GAP + len(steps)
+    return bool(few and np.all(np.abs(steps - whole) <= _JITTER * whole))
+
+
 def _on_grid(
     name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
 ) -> dict[str, Array]:
     """Columns on the recording's own uniform axis, NaN where samples are missing."""
-    steps = np.diff(recording.time) / period
-    whole = np.maximum(np.round(steps), 1)
-    if np.any(np.abs(steps - whole) > _JITTER * whole) or whole.sum() > _LONGEST_GAP + len(steps):
-        low, high = float(np.diff(recording.time).min()), float(np.diff(recording.time).max())
-        told = f"{name}: sampled every {low:.4g} to {high:.4g} s, one period is needed; "
-        raise RecordingError(told + f"--period {period:.4g} resamples it", given=name)
+    steps = np.diff(recording.time)
+    if not _is_uniform(recording.time, period):
+        told = f"{name}: sampled every {steps.min():.4g} to {steps.max():.4g} s, one period is "
+        raise RecordingError(told + f"needed; --period {period:.4g} resamples it", given=name)
+    whole = np.maximum(np.round(steps / period), 1)
     at = np.concatenate([[0], np.cumsum(whole)]).astype(int)
     missing = at[-1] + 1 - len(at)
     if missing:
-        notes.append(f"{name}: {missing} samples are missing from the time axis; bridged")
+        notes.append(f"{name}: {missing} rows are missing from the time axis")
     out = {}
     for column in columns:
         out[column] = np.full(at[-1] + 1, np.nan)
@@ -169,6 +183,9 @@ def _resampled(
         told = f"{name}: {len(axis)} samples of {period:g} s; needed are {LEAST_SAMPLES}"
         raise RecordingError(told, given=period)
     notes.append(f"{name}: {len(time)} samples became {len(axis)} of {period:g} s")
+    steps = np.diff(time)
+    usual = max(float(np.median(steps)), period)
+    between = steps[np.clip(np.searchsorted(time, axis) - 1, 0, len(steps) - 1)]
     out = {}
     for column in columns:
         good = np.isfinite(recording[column])
@@ -176,9 +193,9 @@ def _resampled(
             out[column] = np.full(len(axis), np.nan)
             continue
         out[column] = np.interp(axis, time[good], recording[column][good])
-        # What lies in a gap of the column is not measured.
+        # What lies in a gap of the column, or of the rows, is not measured.
         gap = np.interp(axis, time, (~good).astype(float)) > 0.5
-        out[column][gap] = np.nan
+        out[column][gap | (between > 2 * usual)] = np.nan
     return out
 
 
@@ -211,24 +228,74 @@ def _sound(
     return True
 
 
-def _driven(
-    name: str, table: Mapping[str, Array], inputs: Sequence[str], notes: list[str]
-) -> Array:
-    """Inputs of one recording, missing samples bridged by a straight line, (N, M)."""
-    out = np.column_stack([table[column] for column in inputs])
-    at = np.arange(len(out))
-    for j, column in enumerate(inputs):
-        good = np.isfinite(out[:, j])
+def _records(
+    name: str, table: Mapping[str, Array], inputs: Sequence[str], output: str
+) -> list[Record]:
+    """Records of one recording: the parts between gaps of its inputs.
+
+    What acted in a gap is not known, and every later output of a free run errs by it. Only where
+    most samples would be lost with parts that are too short the gaps are bridged by straight lines.
+    """
+    u = np.column_stack([table[column] for column in inputs])
+    good = np.asarray(np.isfinite(u).all(axis=1))
+    parts = _parts(good)
+    if good.all() or not parts:
+        return [Record(_bridged(u), table[output], name)]
+    return [
+        Record(u[part], table[output][part], f"{name}, part {k}") for k, part in enumerate(parts, 1)
+    ]
+
+
+def _parts(good: NDArray[np.bool_]) -> list[slice]:
+    """Runs of good samples that are long enough; none where they are not most of the samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
+    runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= _LEAST_PART]
+    return runs if sum(r.stop - r.start for r in runs) >= len(good) / 2 else []
+
+
+def _bridged(u: Array) -> Array:
+    out, at = u.copy(), np.arange(len(u))
+    for j in range(u.shape[1]):
+        good = np.isfinite(u[:, j])
         if not good.all():
-            notes.append(f"{name}: {int((~good).sum())} missing samples of {column!r} are bridged")
-            out[:, j] = np.interp(at, at[good], out[good, j]) if good.any() else 0.0
-        levels = len(np.unique(out[:, j]))
-        if levels == 2:
+            out[:, j] = np.interp(at, at[good], u[good, j]) if good.any() else 0.0
+    return out
+
+
+def _note_gaps(
+    name: str,
+    table: Mapping[str, Array],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    notes: list[str],
+) -> None:
+    for column in outputs:
+        if lost := int((~np.isfinite(table[column])).sum()):
+            notes.append(f"{name}: {lost} samples of {column!r} are missing and left out")
+    u = np.column_stack([table[column] for column in inputs])
+    good = np.asarray(np.isfinite(u).all(axis=1))
+    if not good.all():
+        parts = _parts(good)
+        lost = int((~good).sum())
+        how = f"split there into {len(parts)} parts" if parts else "bridged by straight lines"
+        notes.append(f"{name}: inputs are missing in {lost} samples; {how}")
+    for column in inputs:
+        if len(np.unique(table[column][np.isfinite(table[column])])) == 2:
             notes.append(
                 f"{name}: {column!r} takes two values only: how it acts between them, and "
                 "beyond, cannot be seen"
             )
-    return out
+
+
+def _note_copies(
+    tables: Mapping[str, dict[str, Array]], inputs: Sequence[str], outputs: Sequence[str]
+) -> list[str]:
+    return [
+        f"{output!r} is the same numbers as input {name!r}"
+        for output in outputs
+        for name in inputs
+        if all(np.array_equal(t[output], t[name], equal_nan=True) for t in tables.values())
+    ]
 
 
 def _check_sampling(records: Sequence[Record], period: float, notes: list[str]) -> None:

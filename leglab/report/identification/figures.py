@@ -3,13 +3,15 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from leglab.identification.features import Spline, Term
+from leglab.identification.structure import library
 from leglab.identification.structure.identified import Errors, Identified
 from leglab.identification.structure.residuals import ResidualTest
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
 _MOST_SAMPLES = 1500  # of a curve; longer records show their beginning
-_MOST_PARAMETERS = 12
+_MOST_PARAMETERS = 6  # of as many colours
 _POINTS = 800  # of a parameter's curve
 
 
@@ -46,18 +48,15 @@ def residual_figure(tests: tuple[ResidualTest, ...]) -> Figure:
         axes = np.atleast_1d(figure.subplots(len(tests), 1, sharex=True))
         for one, test in zip(axes, tests, strict=True):
             one.axhspan(-test.band, test.band, color=LIGHT_GREY, alpha=0.5, linewidth=0)
-            one.vlines(test.lags, 0, test.correlation, color=BLUE, linewidth=2.0)
+            first = 1 if test.name == "itself" else 0  # with itself lag 0 is 1
+            one.vlines(test.lags[first:], 0, test.correlation[first:], color=BLUE, linewidth=2.0)
             one.axhline(0, color=DARK_GREY, linewidth=0.6)
-            one.set_title(f"correlation of the one-step residual with {_with(test)}", fontsize=9)
-            counted = test.correlation[1:] if test.name == "itself" else test.correlation
-            most = 1.2 * max(float(np.max(np.abs(counted))), test.band)
+            past = "its past" if test.name == "itself" else f"past {test.name}"
+            one.set_title(f"correlation of the one-step residual with {past}", fontsize=9)
+            most = 1.2 * max(float(np.max(np.abs(test.correlation[first:]))), test.band)
             one.set_ylim(-most, most)
         axes[-1].set_xlabel("lag [samples]")
     return figure
-
-
-def _with(test: ResidualTest) -> str:
-    return "itself (lag 0 is 1)" if test.name == "itself" else f"past {test.name}"
 
 
 def parameter_figure(found: Identified) -> Figure | None:
@@ -69,41 +68,43 @@ def parameter_figure(found: Identified) -> Figure | None:
     rows = trajectory[::step]
     time = np.arange(len(trajectory))[::step] * found.period
     largest = np.argsort(-np.abs(trajectory[-1]), kind="stable")[:_MOST_PARAMETERS]
+    names = [
+        name
+        for feature, (_, theta, _) in zip(
+            found.model.settings.features, found.model.learned_blocks(), strict=True
+        )
+        for name in library.parameter_names(feature, len(theta))
+    ]
     with style():
-        figure = Figure(figsize=(_WIDTH, 3.0), layout="constrained")
+        figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
         axes = figure.subplots()
         for k in sorted(largest):
-            axes.plot(time, rows[:, k], linewidth=0.9)
+            axes.plot(time, rows[:, k], linewidth=0.9, label=names[k])
+        figure.legend(loc="outside lower left", ncols=2, fontsize=7)
         low, high = np.quantile(rows[len(rows) // 10 :, largest], (0.005, 0.995))
         slack = 0.2 * max(high - low, 1e-9)
         axes.set_ylim(low - slack, high + slack)
-        axes.set_title("parameters while learning in one pass from nothing, the largest")
+        axes.set_title("largest parameters, learned in one pass from nothing")
         axes.set(xlabel="time [s]", ylabel="scaled parameter")
     return figure
 
 
 def curve_figure(found: Identified) -> Figure | None:
-    """Static curves of the model, over the range of their data; None without any."""
-    from leglab.identification.features import Spline
-
+    """Predicted output over each signal that a curve or term bends; None for a linear model."""
     features = found.model.settings.features
-    at = [k for k, feature in enumerate(features) if isinstance(feature, Spline)]
-    if not at:
+    bent = dict.fromkeys(f.signal for f in features if isinstance(f, Spline | Term))
+    if not bent:
         return None
-    columns = min(3, len(at))
-    rows = -(-len(at) // columns)
+    columns = min(3, len(bent))
+    rows = -(-len(bent) // columns)
     with style():
         figure = Figure(figsize=(_WIDTH, 2.1 * rows + 0.2), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
-        for axes, k in zip(grid.flat, at, strict=False):
-            feature = features[k]
-            assert isinstance(feature, Spline)
-            x = np.linspace(feature.basis.knots[0], feature.basis.knots[-1], 200)
-            axes.plot(x, found.model.static_spline(k)(x), color=BLUE)
-            axes.set_xlabel(
-                f"{feature.signal}(t-{feature.lag})" if feature.lag else f"{feature.signal}(t)"
-            )
-        for axes in grid.flat[len(at) :]:
+        for axes, name in zip(grid.flat, bent, strict=False):
+            samples = found.problem.samples[name]
+            x = np.linspace(float(samples.min()), float(samples.max()), 200)
+            axes.plot(x, found.at_rest(name, x), color=BLUE)
+            axes.set(xlabel=f"{name}, all lags", ylabel=f"{found.output}(t)")
+        for axes in grid.flat[len(bent) :]:
             axes.set_visible(False)
-        figure.suptitle(f"share of {found.output} of each curve", fontsize=10, x=0.01, ha="left")
     return figure

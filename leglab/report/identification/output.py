@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from leglab import __version__
 from leglab.base.output import piece, write_atomically
 from leglab.identification.c_header import c_header
-from leglab.identification.features import Lags, Spline
+from leglab.identification.features import Spline
 from leglab.identification.storage import save
 from leglab.identification.structure import library
 from leglab.identification.structure.identified import Errors, Identified
@@ -27,6 +27,7 @@ from leglab.report.page.wording import number
 VERSION = 1
 RESULT, PAGE = "identify.json", "identify.html"
 _TABLE_POINTS = 41
+_ROUNDING = 1e-9  # share of the output's deviation
 _MOST_TRIED = 10  # linear structures, and as many nonlinear ones
 
 
@@ -84,6 +85,7 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
         "features": features(found),
         "transfer_functions": transfer_functions(found),
         "curves": curves(found),
+        "at_rest": at_rest(found),
         "held_out": {
             "eighths": found.chosen.scores[0] * deviation,
             "thirds": found.chosen.scores[1] * deviation,
@@ -143,6 +145,15 @@ def curves(found: Identified) -> list[dict[str, Any]]:
     return out
 
 
+def at_rest(found: Identified) -> list[dict[str, Any]]:
+    """Predicted output where all lags of one signal have one value, the others their means."""
+    out = []
+    for name, samples in found.problem.samples.items():
+        x = np.linspace(samples.min(), samples.max(), _TABLE_POINTS)
+        out.append({"of": name, "x": x.tolist(), "predicted": found.at_rest(name, x).tolist()})
+    return out
+
+
 def _errors(errors: Errors) -> dict[str, Any]:
     names = ("free_run", "one_step", "fit", "linear", "mean", "online")
     values = {name: float(getattr(errors, name)) for name in names}
@@ -155,7 +166,7 @@ def tests_of(found: Identified) -> tuple[ResidualTest, ...]:
     pool = found.tested or found.trained
     errors = max(pool, key=lambda e: len(e.measured))
     records = found.tests or found.problem.records
-    record = records[pool.index(errors)]
+    record = next(r for r in records if r.name == errors.recording)
     residual = (errors.measured - errors.predicted)[found.model.lags :]
     inputs = {n: record.u[found.model.lags :, j] for j, n in enumerate(found.inputs)}
     return residual_tests(residual, inputs)
@@ -165,15 +176,14 @@ def _words(candidate: Any, found: Identified) -> str:
     plan = candidate.plan
     linear = len(plan.orders.linear(found.problem))
     bent = len(candidate.fit.features) - linear
-    lags = f"{plan.orders.outputs} + {plan.orders.inputs} lags"
+    lags = f"{plan.orders.outputs} lags of {found.output}, {plan.orders.inputs} of each input"
     delays = ", ".join(map(str, plan.orders.delays))
     if plan.kind == CONSTANT:
         return "a constant"
-    if plan.kind == "one step":
-        return f"linear, {lags}, delay {delays}, one-step least squares"
-    if plan.kind == "linear":
-        return f"linear, {lags}, delay {delays}"
-    return f"{bent} {plan.kind}, {lags}, delay {delays}"
+    how = f"{lags}, delay {delays}"
+    if plan.kind in LINEAR:
+        return f"linear, {how}" + (", one-step least squares" if plan.kind == "one step" else "")
+    return f"{bent} {plan.kind}, {how}" if bent else f"linear, {how} ({plan.kind} did not help)"
 
 
 def page(models: Mapping[str, Identified]) -> str:
@@ -190,11 +200,17 @@ def page(models: Mapping[str, Identified]) -> str:
 def _part(found: Identified) -> dict[str, Any]:
     pool = found.tested or found.trained
     drawn: list[tuple[str, Figure | None]] = [
-        (f"free run over {e.recording}", figures.free_run_figure(found, e)) for e in pool[:3]
+        (f"Free run over {e.recording}.", figures.free_run_figure(found, e)) for e in pool[:3]
     ]
-    drawn.append(("residual tests", figures.residual_figure(tests_of(found))))
-    drawn.append(("parameters over time", figures.parameter_figure(found)))
-    drawn.append(("static curves", figures.curve_figure(found)))
+    bands = "Grey: 99 % of the values lie there if there is no correlation."
+    drawn.append((bands, figures.residual_figure(tests_of(found))))
+    passed = (
+        "Scaled parameters while the structure learns the training data once, by the one-step "
+        "error. They end elsewhere than those of the fit, which minimises the free run's error."
+    )
+    drawn.append((passed, figures.parameter_figure(found)))
+    bent = "One-step prediction while all lags of one signal have one value, the others their mean."
+    drawn.append((bent, figures.curve_figure(found)))
     return {
         "headline": headline(found),
         "sections": sections(found),
@@ -236,6 +252,7 @@ def sections(found: Identified) -> tuple[Section, ...]:
     tests = tests_of(found)
     white = tests[0].outside <= 0.1
     driven = [t.name for t in tests[1:] if t.outside > 0.1]
+    exact = max(e.one_step for e in (found.tested or found.trained)) <= _ROUNDING * deviation
     residual = (
         "One-step residuals are white within 99 % bands"
         if white
@@ -246,11 +263,16 @@ def sections(found: Identified) -> tuple[Section, ...]:
         if driven
         else "; they do not depend on past inputs."
     )
+    if exact:
+        residual = "One-step residuals are rounding errors."
+    use = "test" if found.tested else "training"
     online = [
-        f"{e.recording}: free run {number(e.online)} when the structure learns in one pass from "
-        f"nothing, {number(e.free_run)} as fitted."
+        f"free run over {e.recording} ({use}): {number(e.free_run)} as fitted, {number(e.online)} "
+        "if the same structure learns the training data online, in one pass from nothing."
         for e in (found.tested or found.trained)
     ]
+    by = "the free run's" if found.model.settings.output_error_after else "the one-step"
+    online.append(f"The model goes on learning by {by} error.")
     return (
         Section(title="Structure", lines=(f"{found.kind}.",)),
         Section(title="Unseen parts of the training data", lines=(held,)),
@@ -274,15 +296,14 @@ def errors_table(found: Identified) -> Table:
 
 def _features_table(found: Identified) -> Table:
     rows = []
-    for feature, one in zip(found.model.settings.features, features(found), strict=True):
-        values = one["scaled_parameters"]
-        many = isinstance(feature, Lags | Spline) and len(values) > 4
-        text = ", ".join(number(v) for v in (values[:4] if many else values))
-        rows.append([one["feature"], text + (", ..." if many else "")])
+    for one in features(found):
+        rows.append([one["feature"], ", ".join(map(number, one["scaled_parameters"]))])
     return Table(
-        caption=f"{found.output}(t) is the sum of these; parameters of signals scaled to [-1, 1]",
+        caption=f"{found.output}(t) is the sum of these, with signals scaled to [-1, 1]; "
+        "hinges and widths in the units of their signals",
         head=("feature", "parameters"),
         rows=rows,
+        words=2,
     )
 
 
@@ -292,8 +313,11 @@ def _transfer_table(found: Identified) -> Table:
          ", ".join(map(number, one["denominator"]))]
         for one in transfer_functions(found)
     ]  # fmt: skip
-    caption = "Transfer functions about the mean of the training data, in powers of z"
-    return Table(caption=caption, head=("input", "numerator", "denominator"), rows=rows)
+    caption = (
+        "Transfer functions about the mean of the training data: coefficients from the highest "
+        "power of z to its power zero"
+    )
+    return Table(caption=caption, head=("input", "numerator", "denominator"), rows=rows, words=3)
 
 
 def _tried_table(found: Identified) -> Table:
@@ -308,14 +332,14 @@ def _tried_table(found: Identified) -> Table:
             continue
         seen.add(words)
         left[simple] -= 1
-        ratio = candidate.score / best
-        why = "chosen" if not rows else f"{ratio:.2f} times the error of the chosen one"
-        if rows and ratio < 1:
-            why = "not better than simpler models in both block sizes"
-        rows.append([words, why, number(candidate.score * found.problem.deviation)])
+        ratio = f"{candidate.score / best:.2f}" if rows else "1, chosen"
+        if rows and candidate.score < best:
+            ratio += ", not better than simpler models in both block sizes"
+        rows.append([words, ratio, number(candidate.score * found.problem.deviation)])
     return Table(
-        caption="Structures that were tried, by the free run over unseen parts",
-        head=("structure", "why not", "RMS"),
+        caption=f"Structures that were tried, {len(rows)} of {len(found.candidates)}: RMS of the "
+        "free run over unseen parts, geometric mean",
+        head=("structure", "RMS over that of the chosen one", "RMS"),
         rows=rows,
         words=2,
     )
