@@ -29,8 +29,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    compare, sweep, query, benchmark, diagnose, improve, fit, identify, convert, inspect, video,
-    report, index, view, run, list_names, tune, replicate, verify, parameters, doctor,
+    run, compare, sweep, query, report, video, view, index, diagnose, improve, fit, identify,
+    inspect, convert, list_names, parameters, doctor, tune, benchmark, replicate, verify,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command("list" if _command is list_names else None, cls=Command)(_command)

@@ -216,7 +216,7 @@ class ReportedRun:
         return self.configuration.settings.get(name)
 
 
-def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
+def read_runs(folders: Sequence[Path | str]) -> tuple[ReportedRun, ...]:
     """Reads the folders of a report.
 
     Args:
@@ -230,7 +230,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
         raise SettingsError("nothing to report: give the folder of at least one run")
     seen: set[Path] = set()
     runs = []
-    for folder in folders:
+    for folder in map(Path, folders):
         if folder.resolve() in seen:
             raise SettingsError(f"the folder {str(folder)!r} is given twice", given=folder)
         seen.add(folder.resolve())
@@ -238,13 +238,13 @@ def read_runs(folders: Sequence[Path]) -> tuple[ReportedRun, ...]:
     return tuple(replace(run, label=x) for run, x in zip(runs, _labels(runs), strict=True))
 
 
-def check_runs(folders: Sequence[Path]) -> None:
+def check_runs(folders: Sequence[Path | str]) -> None:
     """Refuses folders that lack a file of a run, before any work is done.
 
     Raises:
         LeglabError: Names the folder and the file.
     """
-    for folder in folders:
+    for folder in map(Path, folders):
         for name in RUN_FILES:
             if not (folder / name).is_file():
                 told = f"{str(folder)!r} is not the folder of a run: it has no {name}"
@@ -253,12 +253,13 @@ def check_runs(folders: Sequence[Path]) -> None:
                 raise FileError(told, given=folder)
 
 
-def read_run(folder: Path) -> ReportedRun:
+def read_run(folder: Path | str) -> ReportedRun:
     """Reads one folder; its label is the controller's name.
 
     Raises:
         LeglabError: As `read_runs`.
     """
+    folder = Path(folder)
     check_runs([folder])
     metrics = read_metrics(folder)
     configuration = record.read(RunConfiguration, folder / CONFIGURATION)

@@ -127,8 +127,9 @@ def transfer_functions(found: Identified) -> list[dict[str, Any]]:
         out.append({
             "input": name,
             "about": at,
-            "numerator": np.asarray(system.num[0][0]).tolist(),
-            "denominator": np.asarray(system.den[0][0]).tolist(),
+            # Without the sign of a zero.
+            "numerator": (np.asarray(system.num[0][0]) + 0.0).tolist(),
+            "denominator": (np.asarray(system.den[0][0]) + 0.0).tolist(),
         })  # fmt: skip
     return out
 
