@@ -26,7 +26,7 @@ test-all: $(STAMP)
 
 # Long cases of what the tests check with fewer samples.
 soak: $(STAMP)
-	$(PYTEST) -m soak
+	$(PYTEST) -m soak --timeout=0
 
 # The compiled core with AddressSanitizer and UndefinedBehaviourSanitizer, in build/sanitize.
 sanitize: $(STAMP)

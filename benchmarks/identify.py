@@ -3,8 +3,8 @@
 Public sets from $LEGLAB_DATA or ../shared/data, and machines that are simulated: four whose
 equations are fitted as well, and a family that is drawn by a seed (`--drawn SEED NUMBER`).
 Everything is chosen from the training part; the free run on the test part is scored. Each chosen
-structure also learns online: its time per sample beside a loop of the same recursive least squares
-without anything around it, and a stream made to break it.
+structure also learns online from nothing: its time per sample is compared with that of dense
+recursive least squares, and a stream of wild samples must leave it finite.
 """
 
 import argparse
@@ -128,10 +128,10 @@ def _simulated(name: str, n: int, noise: int) -> Set:
     return recording(u[:n], disturbed), {f"{name}, {noise} dB, {n}": recording(u[n:], y[n:])}, 1.0
 
 
-def told(name: str, n: int, noise: int, free_run: float) -> list[Any]:
-    """Row beside a fit that knows the equations.
+def equations(name: str, n: int, noise: int, free_run: float) -> list[Any]:
+    """Row of the free run beside a fit that knows the equations.
 
-    The ratio is that of errors with the sensor's noise, as a measured test shows them.
+    Both errors of the ratio include the noise of the sensor, as on a measured test.
     """
     rng = np.random.default_rng([len(name), n, noise, 1])
     machine = MACHINES[name]
@@ -139,7 +139,7 @@ def told(name: str, n: int, noise: int, free_run: float) -> list[Any]:
     (test,) = tests.values()
     u = [np.column_stack([r[c] for c in r.columns if c != "y"]).squeeze() for r in (train, test)]
     theta = machine.fitted(rng, u[0], train["y"])
-    # Without the state at which training ends, both parts are run in one go.
+    # The test begins in the state in which training ends: both parts are simulated in one go.
     run = machine.run(theta[:, None], np.concatenate(u))[n:, 0]
     error = float(np.sqrt(np.mean((run - test["y"]) ** 2)))
     level = float(np.std(np.concatenate([train["y"], test["y"]]))) * 10 ** (-noise / 20)
@@ -154,7 +154,7 @@ def _drawn(seed: int, number: int) -> Set:
 
 
 def online(found: Identified) -> list[Any]:
-    """Row of the chosen structure's learning: parameters, ns a sample, over a bare loop, stream.
+    """Row of the structure that learns from nothing: parameters, ns, over a bare loop, stream.
 
     The bare loop is dense recursive least squares with as many parameters and nothing else: no
     regressors, no forgetting, no guards.
@@ -176,7 +176,7 @@ def online(found: Identified) -> list[Any]:
         ),
     }
     best = bsnn_arx_speed.fastest(works, 20)
-    return [count, best["online"], best["online"] / best["bare"], stands(found.model)]
+    return [count, best["online"], best["online"] / best["bare"], stays_finite(found.model)]
 
 
 _LIBRARIES: list[ctypes.CDLL] = []
@@ -189,7 +189,7 @@ def _native() -> ctypes.CDLL:
     return _LIBRARIES[0]
 
 
-def stands(model: SplineNarx) -> bool:
+def stays_finite(model: SplineNarx) -> bool:
     """Whether all stays finite over jumps, NaN, rests and changes of scale in a stream."""
     rng = np.random.default_rng(0)
     learner = SplineNarx(model.settings)
@@ -246,7 +246,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         wanted = [("", lambda k=k: _drawn(seed, k)) for k in range(number)]
     else:
         wanted = [*measured(), *simulated(tuple(options.samples), tuple(options.noise))]
-    kept: dict[str, Any] = {"rows": [], "peers": [], "online": [], "told": []}
+    kept: dict[str, Any] = {"rows": [], "peers": [], "online": [], "equations": []}
     for name, make in wanted:
         if options.sets and not any(one.lower() in name.lower() for one in options.sets):
             continue
@@ -263,8 +263,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         if (machine := name.split(", ")[0]) in MACHINES:
             _, noise, n = name.split(", ")
             free_run = kept["rows"][-1][3]
-            kept["told"].append(told(machine, int(n), int(noise.split()[0]), free_run))
-            print(kept["told"][-1], flush=True)
+            kept["equations"].append(equations(machine, int(n), int(noise.split()[0]), free_run))
+            print(kept["equations"][-1], flush=True)
     return {**kept, "drawn": bool(options.drawn)}
 
 
@@ -282,8 +282,10 @@ def tables(kept: dict[str, Any]) -> str:
     text = results.table(HEAD, rows)
     text += "\n" + results.table(("data", "leglab", *PEERS), peers)
     text += "\n" + results.table(ONLINE, learning)
-    if kept["told"]:
-        known = [(a, str(n), f"{dB} dB", *map(_shown, rest)) for a, n, dB, *rest in kept["told"]]
+    if kept["equations"]:
+        known = [
+            (a, str(n), f"{dB} dB", *map(_shown, rest)) for a, n, dB, *rest in kept["equations"]
+        ]
         text += "\n" + results.table(TOLD, known)
     if kept["drawn"]:
         ratios = np.array([[row[3] / row[5], row[3] / row[6]] for row in kept["rows"]])

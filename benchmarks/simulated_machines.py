@@ -1,6 +1,6 @@
 """Machines with known equations, whose records `benchmarks identify` gives to the identifier.
 
-Four of one's own choice, whose equations can be fitted as well, and a family drawn by a seed.
+The equations of four machines are fitted as well. A family of further machines is drawn by a seed.
 """
 
 from collections.abc import Callable
@@ -35,8 +35,8 @@ class Machine:
     def fitted(self, rng: np.random.Generator, u: Array, y: Array) -> Array:
         """Parameters fitted by output error, from a start within 10 % of the truth.
 
-        What a person reaches who knows the equations and roughly the parameters. Of a long record
-        the first FITTED samples are used: their error is already far below that of the sensor.
+        The first FITTED samples of a record are used: the error that is left is far below the
+        noise of the sensor.
         """
         u, y = u[:FITTED], y[:FITTED]
         truth = np.array(self.truth)

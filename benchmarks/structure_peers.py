@@ -1,8 +1,8 @@
 """Peers of `leglab identify`: the paper's model, and other libraries with usual settings.
 
 Each gives the RMS of the free run on every test, in the unit of the output; infinite where it
-diverges, and nothing where it takes no such data. None chooses its lags, degree or size: those
-stand here.
+diverges. A peer that takes a single input gives nothing for several. No peer chooses its lags,
+degree or size: the constants below are a person's choice. PyTorch is in no dependency group.
 """
 
 import warnings
@@ -44,7 +44,7 @@ class Scaled:
 
 
 def sysidentpy(train: Recording, tests: dict[str, Recording]) -> Errors:
-    """FROLS with its own order selection, polynomials of lags."""
+    """Polynomials of lags, chosen by FROLS with an information criterion."""
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
 
@@ -92,7 +92,7 @@ def padasip_arx(train: Recording, tests: dict[str, Recording]) -> Errors:
 
 
 def gru(train: Recording, tests: dict[str, Recording]) -> Errors:
-    """A small GRU of PyTorch, trained by Adam on windows with their states found as they run."""
+    """A small GRU of PyTorch, trained by Adam on windows whose first samples find the state."""
     import torch
 
     torch.manual_seed(0)
@@ -134,7 +134,7 @@ def bsnn_arx(train: Recording, tests: dict[str, Recording]) -> Errors:
     scaled = Scaled(train)
     if len(scaled.names) > 1:
         return {}
-    # It has no scaling of its own: its weights saturate at 1.
+    # The model does not scale its signals, and its weights saturate at 1.
     reach = [np.abs(part).max() for part in scaled.signals(train)]
     base = OnlineSettings(initial_gain=5.6).bsnn_arx()
     basis = Basis.uniform(-1.0, 1.0, 8)

@@ -80,10 +80,7 @@ def identify(
     if as_json:
         print_json(results.summary(models))
         return
-    for found in models.values():
-        _show(found)
-    files = "the model and its C header" if len(models) == 1 else "the models and their C headers"
-    tell(f"written to {out}: {results.PAGE}, {results.RESULT}, {files}")
+    _show(models, out)
 
 
 def _identified(
@@ -182,12 +179,15 @@ def _digest(
     return digest.hexdigest()
 
 
-def _show(found: "Identified") -> None:
+def _show(models: "Mapping[str, Identified]", out: Path) -> None:
     from leglab.report.identification import output as results
 
-    tell(results.headline(found))
-    for section in results.sections(found):
-        for line in section.lines:
-            tell(f"{section.title}: {line}")
-    table = results.errors_table(found)
-    print_wide(plain_table(table.head, table.rows))
+    for found in models.values():
+        tell(results.headline(found))
+        for section in results.sections(found):
+            for line in section.lines:
+                tell(f"{section.title}: {line}")
+        table = results.errors_table(found)
+        print_wide(plain_table(table.head, table.rows))
+    files = "the model and its C header" if len(models) == 1 else "the models and their C headers"
+    tell(f"written to {out}: {results.PAGE}, {results.RESULT}, {files}")

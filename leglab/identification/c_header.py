@@ -11,8 +11,8 @@ from leglab.identification.spline_narx import ParameterBlock, SplineNarx
 _HEAD = """\
 /* {output} from {inputs}, sampled every {period:.9g} s. Made by leglab identify.
  *
- *   {name}_state s = {{0}};             the past is in the middle of all ranges; {lags} samples
- *                                      of predict, and put of the measured y, replace it
+ *   {name}_state s = {{0}};             past signals in the middle of their ranges. {lags} calls
+ *                                      of predict and put, with measured y, replace them.
  *   double u[{count}] = {{...}};
  *   double y = {name}_predict(&s, u);   prediction of y(t), from y up to t - 1 and u up to t
  *   {name}_put(&s, y);                  for a free run; or the measured y(t)

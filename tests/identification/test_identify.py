@@ -79,6 +79,10 @@ def test_a_dead_zone_is_told_as_what_the_paper_calls_hammerstein(dead_zone):
     (errors,) = dead_zone.tested
     assert errors.free_run < 0.5 * errors.linear
     assert errors.fit > 90
+    # At rest the input does nothing within the dead zone, and drives the output beyond it.
+    inside = dead_zone.at_rest("u", np.linspace(-0.3, 0.3, 7))
+    outside = dead_zone.at_rest("u", np.array([-0.9, 0.9]))
+    assert np.ptp(inside) < 0.15 * np.ptp(outside)
 
 
 def test_an_output_that_the_input_does_not_drive_gets_a_constant():
@@ -136,6 +140,20 @@ def test_threads_and_an_interruption_change_no_bit(tmp_path):
     assert resumed.model.settings == whole.model.settings
     assert not set(made) & set(again.kept["y"])
     assert not Journal(tmp_path / "journal", "other data").kept
+
+
+def test_an_interruption_drops_the_structures_that_wait(monkeypatch):
+    begun = []
+    make = search.searched
+    monkeypatch.setattr(search, "searched", lambda p, plan: begun.append(plan) or make(p, plan))
+    u = levels(np.random.default_rng(5), 240)
+
+    def keep(output, candidate):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        identify(noisy(u, bent, 0.01), jobs=1, keep=keep)
+    assert len(begun) < 10  # of some fifty linear ones
 
 
 def test_a_nonlinear_structure_must_win_between_the_data_and_beyond_them():
@@ -215,6 +233,10 @@ def test_irregular_sampling_is_refused_with_the_remedy():
     with pytest.raises(RecordingError, match="resamples"):
         signals_of({"a": data})
     assert len(signals_of({"a": data}, period=0.01).records[0][0]) in (299, 300)
+    # Rows that are missing are a gap, not a straight line.
+    rows = np.r_[0:140, 160:300]
+    gap = Recording(time=time[rows], columns={k: v[rows] for k, v in data.columns.items()})
+    assert len(signals_of({"a": gap}, period=0.01).records[0]) == 2
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def results(run, tmp_path_factory):
         scenarios=("seal_wear",), controllers=("pd", "static_feedforward"), seeds=2, **KNEE
     )
     compared = compare(comparison, run_all(comparison.runs(), folder / "runs", jobs=1))
-    read = read_run(write_run(run, folder / "run"))
+    read = read_run(str(write_run(run, folder / "run")))
     found = diagnosis("confusion_set")
     write_sweep(folder / "sweep", failed=(1,))
     return SimpleNamespace(

@@ -20,6 +20,7 @@ ITERATIONS = 25
 _CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
 LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
+SHORTEST = 60  # samples of a stretch: a free run must go on beyond the past that it starts from
 _MOST_STARTS = 5000  # one-step errors from which a fit starts
 # Mean squared error of a run that diverges, in variances of the output.
 DIVERGED = 1e9

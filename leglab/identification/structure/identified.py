@@ -135,8 +135,8 @@ class Identified:
         model = SplineNarx(replace(self.model.settings, rls=rls, output_error_after=0))
         trajectory = np.zeros((0, 0))
         for record in self.problem.records:
-            u, y = _for(model, record)
-            _, own = model.run_recorded(u, y, missing="skip")
+            _break_off(model)
+            _, own = model.run_recorded(*_for(model, record), missing="skip")
             trajectory = own if not len(trajectory) else trajectory
         model.freeze()
         return model, trajectory
@@ -207,6 +207,12 @@ def rms(residual: Array, given: int = 0) -> float:
 def _for(model: SplineNarx, record: Record) -> tuple[Array, Array]:
     """Inputs and output in the shape that the identifier takes."""
     return (record.u[:, 0] if model.inputs == 1 else record.u), record.y
+
+
+def _break_off(model: SplineNarx) -> None:
+    """Takes a sample of NaN: the next record does not follow on the last one."""
+    missing = np.full((1, model.inputs), np.nan)
+    model.run(missing[:, 0] if model.inputs == 1 else missing, np.full(1, np.nan), missing="skip")
 
 
 def identify(
@@ -307,7 +313,7 @@ def _problem(learned: Signals, k: int) -> Problem:
     for j, name in enumerate(learned.inputs):
         column = np.concatenate([r.u[:, j] for r in records])
         signals.append(Signal(name=name, lower=float(column.min()), upper=float(column.max())))
-    # What is learned later counts as much as the training data after as many samples.
+    # After N further samples, N of the training data, these weigh 1/e of what they did.
     kept = 1 - 1 / max(int(np.isfinite(y).sum()), 2)
     template = SplineNarxSettings(
         output=Signal(name=learned.outputs[k], lower=low, upper=high),
@@ -344,6 +350,7 @@ def _going_on(problem: Problem, best: Candidate) -> SplineNarx:
         model.set_gain((gain + gain.T) / 2)
         again = model.copy()
         for record in problem.records:
+            _break_off(again)
             again.run(*_for(again, record), missing="skip")
         left = simulator.sums(again.parameters, whole, sensitivities=False).error
         tried.append((left if np.isfinite(left) else np.inf, model))

@@ -19,6 +19,7 @@ from leglab.identification.structure import library
 from leglab.identification.structure.fit import (
     ITERATIONS,
     LEAST_SHARE,
+    SHORTEST,
     Array,
     Fit,
     Further,
@@ -48,11 +49,13 @@ _KEPT = 3  # structures of the first search that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
 _BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
-_SAMPLES = 5  # per parameter of a linear structure, at least: fewer do not determine it
+# Samples per parameter of a linear structure, at least: it bounds the time of the search; the prior
+# and the unseen blocks decide above it.
+_SAMPLES = 5
 _MOST_LAGS = 24  # of all signals, from which terms are made
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
 # Samples of a stretch; the best length is the memory of the machine, which the blocks decide.
-_LENGTHS = (60, 200, 600)
+_LENGTHS = (SHORTEST, 200, 600)
 # Precision of the prior. With white errors and parameters of about one it would be one; errors of
 # a free run are correlated, which makes N samples worth a tenth or a hundredth.
 _STRENGTHS = (1.0, 10.0, 100.0)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from leglab.base.errors import RecordingError, SettingsError
 from leglab.base.recording import Recording
-from leglab.identification.structure.fit import Record
+from leglab.identification.structure.fit import SHORTEST, Record
 
 Array = NDArray[np.float64]
 LEAST_SAMPLES = 100
@@ -21,8 +21,6 @@ _SAME = 1e-3  # relative difference of periods that count as equal
 _LONGEST_GAP = 100_000  # periods
 # RMS change of the output a sample, in deviations, below which a longer period is recommended.
 _SLOW = 0.01
-# Shortest part between two gaps of the inputs: a free run needs the past, and samples to err over.
-_LEAST_PART = 60
 
 
 @dataclass(frozen=True)
@@ -102,13 +100,7 @@ def signals_of(
     wanted = period or next(iter(usual.values()))
     tables = {}
     for name, recording in recordings.items():
-        if len(recording) < LEAST_SAMPLES:
-            told = f"{name}: {len(recording)} samples; needed are {LEAST_SAMPLES}"
-            raise RecordingError(told, given=len(recording))
-        for column in (*inputs, *outputs):
-            if column not in recording:
-                told = f"{name}: no column {column!r}, found "
-                raise RecordingError(told, given=column, allowed=recording.columns)
+        _check_recording(name, recording, (*inputs, *outputs))
         same = abs(usual[name] - wanted) <= _SAME * wanted
         uniform = _is_uniform(recording.time, wanted)
         tables[name] = (_on_grid if period is None or (same and uniform) else _resampled)(
@@ -132,6 +124,16 @@ def signals_of(
     for own in records:
         _check_sampling(own, wanted, notes)
     return Signals(records, used_in, tuple(outputs), wanted, tuple(notes))
+
+
+def _check_recording(name: str, recording: Recording, columns: Sequence[str]) -> None:
+    if len(recording) < LEAST_SAMPLES:
+        told = f"{name}: {len(recording)} samples; needed are {LEAST_SAMPLES}"
+        raise RecordingError(told, given=len(recording))
+    for column in columns:
+        if column not in recording:
+            told = f"{name}: no column {column!r}, found "
+            raise RecordingError(told, given=column, allowed=recording.columns)
 
 
 def _period(recording: Recording) -> float:
@@ -233,8 +235,8 @@ def _records(
 ) -> list[Record]:
     """Records of one recording: the parts between gaps of its inputs.
 
-    What acted in a gap is not known, and every later output of a free run errs by it. Only where
-    most samples would be lost with parts that are too short the gaps are bridged by straight lines.
+    The input in a gap is unknown, and so is the free run behind it. The gaps are bridged by
+    straight lines only if parts that are too short would take more than half of the samples.
     """
     u = np.column_stack([table[column] for column in inputs])
     good = np.asarray(np.isfinite(u).all(axis=1))
@@ -249,7 +251,7 @@ def _records(
 def _parts(good: NDArray[np.bool_]) -> list[slice]:
     """Runs of good samples that are long enough; none where they are not most of the samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
-    runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= _LEAST_PART]
+    runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST]
     return runs if sum(r.stop - r.start for r in runs) >= len(good) / 2 else []
 
 
