@@ -15,6 +15,7 @@ from leglab.identification import load
 from leglab.identification.structure import search
 from leglab.identification.structure.identified import rms
 from leglab.identification.structure.journal import Journal
+from leglab.identification.structure.residuals import residual_tests
 from leglab.identification.structure.signals import signals_of
 
 
@@ -356,6 +357,16 @@ def test_an_input_that_rests_in_the_test_is_a_signal():
     found = signals_of({"rest": data}, ("u", "w"), ("y",), resting=True)
     assert found.inputs == ("u", "w")
     assert (found.records[0][0].u[:, 0] == 0.5).all()
+
+
+def test_a_single_large_correlation_is_not_white():
+    rng = np.random.default_rng(13)
+    e = rng.normal(size=2001)
+    (white,) = residual_tests(e, {})
+    (coloured,) = residual_tests(e[1:] - 0.15 * e[:-1], {})
+    assert white.white
+    assert coloured.outside < 0.1
+    assert not coloured.white
 
 
 def test_a_test_that_lacks_an_input_is_named():

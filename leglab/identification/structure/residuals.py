@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 LAGS = 25
@@ -31,6 +32,15 @@ class ResidualTest:
         """Share of lags beyond the band; .01 is expected."""
         counted = self.lags != 0 if self.name == "itself" else np.ones(len(self.lags), bool)
         return float(np.mean(np.abs(self.correlation[counted]) > self.band))
+
+    @property
+    def white(self) -> bool:
+        """Whether a residual's correlations with itself are those of white noise, at 99 %.
+
+        N times the sum of their squares is chi-square distributed (Ljung 1999, section 16.6).
+        """
+        scaled = _QUANTILE * self.correlation[1:] / self.band
+        return float(np.sum(scaled**2)) <= float(chi2.ppf(0.99, len(scaled)))
 
 
 def residual_tests(residual: Array, inputs: dict[str, Array]) -> tuple[ResidualTest, ...]:

@@ -207,7 +207,7 @@ def _part(found: Identified) -> dict[str, Any]:
     drawn.append((bands, figures.residual_figure(tests_of(found))))
     passed = (
         "Scaled parameters while the structure learns the training data once, by the one-step "
-        "error. They end elsewhere than those of the fit, which minimises the free run's error."
+        "error. They may end elsewhere than the parameters of the fit."
     )
     drawn.append((passed, figures.parameter_figure(found)))
     bent = "One-step prediction while all lags of one signal have one value, the others their mean."
@@ -251,11 +251,11 @@ def sections(found: Identified) -> tuple[Section, ...]:
     elif found.chosen.plan.kind in LINEAR:
         held += " No nonlinear structure was better in both block sizes."
     tests = tests_of(found)
-    white = tests[0].outside <= 0.1
+    white = tests[0].white
     driven = [t.name for t in tests[1:] if t.outside > 0.1]
     exact = max(e.one_step for e in (found.tested or found.trained)) <= _ROUNDING * deviation
     residual = (
-        "One-step residuals are white within 99 % bands"
+        "One-step residuals are white at 99 %"
         if white
         else "One-step residuals are correlated: noise is coloured, or dynamics are missing"
     )
