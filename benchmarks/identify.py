@@ -21,7 +21,7 @@ from benchmarks import bsnn_arx_speed, data_sets, results, structure_peers
 from benchmarks.simulated_machines import MACHINES, drawn
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.identification import SplineNarx
+from leglab.identification import SplineNarx, StateSpace
 from leglab.identification.structure import Identified, identify
 from leglab.studies.shared_data import shared_data
 
@@ -234,6 +234,8 @@ def rows_of(made: Set, jobs: int) -> tuple[list[Any], list[Any], list[Any]]:
 def structure(found: Identified) -> str:
     """The chosen structure in a few words."""
     plan = found.chosen.plan
+    if isinstance(state_space := found.chosen.fit.features[0], StateSpace):
+        return f"{state_space.states} states, {state_space.curves} curves"
     bent = len(found.chosen.fit.features) - len(plan.orders.linear(found.problem))
     what = "linear" if not bent else f"{bent} {plan.kind}"
     return f"{what}, {plan.orders.outputs} + {plan.orders.inputs} lags"

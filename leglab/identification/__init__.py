@@ -6,6 +6,11 @@ from leglab.identification.features import Constant, Hammerstein, Lags, Signal, 
 from leglab.identification.front import Identifier
 from leglab.identification.settings import ChangeDetection, Guard, Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
+from leglab.identification.spline_state_space import (
+    SplineStateSpace,
+    SplineStateSpaceSettings,
+    StateSpace,
+)
 from leglab.identification.storage import load, restore, save
 
 __all__ = [
@@ -24,6 +29,9 @@ __all__ = [
     "Spline",
     "SplineNarx",
     "SplineNarxSettings",
+    "SplineStateSpace",
+    "SplineStateSpaceSettings",
+    "StateSpace",
     "Term",
     "load",
     "restore",

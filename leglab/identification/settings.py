@@ -1,16 +1,19 @@
 """Settings that both identifiers share: forgetting, change detection and sample guards."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from leglab.base.errors import SettingsError
 from leglab.identification import checks
 from leglab.identification.checks import a_number, a_whole
+from leglab.identification.features import Signal
 
 Forgetting = Literal["none", "exponential", "directional", "variable"]
 ChangeAction = Literal["reset", "inflate"]
 Scalar = Literal["float64", "float32"]
 MAX_INPUTS = 40  # of any identifier, as in the core (guard.h)
+# Least squares keeps half the square of them: 64 MiB.
+MAX_PARAMETERS = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,3 +131,53 @@ class Guard(checks.Settings):
         if self.input_limits and len(self.input_limits) != inputs:
             told = f"guard has limits for {len(self.input_limits)} inputs: the model has "
             raise SettingsError(told, given=len(self.input_limits), allowed=str(inputs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalSettings(checks.Settings):
+    """What identifiers of scaled signals have alike.
+
+    Attributes:
+        output: The output and its declared range.
+        inputs: Inputs in the order in which samples carry them.
+        rls: Recursive least squares; errors and gains are in scaled units.
+        guard: Which samples are refused.
+        plausible_range: A signal farther from the middle of its declared range than this many
+            half ranges is refused as implausible; 0 allows any.
+        free_run_limits: The model's own output is held within them in validation and free run
+            (in units of the output), as a stop or an overflow holds the machine's; None: any.
+        scalar: Arithmetic of the core.
+    """
+
+    output: Signal = field(default_factory=lambda: Signal(name="y"))
+    inputs: tuple[Signal, ...] = field(default_factory=lambda: (Signal(name="u"),))
+    rls: Rls = field(default_factory=Rls.adaptive)
+    guard: Guard = field(default_factory=Guard)
+    plausible_range: float = a_number(5.0, least=0.0)
+    free_run_limits: tuple[float, float] | None = None
+    scalar: Scalar = "float64"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
+        names = self.names
+        if len(set(names)) != len(names):
+            told = f"signal names are {', '.join(names)}: must differ"
+            raise SettingsError(told, given=tuple(names))
+        self.guard.check_inputs(len(self.inputs))
+        if self.free_run_limits is not None:
+            checks.interval("free_run_limits", self.free_run_limits)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The output, then the inputs."""
+        return (self.output, *self.inputs)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all signals."""
+        return [signal.name for signal in self.signals]
+
+    def check_count(self, count: int) -> None:
+        """Requires a number of parameters that least squares can hold."""
+        checks.whole("number of parameters", count, least=1, most=MAX_PARAMETERS)

@@ -1,7 +1,7 @@
 """The deployed identifier: a NARX model of lags and splines of any signal, linear in parameters."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,19 +19,15 @@ from leglab.identification.features import (
     Feature,
     Hammerstein,
     Lags,
-    Signal,
     Spline,
     Term,
 )
 from leglab.identification.front import Array, Identifier
-from leglab.identification.settings import MAX_INPUTS, Guard, Rls, Scalar
+from leglab.identification.settings import SignalSettings
 
 if TYPE_CHECKING:
     import control
     from scipy.interpolate import BSpline
-
-# Least squares keeps half the square of them: 64 MiB.
-MAX_PARAMETERS = 4096
 
 
 @dataclass(frozen=True)
@@ -64,17 +60,11 @@ class ParameterBlock:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplineNarxSettings(checks.Settings):
+class SplineNarxSettings(SignalSettings):
     """Structure and constants of a `SplineNarx`.
 
     Attributes:
-        output: The output and its declared range.
-        inputs: Inputs in the order in which samples carry them.
         features: Blocks of the regressor; theta has their parameters in this order.
-        rls: Recursive least squares; errors and gains are in scaled units.
-        guard: Which samples are refused.
-        plausible_range: A signal farther from the middle of its declared range than this many
-            half ranges is refused as implausible; 0 allows any.
         output_error_after: Learned samples after which learning minimises the error of the
             model's own simulation (recursive prediction error method); 0 never.
         resynchronise_above: Simulation error, in units of the output, at which the simulation
@@ -82,30 +72,15 @@ class SplineNarxSettings(checks.Settings):
             takes a quarter of the output's range.
         pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
             inside after each update. 0 allows any.
-        free_run_limits: The model's own output is held within them in validation and free run
-            (in units of the output), as a stop or an overflow holds the machine's; None: any.
-        scalar: Arithmetic of the core.
     """
 
-    output: Signal = field(default_factory=lambda: Signal(name="y"))
-    inputs: tuple[Signal, ...] = field(default_factory=lambda: (Signal(name="u"),))
     features: tuple[Feature, ...]
-    rls: Rls = field(default_factory=Rls.adaptive)
-    guard: Guard = field(default_factory=Guard)
-    plausible_range: float = a_number(5.0, least=0.0)
     output_error_after: int = a_whole(0, least=0)
     resynchronise_above: float | None = None
     pole_limit: float = a_number(0.0, least=0.0, most=1.0)
-    free_run_limits: tuple[float, float] | None = None
-    scalar: Scalar = "float64"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
-        names = self.names
-        if len(set(names)) != len(names):
-            told = f"signal names are {', '.join(names)}: must differ"
-            raise SettingsError(told, given=tuple(names))
         if not self.features:
             told = "features is empty: the model needs "
             raise SettingsError(told, given=self.features, allowed="at least one")
@@ -113,23 +88,9 @@ class SplineNarxSettings(checks.Settings):
         threshold = self.output.half_range / 2 if threshold is None else threshold
         object.__setattr__(self, "resynchronise_above", threshold)
         checks.number("resynchronise_above", threshold, above=0.0)
-        self.guard.check_inputs(len(self.inputs))
-        if self.free_run_limits is not None:
-            checks.interval("free_run_limits", self.free_run_limits)
         for block in self.blocks:
             self._check(block)
-        count = sum(block.count + block.weights for block in self.blocks)
-        checks.whole("number of parameters", count, least=1, most=MAX_PARAMETERS)
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The output, then the inputs."""
-        return (self.output, *self.inputs)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of all signals."""
-        return [signal.name for signal in self.signals]
+        self.check_count(sum(block.count + block.weights for block in self.blocks))
 
     @cached_property
     def blocks(self) -> tuple[ParameterBlock, ...]:

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,10 +22,13 @@ from leglab.identification.bsnn_arx import BsnnArx
 from leglab.identification.checks import Settings
 from leglab.identification.front import Identifier
 from leglab.identification.spline_narx import SplineNarx
+from leglab.identification.spline_state_space import SplineStateSpace
 
 VERSION = 1
 MAGIC = b"leglab-identifier"
-_MODELS: dict[str, type[Identifier]] = {"BsnnArx": BsnnArx, "SplineNarx": SplineNarx}
+_MODELS: dict[str, type[Identifier]] = {
+    model.__name__: model for model in (BsnnArx, SplineNarx, SplineStateSpace)
+}
 # What settings of the wrong types raise in Python and in the core.
 _MALFORMED = (
     ArithmeticError,
@@ -36,7 +40,15 @@ _MALFORMED = (
     TypeError,
     ValueError,
 )
-_PARTS: dict[str, Any] = {part.__name__: part for part in Settings.__subclasses__()}
+
+
+def _kinds(base: type[Settings]) -> Iterator[type[Settings]]:
+    for part in base.__subclasses__():
+        yield part
+        yield from _kinds(part)
+
+
+_PARTS: dict[str, Any] = {part.__name__: part for part in _kinds(Settings)}
 
 
 def save(identifier: Identifier, path: str | Path) -> None:

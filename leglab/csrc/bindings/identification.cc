@@ -40,6 +40,9 @@ using BsnnArxBank = Bank<id::BsnnArx<T>, id::BsnnArxSettings<T>, T>;
 template <class T>
 using SplineNarxBank = Bank<id::SplineNarx<T>, id::SplineNarxSettings<T>, T>;
 
+template <class T>
+using SplineStateSpaceBank = Bank<id::SplineStateSpace<T>, id::SplineStateSpaceSettings<T>, T>;
+
 }  // namespace
 
 // Raise whenever the memory layout of any identifier changes: saved files carry it.
@@ -51,6 +54,8 @@ NB_MODULE(identification, module) {
   bind_bank<BsnnArxBank<float>>(module, "BsnnArx32");
   bind_bank<SplineNarxBank<double>>(module, "SplineNarx64");
   bind_bank<SplineNarxBank<float>>(module, "SplineNarx32");
+  bind_bank<SplineStateSpaceBank<double>>(module, "SplineStateSpace64");
+  bind_bank<SplineStateSpaceBank<float>>(module, "SplineStateSpace32");
   bind_feedforward(module);
 }
 

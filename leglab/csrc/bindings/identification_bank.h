@@ -166,7 +166,11 @@ class Bank {
 
   bool project_poles(double radius) {
     bool moved = false;
-    for (auto& model : models_) moved |= model.project_poles(T(radius));
+    for (auto& model : models_) {
+      if constexpr (requires { model.project_poles(T(radius)); }) {
+        moved |= model.project_poles(T(radius));
+      }
+    }
     return moved;
   }
 

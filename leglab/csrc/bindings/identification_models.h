@@ -28,6 +28,11 @@ void visit_parameters(id::SplineNarx<T>& model, Visitor&& visit) {
   for (int i = 0; i < model.weight_count(); ++i) visit(model.weights()[i]);
 }
 
+template <class T, class Visitor>
+void visit_parameters(id::SplineStateSpace<T>& model, Visitor&& visit) {
+  for (int i = 0; i < model.parameters(); ++i) visit(model.rls().theta()[i]);
+}
+
 // What became of the samples, and how least squares went on.
 template <class Model>
 nb::dict describe_learning(Model& model) {
@@ -71,6 +76,11 @@ nb::dict describe(id::SplineNarx<T>& model) {
         std::sqrt(double(simulation.mean_square)) * double(model.settings().output.half_range);
   }
   return out;
+}
+
+template <class T>
+nb::dict describe(id::SplineStateSpace<T>& model) {
+  return describe_learning(model);
 }
 
 }  // namespace leglab::bindings

@@ -14,6 +14,7 @@
 #include "bindings/arrays.h"
 #include "identification/bsnn_arx.h"
 #include "identification/spline_narx.h"
+#include "identification/spline_state_space.h"
 
 namespace leglab::bindings {
 
@@ -152,6 +153,30 @@ id::Scale<T> read_scale(nb::handle settings) {
   return out;
 }
 
+// Scales of the signals, least squares, guard and limits, which the identifiers have alike.
+template <class T, template <class> class Settings>
+void read_common(nb::handle settings, Settings<T>& out) {
+  const nb::object inputs = settings.attr("inputs");
+  out.output = read_scale<T>(settings.attr("output"));
+  for (int j = 0; j < out.structure.inputs; ++j) out.input[j] = read_scale<T>(inputs[j]);
+  out.rls = read_rls<T>(settings.attr("rls"));
+  out.guard = read_guard<T>(settings.attr("guard"));
+  const nb::object limits = settings.attr("free_run_limits");
+  out.held = !limits.is_none();
+  if (out.held) {
+    const auto ends = nb::cast<std::vector<double>>(limits);
+    out.lower = out.output.apply(T(ends.at(0)));
+    out.upper = out.output.apply(T(ends.at(1)));
+  }
+  const T plausible = get<T>(settings, "plausible_range");
+  out.guard.output_centre = out.output.centre;
+  out.guard.output_limit = plausible * out.output.half_range;
+  for (int j = 0; j < out.structure.inputs; ++j) {
+    out.guard.input_centre[j] = out.input[j].centre;
+    out.guard.input_limit[j] = plausible * out.input[j].half_range;
+  }
+}
+
 template <class T>
 id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
                                         const id::SplineNarx<T>*) {
@@ -161,26 +186,27 @@ id::SplineNarxSettings<T> read_settings(nb::handle settings, Store<T>& store,
   }
   const nb::object inputs = settings.attr("inputs");
   out.structure = {store.blocks.data(), int(store.blocks.size()), int(nb::len(inputs))};
-  out.output = read_scale<T>(settings.attr("output"));
-  for (int j = 0; j < out.structure.inputs; ++j) out.input[j] = read_scale<T>(inputs[j]);
-  out.rls = read_rls<T>(settings.attr("rls"));
-  out.guard = read_guard<T>(settings.attr("guard"));
+  read_common(settings, out);
   LEGLAB_READ_3(output_error_after, resynchronise_above, pole_limit)
-  const nb::object limits = settings.attr("free_run_limits");
-  out.held = !limits.is_none();
-  if (out.held) {
-    const auto ends = nb::cast<std::vector<double>>(limits);
-    out.lower = out.output.apply(T(ends.at(0)));
-    out.upper = out.output.apply(T(ends.at(1)));
-  }
   out.resynchronise_above /= out.output.half_range;
-  const T plausible = get<T>(settings, "plausible_range");
-  out.guard.output_centre = out.output.centre;
-  out.guard.output_limit = plausible * out.output.half_range;
-  for (int j = 0; j < out.structure.inputs; ++j) {
-    out.guard.input_centre[j] = out.input[j].centre;
-    out.guard.input_limit[j] = plausible * out.input[j].half_range;
-  }
+  return out;
+}
+
+template <class T>
+id::SplineStateSpaceSettings<T> read_settings(nb::handle settings, Store<T>& store,
+                                              const id::SplineStateSpace<T>*) {
+  id::SplineStateSpaceSettings<T> out;
+  const nb::object structure = settings.attr("structure");
+  const nb::object inputs = settings.attr("inputs");
+  out.structure.inputs = int(nb::len(inputs));
+  out.structure.states = get<int>(structure, "states");
+  out.structure.curves = get<int>(structure, "curves");
+  out.structure.basis = read_basis<T>(structure.attr("basis"), store);
+  const auto delays = get<std::vector<int>>(structure, "delays");
+  for (int j = 0; j < out.structure.inputs; ++j) out.delay[j] = delays.at(std::size_t(j));
+  read_common(settings, out);
+  out.noise = get<T>(structure, "noise");
+  LEGLAB_READ(process_noise)
   return out;
 }
 

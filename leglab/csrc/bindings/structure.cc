@@ -1,6 +1,7 @@
 // Python module leglab._native.structure: free runs from many starts, for the choice of a structure.
 #include "bindings/identification_settings.h"
 #include "identification/free_run.h"
+#include "identification/state_run.h"
 
 namespace leglab::bindings {
 namespace {
@@ -50,16 +51,6 @@ class Runs {
                           array_of(found.squares, {found.squares.size()}));
   }
 
-  // Free run over one stretch, in units of the output.
-  Made simulate(Input theta, std::int64_t start, std::int64_t length) {
-    require_size(std::size_t(run_->parameters()), theta);
-    std::vector<double> out(static_cast<std::size_t>(length));
-    run_->clear();
-    run_->run(record(), check(start, length), int(length), theta.data(), false, out.data());
-    for (double& value : out) value = model_.output.undo(value);
-    return array_of(std::move(out), {static_cast<std::size_t>(length)});
-  }
-
  private:
   id::Record<double> record() const { return {output_.data(), inputs_.data(), samples_}; }
 
@@ -78,16 +69,87 @@ class Runs {
   std::optional<id::FreeRun<double>> run_;
 };
 
+// A state-space model, the argument of a further curve or none (empty), and one record; `settings`
+// are of a SplineStateSpace. Inputs are late by their
+// delays, in the first samples as the first one.
+class StateRuns {
+ public:
+  StateRuns(nb::handle settings, Input u, Input y, Input further)
+      : model_(read_settings<double>(settings, store_,
+                                     static_cast<const id::SplineStateSpace<double>*>(nullptr))),
+        further_(further.data(), further.data() + further.size()),
+        run_(model_.structure, model_.lower, model_.upper,
+             further_.empty() ? nullptr : further_.data()) {
+    const std::size_t inputs = std::size_t(model_.structure.inputs);
+    require_size(y.size() * inputs, u);
+    for (std::size_t t = 0; t < y.size(); ++t) {
+      output_.push_back(model_.output.apply(y.data()[t]));
+      for (std::size_t j = 0; j < inputs; ++j) {
+        const std::size_t late = std::size_t(model_.delay[j]);
+        inputs_.push_back(model_.input[j].apply(u.data()[(t < late ? 0 : t - late) * inputs + j]));
+      }
+    }
+  }
+
+  // Error, number of samples, and the sums over one stretch from the state x0; see state_run.h.
+  nb::tuple sums(Input theta, Input x0, std::int64_t start, std::int64_t length,
+                 bool sensitivities) {
+    {
+      nb::gil_scoped_release release;
+      run(theta, x0, start, length, sensitivities);
+    }
+    const auto& found = run_.sums();
+    const std::size_t width = std::size_t(run_.width());
+    std::vector<double> products = found.products;
+    for (std::size_t i = 0; i < width; ++i) {
+      for (std::size_t j = i + 1; j < width; ++j) products[i * width + j] = products[j * width + i];
+    }
+    return nb::make_tuple(found.error, found.count, array_of(std::move(products), {width, width}),
+                          array_of(found.gradient, {width}));
+  }
+
+  // States over one stretch from x0, (length, states).
+  Made states(Input theta, Input x0, std::int64_t start, std::int64_t length) {
+    const std::size_t n = std::size_t(model_.structure.states);
+    std::vector<double> out(std::size_t(length) * n);
+    run(theta, x0, start, length, false, out.data());
+    return array_of(std::move(out), {std::size_t(length), n});
+  }
+
+ private:
+  void run(Input theta, Input x0, std::int64_t start, std::int64_t length, bool sensitivities,
+           double* states = nullptr) {
+    require_size(std::size_t(model_.structure.parameters()), theta);
+    require_size(std::size_t(model_.structure.states), x0);
+    if (start < 0 || length < 1 || std::size_t(start + length) > output_.size()) {
+      throw std::out_of_range("stretch outside the record");
+    }
+    const double* u = inputs_.data() + start * model_.structure.inputs;
+    run_.run(u, output_.data() + start, int(length), theta.data(), x0.data(), sensitivities, states);
+  }
+
+  Store<double> store_;
+  id::SplineStateSpaceSettings<double> model_;
+  std::vector<double> output_, inputs_, further_;
+  id::StateRun<double> run_;
+};
+
 }  // namespace
 
 NB_MODULE(structure, module) {
+  nb::class_<StateRuns>(module, "StateRuns")
+      .def(nb::init<nb::handle, Input, Input, Input>(), nb::arg("settings"), nb::arg("u"),
+           nb::arg("y"), nb::arg("further"))
+      .def("sums", &StateRuns::sums, nb::arg("theta"), nb::arg("x0"), nb::arg("start"),
+           nb::arg("length"), nb::arg("sensitivities"))
+      .def("states", &StateRuns::states, nb::arg("theta"), nb::arg("x0"), nb::arg("start"),
+           nb::arg("length"));
   nb::class_<Runs>(module, "Runs")
       .def(nb::init<nb::handle, nb::handle, Input, Input>(), nb::arg("settings"),
            nb::arg("further"), nb::arg("u"), nb::arg("y"))
       .def_prop_ro("depth", &Runs::depth)
       .def("sums", &Runs::sums, nb::arg("theta"), nb::arg("starts"), nb::arg("lengths"),
-           nb::arg("sensitivities"))
-      .def("simulate", &Runs::simulate, nb::arg("theta"), nb::arg("start"), nb::arg("length"));
+           nb::arg("sensitivities"));
 }
 
 }  // namespace leglab::bindings

@@ -6,32 +6,9 @@
 #include <vector>
 
 #include "identification/features.h"
+#include "identification/wide.h"
 
 namespace leglab::identification {
-
-// Wide instructions where the machine has them. Each element is computed by itself and nothing is
-// fused, so the bits are the same without.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && !defined(__SANITIZE_ADDRESS__)
-#define LEGLAB_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define LEGLAB_WIDE
-#endif
-
-// to += factor * from.
-LEGLAB_WIDE inline void add_scaled(double* __restrict to, const double* __restrict from,
-                                   double factor, int count) {
-  for (int i = 0; i < count; ++i) to[i] += factor * from[i];
-}
-
-// to[i, j] += factors[i] * factors[j], of which the first square is a lower triangle.
-LEGLAB_WIDE inline void add_products(double* __restrict to, const double* __restrict factors,
-                                     int rows, int columns) {
-  for (int i = 0; i < rows; ++i, to += columns) {
-    const int last = i < columns ? i + 1 : columns;
-    const double factor = factors[i];
-    for (int j = 0; j < last; ++j) to[j] += factor * factors[j];
-  }
-}
 
 // Scaled signals: the output, which may have gaps (NaN), and the inputs one behind the other.
 template <class T>
@@ -85,10 +62,9 @@ class FreeRun {
     sums_.count = 0;
   }
 
-  // Simulates samples start ... start + length - 1 (start >= depth); writes the outputs where
-  // `simulated` is given, and adds to the sums, without those of sensitivities if not wanted.
-  void run(const Record<T>& record, int start, int length, const T* theta, bool sensitivities,
-           T* simulated = nullptr) {
+  // Simulates samples start ... start + length - 1 (start >= depth) and adds to the sums, without
+  // those of sensitivities if not wanted.
+  void run(const Record<T>& record, int start, int length, const T* theta, bool sensitivities) {
     const int inputs = model_.inputs;
     for (int k = 1; k <= depth_; ++k) past_.output[k] = record.output[start - k];
     for (int j = 0; j < inputs; ++j) {
@@ -104,7 +80,6 @@ class FreeRun {
       }
       const T own = step(theta, sensitivities);
       const T error = record.output[t] - own;
-      if (simulated != nullptr) simulated[t - start] = own;
       if (is_finite(error)) {
         sums_.error += error * error;
         ++sums_.count;

@@ -1,18 +1,29 @@
 """Output-error fits: they minimise the error of the free run over stretches of records."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from leglab._native.structure import Runs
 from leglab.identification.features import Feature, Spline
-from leglab.identification.spline_narx import ParameterBlock, SplineNarxSettings
+from leglab.identification.settings import SignalSettings
+from leglab.identification.spline_narx import ParameterBlock, SplineNarx, SplineNarxSettings
+from leglab.identification.spline_state_space import (
+    SplineStateSpace,
+    SplineStateSpaceSettings,
+    StateSpace,
+)
 
 Array = NDArray[np.float64]
+# Of a model: features of lags, or one state space.
+Features = Sequence[Feature | StateSpace]
+Settings = SplineNarxSettings | SplineStateSpaceSettings
+Model = SplineNarx | SplineStateSpace
 # Prior precision of second differences of a spline's weights, relative to that of a weight. Signals
 # are scaled to [-1, 1], so it and all numbers here are free of units.
 SMOOTHNESS = 10.0
@@ -104,10 +115,6 @@ class Simulator:
         assert total is not None, "no stretch"
         return Sums(*total)
 
-    def simulate(self, theta: Array, stretch: Stretch) -> Array:
-        """Outputs over one stretch in units of the output, (length,)."""
-        return self._runs[stretch.record].simulate(theta, stretch.start, stretch.length)
-
 
 class Problem:
     """Records, and what all models of them share.
@@ -136,9 +143,30 @@ class Problem:
         names = self.template.names
         return {n: c[np.isfinite(c)] for n, c in zip(names, columns, strict=True)}
 
-    def model(self, features: Sequence[Feature]) -> SplineNarxSettings:
+    def lagged(self, features: Features) -> SplineNarxSettings:
+        """Settings of a model of features of lags."""
+        chosen = tuple(f for f in features if not isinstance(f, StateSpace))
+        return replace(self.template, features=chosen)
+
+    def model(self, features: Features) -> Settings:
         """Settings of a model of these features."""
-        return replace(self.template, features=tuple(features))
+        first = features[0]
+        if not isinstance(first, StateSpace):
+            return self.lagged(features)
+        return SplineStateSpaceSettings(
+            structure=first,
+            **{field.name: getattr(self.template, field.name) for field in fields(SignalSettings)},
+        )
+
+    def identifier(self, fit: "Fit") -> Model:
+        """A model with fitted parameters."""
+        settings = self.model(fit.features)
+        if isinstance(settings, SplineNarxSettings):
+            model: Model = SplineNarx(settings)
+        else:
+            model = SplineStateSpace(settings)
+        model.parameters = fit.theta
+        return model
 
     def error_of(self, fit: "Fit", block: Stretch, first: int) -> float:
         """Mean square of the free run's error in a block, as a share of the output's variance.
@@ -146,12 +174,18 @@ class Problem:
         The run begins at the sample `first` or before: what the model remembers of it is wrong by
         then as it is in any longer run.
         """
-        simulator = Simulator(self.model(fit.features), self.records)
+        model, record = self.identifier(fit), self.records[block.record]
         end = block.start + block.length
-        run = simulator.simulate(fit.theta, Stretch(block.record, first, end - first))
-        error = self.records[block.record].y[block.start : end] - run[-block.length :]
+        u = record.u[first - model.lags : end]
+        run = model.free_run(single(u), record.y[first - model.lags : first])
+        error = record.y[block.start : end] - run[-block.length :]
         share = float(np.nanmean(error**2)) / self.deviation**2
         return float(np.clip(share, LEAST_SHARE, DIVERGED)) if np.isfinite(share) else DIVERGED
+
+
+def single(u: Array) -> Array:
+    """Inputs (N, M) as an identifier takes them: (N,) where there is one."""
+    return u[:, 0] if u.shape[1] == 1 else u
 
 
 @dataclass(frozen=True)
@@ -159,28 +193,30 @@ class Fit:
     """A model that was fitted.
 
     Attributes:
-        features: Its blocks.
+        features: Features of lags, or one state space.
         theta: Parameters in scaled units.
         error: RMS error of the free run over the stretches of the fit, as a share of the output's
             standard deviation.
     """
 
-    features: tuple[Feature, ...]
+    features: tuple[Feature | StateSpace, ...]
     theta: Array
     error: float
 
 
+def roughness(splines: int) -> Array:
+    """Prior of a curve's weights: each is zero within one, second differences more closely."""
+    second = np.diff(np.eye(splines), 2, axis=0)
+    return np.eye(splines) + SMOOTHNESS * second.T @ second
+
+
 def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Array:
     """Quadratic form of a prior of strength one, (n, n): each parameter is zero within one."""
-    sizes = [block.count for block in blocks]
-    out = np.eye(sum(sizes))
-    at = 0
-    for feature, size in zip(features, sizes, strict=True):
-        if isinstance(feature, Spline):
-            second = np.diff(np.eye(size), 2, axis=0)
-            out[at : at + size, at : at + size] += SMOOTHNESS * second.T @ second
-        at += size
-    return out
+    parts = [
+        roughness(block.count) if isinstance(feature, Spline) else np.eye(block.count)
+        for feature, block in zip(features, blocks, strict=True)
+    ]
+    return np.asarray(block_diag(*parts), float)
 
 
 def solve(matrix: Array, right: Array) -> Array:
@@ -191,40 +227,62 @@ def solve(matrix: Array, right: Array) -> Array:
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], float)
 
 
-def fit(
-    problem: Problem,
-    features: Sequence[Feature],
+class HasSums(Protocol):
+    """Sums from which a Gauss-Newton step is made."""
+
+    @property
+    def error(self) -> float: ...  # noqa: D102
+    @property
+    def samples(self) -> int: ...  # noqa: D102
+    @property
+    def products(self) -> Array: ...  # noqa: D102
+    @property
+    def gradient(self) -> Array: ...  # noqa: D102
+
+
+def descend(
+    sums: Callable[[Array, bool], HasSums],
     theta: Array,
-    stretches: Sequence[Stretch],
-    strength: float,
-    iterations: int = ITERATIONS,
-) -> Fit:
+    form: Array,
+    variance: float,
+    iterations: int,
+    centre: Array | float = 0.0,
+) -> tuple[Array, float]:
     """Maximum a posteriori of the free run by damped Gauss-Newton steps (Marquardt 1963).
 
-    With N samples, the mean square E of the error and the prior's form R of some strength s it
-    minimises log E + s theta' R theta / N; the unknown variance of the error is eliminated.
+    With the mean square E of the error and a prior's form R it minimises
+    log E + (theta - centre)' R (theta - centre); the unknown variance of the error is eliminated.
+
+    Args:
+        sums: For parameters, with sensitivities or without.
+        theta: Start, (n,).
+        form: R, (n, n).
+        variance: Of the output, in the units of the sums.
+        iterations: At most.
+        centre: Mean of the prior.
+
+    Returns:
+        Parameters, and the RMS error as a share of the output's deviation.
     """
-    settings = problem.model(features)
-    simulator = Simulator(settings, problem.records)
-    form = strength * prior(features, settings.blocks) / problem.count
-    found = simulator.sums(theta, stretches, sensitivities=True)
-    scale = problem.variance * max(found.samples, 1)
+    found = sums(theta, True)
+    scale = variance * max(found.samples, 1)
 
     def cost(error: float, at: Array) -> float:
         if not np.isfinite(error):
             return np.inf
-        return float(np.log(max(error / scale, LEAST_SHARE)) + at @ form @ at)
+        away = at - centre
+        return float(np.log(max(error / scale, LEAST_SHARE)) + away @ form @ away)
 
     error, damping = found.error, _FIRST_DAMPING
     best = cost(error, theta)
     for _ in range(iterations):
         level = max(error, LEAST_SHARE * scale)
         hessian = found.products / level + form
-        downhill = found.gradient / level - form @ theta
+        downhill = found.gradient / level - form @ (theta - centre)
         for _ in range(_TRIES):
             damped = hessian + damping * np.diag(np.diag(hessian))
             tried = theta + solve(damped, downhill)
-            its_error = simulator.sums(tried, stretches, sensitivities=False).error
+            its_error = sums(tried, False).error
             its_cost = cost(its_error, tried)
             if its_cost < best:
                 break
@@ -236,16 +294,36 @@ def fit(
         fell, best = best - its_cost > _CONVERGED, its_cost
         if not fell:
             break
-        found = simulator.sums(theta, stretches, sensitivities=True)
+        found = sums(theta, True)
     rms = float(np.sqrt(min(error / scale, DIVERGED))) if np.isfinite(error) else DIVERGED
-    return Fit(tuple(features), theta, rms)
+    return theta, rms
+
+
+def fit(
+    problem: Problem,
+    features: Sequence[Feature],
+    theta: Array,
+    stretches: Sequence[Stretch],
+    strength: float,
+    iterations: int = ITERATIONS,
+) -> Fit:
+    """Fits a model of lags by `descend`, with the `prior` of some strength."""
+    settings = problem.lagged(features)
+    simulator = Simulator(settings, problem.records)
+    form = strength * prior(features, settings.blocks) / problem.count
+
+    def sums(at: Array, sensitivities: bool) -> Sums:
+        return simulator.sums(at, stretches, sensitivities=sensitivities)
+
+    found = descend(sums, theta, form, problem.variance, iterations)
+    return Fit(tuple(features), *found)
 
 
 def one_step(
     problem: Problem, features: Sequence[Feature], without: Stretch | None = None
 ) -> Array:
     """Least squares of the one-step error, from which output-error fits start."""
-    settings = problem.model(features)
+    settings = problem.lagged(features)
     simulator = Simulator(settings, problem.records)
     stretches = one_step_stretches(problem, settings.lags, without, _MOST_STARTS)
     theta = np.zeros(sum(block.count for block in settings.blocks))

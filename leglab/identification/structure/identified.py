@@ -1,6 +1,6 @@
 """`identify`: a model of each output, with its errors on training and test data."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -11,24 +11,30 @@ from leglab.base.recording import Recording
 from leglab.identification.features import Constant, Signal
 from leglab.identification.settings import Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
+from leglab.identification.spline_state_space import SplineStateSpace
 from leglab.identification.structure import library, search
 from leglab.identification.structure.fit import (
     Array,
+    Model,
     Problem,
     Record,
     Simulator,
     fit,
     one_step_stretches,
+    single,
     startable,
     whole_runs,
 )
 from leglab.identification.structure.search import Candidate
 from leglab.identification.structure.signals import Signals, signals_of
+from leglab.identification.structure.states import information_of, refitted
 
 # The free run is held within the range of the training output, widened on each side by this share:
 # far enough for a test beyond it, near enough for an unstable model to be bounded.
 _REACH = 0.3
 _INITIAL_GAIN = 1e4  # F(0) of a pass from nothing, and of what the data do not show
+_DEPARTURE = 0.1  # of a state-space model's parameters from those of a linear one, where it begins
+_DISTURBANCES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # process noise, in variances of the sensor's
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,8 @@ class Errors:
         fit: 100 (1 - |y - free run| / |y - mean of y|) [%].
         linear: RMS free run of the best linear model.
         mean: RMS of the output about the mean of the training data.
-        online: RMS free run of the same structure, learned in one pass from nothing.
+        online: RMS free run of the same structure, learned in one pass from nothing, or of a
+            state-space model from straight curves.
         measured: Output, (N,).
         simulated: Free run, (N,), the first samples measured.
         predicted: One-step prediction, (N,), the first samples measured.
@@ -78,7 +85,7 @@ class Identified:
     output: str
     inputs: tuple[str, ...]
     period: float
-    model: SplineNarx
+    model: Model
     candidates: tuple[Candidate, ...]
     problem: Problem
     tests: tuple[Record, ...]
@@ -102,7 +109,7 @@ class Identified:
     @property
     def kind(self) -> str:
         """What a field calls the model."""
-        kind = library.kind_of(self.problem, self.model.settings.features)
+        kind = library.kind_of(self.problem, self.chosen.fit.features)
         how = {"linear": ", fitted to the free run", "one step": ", fitted to one step (ARX)"}
         return kind + how.get(self.chosen.plan.kind, "")
 
@@ -112,31 +119,39 @@ class Identified:
         return self.chosen.plan.kind != search.CONSTANT
 
     def at_rest(self, signal: str, values: Array) -> Array:
-        """Predicted output where all lags of a signal have one value, the others their means, (n,).
+        """Output where a signal has one value and the others their means, (n,).
+
+        Of lags it is the one-step prediction with all lags at these values, of a state-space model
+        what it comes to under such inputs.
 
         Args:
-            signal: The output or an input.
+            signal: The output, if the model is one of lags, or an input.
             values: In its units, (n,).
         """
-        names = self.model.settings.names
-        table = np.tile([np.mean(self.problem.samples[name]) for name in names], (len(values), 1))
+        model = self.model
+        names = model.settings.names
+        means = {name: float(np.mean(self.problem.samples[name])) for name in names}
+        if isinstance(model, SplineStateSpace):
+            inputs = {name: means[name] for name in self.inputs}
+            rows = [{**inputs, signal: float(value)} for value in values]
+            return np.array([model.at_rest(row)[0] for row in rows])
+        table = np.tile([means[name] for name in names], (len(values), 1))
         table[:, names.index(signal)] = values
-        held = np.repeat(table, self.model.lags + 2, axis=0)
-        u = held[:, 1] if self.model.inputs == 1 else held[:, 1:]
-        return self.model.one_step(u, held[:, 0])[self.model.lags + 1 :: self.model.lags + 2]
+        held = np.repeat(table, model.lags + 2, axis=0)
+        return model.one_step(single(held[:, 1:]), held[:, 0])[model.lags + 1 :: model.lags + 2]
 
     @cached_property
-    def online(self) -> tuple[SplineNarx, Array]:
-        """The structure learned in one pass from nothing, and its parameters over the first record.
+    def online(self) -> tuple[Model, Array]:
+        """The structure learned in one pass, and its parameters over the first record, scaled.
 
-        Parameters have shape (N, P), in scaled units.
+        It begins with nothing, a state-space model with straight curves: linear. The parameters
+        have shape (N, P).
         """
-        rls = Rls(initial_gain=_INITIAL_GAIN)
-        model = SplineNarx(replace(self.model.settings, rls=rls, output_error_after=0))
+        model = _from_nothing(self.model)
         trajectory = np.zeros((0, 0))
         for record in self.problem.records:
             _break_off(model)
-            _, own = model.run_recorded(*_for(model, record), missing="skip")
+            _, own = model.run_recorded(single(record.u), record.y, missing="skip")
             trajectory = own if not len(trajectory) else trajectory
         model.freeze()
         return model, trajectory
@@ -179,22 +194,19 @@ class Identified:
         )
 
     @cached_property
-    def _linear(self) -> SplineNarx:
-        linear = self.linear.fit
-        model = SplineNarx(replace(self.problem.model(linear.features), rls=Rls()))
-        model.parameters = linear.theta
-        return model
+    def _linear(self) -> Model:
+        return self.problem.identifier(self.linear.fit)
 
-    def _run(self, model: SplineNarx, record: Record) -> Array:
-        u, y = _for(model, record)
+    def _run(self, model: Model, record: Record) -> Array:
         first = int(startable(record, max(model.lags, self.model.lags)).argmax())
-        run = model.free_run(u[first - model.lags :], y[first - model.lags : first])
+        given = record.y[first - model.lags : first]
+        run = model.free_run(single(record.u[first - model.lags :]), given)
         return np.concatenate([record.y[: first - model.lags], run])
 
     def _one_step(self, record: Record) -> Array:
-        u, y = _for(self.model, record)
+        y = record.y
         bridged = np.interp(np.arange(len(y)), np.flatnonzero(np.isfinite(y)), y[np.isfinite(y)])
-        return self.model.one_step(u, bridged)
+        return self.model.one_step(single(record.u), bridged)
 
 
 def rms(residual: Array, given: int = 0) -> float:
@@ -204,15 +216,29 @@ def rms(residual: Array, given: int = 0) -> float:
     return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
 
 
-def _for(model: SplineNarx, record: Record) -> tuple[Array, Array]:
-    """Inputs and output in the shape that the identifier takes."""
-    return (record.u[:, 0] if model.inputs == 1 else record.u), record.y
-
-
-def _break_off(model: SplineNarx) -> None:
+def _break_off(model: Model) -> None:
     """Takes a sample of NaN: the next record does not follow on the last one."""
     missing = np.full((1, model.inputs), np.nan)
-    model.run(missing[:, 0] if model.inputs == 1 else missing, np.full(1, np.nan), missing="skip")
+    model.run(single(missing), np.full(1, np.nan), missing="skip")
+
+
+def _from_nothing(model: Model) -> Model:
+    """A model of the same structure that has learned nothing."""
+    settings = model.settings
+    if isinstance(settings, SplineNarxSettings):
+        rls = Rls(initial_gain=_INITIAL_GAIN)
+        return SplineNarx(replace(settings, rls=rls, output_error_after=0))
+    # Without curves nothing is left of a feedback; straight ones leave a linear model.
+    structure = settings.structure
+    out = SplineStateSpace(
+        replace(settings, rls=Rls(initial_gain=_DEPARTURE**2), process_noise=0.0)
+    )
+    theta, places = model.parameters.copy(), structure.spline_weights
+    at = structure.basis.identity_weights()
+    for own in places:
+        theta[own] = np.polyval(np.polyfit(at, theta[own], 1), at)
+    out.parameters = theta
+    return out
 
 
 def identify(
@@ -284,11 +310,13 @@ def _identified(
 ) -> Identified:
     """Fits the chosen structure to all records."""
     best = found[0]
-    if best.plan.kind != "one step":
-        own = search.stretches(
-            problem, problem.model(best.fit.features).lags, best.plan.length, search.LAST
-        )
-        last = fit(problem, best.fit.features, best.fit.theta, own, best.plan.strength)
+    plan, features = best.plan, best.fit.features
+    if plan.kind == search.STATES:
+        best = replace(best, fit=refitted(problem, best.fit, plan.strength, search.LAST))
+    elif plan.kind != "one step":
+        lags = problem.model(features).lags
+        own = search.stretches(problem, lags, plan.length, search.LAST)
+        last = fit(problem, problem.lagged(features).features, best.fit.theta, own, plan.strength)
         best = replace(best, fit=last)
     output, tests = learned.outputs[k], tested.records[k] if tested else ()
     notes = (*learned.notes, *(tested.notes if tested else ()))
@@ -330,37 +358,86 @@ def _problem(learned: Signals, k: int) -> Problem:
     return Problem(records, template)
 
 
-def _going_on(problem: Problem, best: Candidate) -> SplineNarx:
+def _going_on(problem: Problem, best: Candidate) -> Model:
     """An identifier that has the model's parameters, and the gain that all samples leave it.
 
     It minimises the error of the free run or that of one step: whichever leaves the model better
     after another pass over the training data. One-step learning moves a model of a machine with a
     noisy sensor away from the machine, learning by the free run one of a disturbed machine.
     """
-    settings = problem.model(best.fit.features)
-    simulator = Simulator(settings, problem.records)
-    whole = whole_runs(problem, settings.lags)
-    tried = []
-    for after, own in ((1, whole), (0, one_step_stretches(problem, settings.lags))):
-        model = SplineNarx(replace(settings, output_error_after=after))
-        model.parameters = best.fit.theta
-        found = simulator.sums(best.fit.theta, own, sensitivities=True)
-        information = found.products + np.eye(len(best.fit.theta)) / _INITIAL_GAIN
-        gain = np.linalg.inv(information)
+    tried: list[tuple[float, Model]] = []
+    for model, information in _learners(problem, best):
+        gain = np.linalg.inv(information + np.eye(len(information)) / _INITIAL_GAIN)
         model.set_gain((gain + gain.T) / 2)
         again = model.copy()
         for record in problem.records:
             _break_off(again)
-            again.run(*_for(again, record), missing="skip")
-        left = simulator.sums(again.parameters, whole, sensitivities=False).error
+            again.run(single(record.u), record.y, missing="skip")
+        left = _free_run_error(problem, again)
         tried.append((left if np.isfinite(left) else np.inf, model))
     model = min(tried, key=lambda one: one[0])[1]
     # The past of the last samples; a frozen identifier takes them in without learning.
-    u, y = _for(model, problem.records[-1])
+    last = problem.records[-1]
     model.freeze()
-    model.run(u[-settings.lags - 1 :], y[-settings.lags - 1 :], missing="skip")
+    model.run(single(last.u[-model.lags - 1 :]), last.y[-model.lags - 1 :], missing="skip")
     model.freeze(False)
     return model
+
+
+def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]]:
+    """Identifiers that learn by the free run and by one step, with what all samples tell."""
+    theta, settings = best.fit.theta, problem.model(best.fit.features)
+    if isinstance(settings, SplineNarxSettings):
+        simulator = Simulator(settings, problem.records)
+        whole = whole_runs(problem, settings.lags)
+        for after, own in ((1, whole), (0, one_step_stretches(problem, settings.lags))):
+            narx = SplineNarx(replace(settings, output_error_after=after))
+            narx.parameters = theta
+            yield narx, simulator.sums(theta, own, sensitivities=True).products
+        return
+    information = information_of(problem, best.fit)
+    for disturbed in (False, True):
+        model = SplineStateSpace(settings)
+        model.parameters = theta
+        if disturbed:
+            model = disturbed_model(problem, model)
+        yield model, information
+
+
+def disturbed_model(problem: Problem, model: SplineStateSpace) -> SplineStateSpace:
+    """The same model with the process noise that leaves the least one-step error."""
+    tried: list[tuple[float, int, SplineStateSpace]] = []
+    for share in _DISTURBANCES:
+        noise = share * model.settings.structure.noise
+        own = SplineStateSpace(replace(model.settings, process_noise=noise))
+        own.parameters = model.parameters
+        tried.append((_one_step_error(problem, own), len(tried), own))
+    return min(tried)[2]
+
+
+def _one_step_error(problem: Problem, model: Model) -> float:
+    """Mean square over all records, in squares of the output's unit."""
+    left = model.copy()
+    left.freeze()
+    total = count = 0.0
+    for record in problem.records:
+        _break_off(left)
+        error = left.run(single(record.u), record.y, missing="skip") - record.y
+        total, count = total + float(np.nansum(error**2)), count + np.isfinite(error).sum()
+    return total / count
+
+
+def _free_run_error(problem: Problem, model: Model) -> float:
+    """Sum of squares over all records, each from its first samples that are measured."""
+    total = 0.0
+    for record in problem.records:
+        usable = startable(record, model.lags)
+        if usable.any():
+            first = int(usable.argmax())
+            given = record.y[first - model.lags : first]
+            run = model.free_run(single(record.u[first - model.lags :]), given)
+            total += float(np.nansum((run - record.y[first - model.lags :]) ** 2))
+    return total
 
 
 def _drift(

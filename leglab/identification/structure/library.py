@@ -1,6 +1,6 @@
 """Features that a structure may take, made from the lags of its signals."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from leglab.identification.basis import Basis
 from leglab.identification.features import Constant, Feature, Lags, Spline, Term
-from leglab.identification.structure.fit import Problem
+from leglab.identification.spline_state_space import SplineStateSpace, StateSpace
+from leglab.identification.structure.fit import Array, Features, Model, Problem
 
 HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges stand
 SPLINES, FINE = 8, 16  # of a curve
@@ -95,8 +96,10 @@ KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
 REFINED: dict[str, Maker] = {"fine curves": partial(curves, splines=FINE)}
 
 
-def kind_of(problem: Problem, features: Sequence[Feature]) -> str:
+def kind_of(problem: Problem, features: Features) -> str:
     """What a field calls a model of these features."""
+    if isinstance(features[0], StateSpace):
+        return _state_space(features[0])
     output = problem.template.output.name
     bent = [f for f in features if isinstance(f, Term | Spline)]
     if all(isinstance(f, Constant) for f in features):
@@ -108,6 +111,14 @@ def kind_of(problem: Problem, features: Sequence[Feature]) -> str:
         single = all(f.times is None for f in bent)
         return "Hammerstein: curves of the inputs" if single else "Hammerstein: functions of inputs"
     return "nonlinear in the output's lags as well (NARX)"
+
+
+def _state_space(structure: StateSpace) -> str:
+    linear = f"linear state space of order {structure.states}"
+    if not structure.curves:
+        return linear
+    curves = "a static curve" if structure.curves == 1 else f"{structure.curves} static curves"
+    return f"{linear} in feedback with {curves} of states and inputs (nonlinear LFR)"
 
 
 def name_of(feature: Feature) -> str:
@@ -143,8 +154,41 @@ def _term(term: Term) -> str:
     return g if term.times is None else f"{g} {_lagged(*term.times)}"
 
 
-def parameter_names(feature: Feature, count: int) -> list[str]:
-    """A name for each of the parameters of a feature."""
+def named_parameters(model: Model) -> Iterator[tuple[str, list[str], Array]]:
+    """Names of a model's features, names of their parameters, and these in scaled units.
+
+    Of a state-space model the features are its matrices, by rows, and its curves.
+    """
+    if isinstance(model, SplineStateSpace):
+        yield from _matrices(model)
+        return
+    for feature, (_, theta, _) in zip(model.settings.features, model.learned_blocks(), strict=True):
+        yield name_of(feature), _parameters(feature, len(theta)), theta
+
+
+def _matrices(model: SplineStateSpace) -> Iterator[tuple[str, list[str], Array]]:
+    parts = model.parts()
+    inputs = [_lagged(s.name, d) for s, d in zip(
+        model.settings.inputs, model.settings.structure.delays, strict=True
+    )]  # fmt: skip
+    states = [f"x{i + 1}" for i in range(len(parts.A))]
+    for name, matrix, across in (("A", parts.A, states), ("B", parts.B, inputs)):
+        names = [f"{row}(t+1) by {column}" for row in states for column in across]
+        yield f"{name}: states by {'states' if name == 'A' else 'inputs'}", names, matrix.ravel()
+    output = model.settings.output.name
+    yield "C: output by states", [f"{output} by {x}" for x in states], parts.C
+    yield "D: output by inputs", [f"{output} by {u}" for u in inputs], parts.D
+    yield "d: constant of the output", ["d"], np.array([parts.d])
+    for k, curve in enumerate(parts.curves, 1):
+        of = [f"z{k} by {x}" for x in (*states, *inputs)]
+        yield f"v{k}: argument z{k} of curve {k}", of, curve.v
+        to = [f"{row} by curve {k}" for row in (*states, output)]
+        yield f"w{k}, o{k}: what curve {k} adds to", to, np.append(curve.w, curve.o)
+        names = [f"curve {k}, weight {i + 1}" for i in range(len(curve.e))]
+        yield f"e{k}: curve {k}, weights of its splines", names, curve.e
+
+
+def _parameters(feature: Feature, count: int) -> list[str]:
     if isinstance(feature, Lags):
         return [_lagged(feature.signal, feature.first + k) for k in range(count)]
     name = name_of(feature)

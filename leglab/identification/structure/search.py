@@ -7,20 +7,21 @@ others from deciding. Eighths test interpolation, thirds extrapolation; a nonlin
 only if it is better than the linear ones in both.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from leglab.identification.features import Feature
+from leglab.identification.spline_state_space import StateSpace
 from leglab.identification.structure import library
 from leglab.identification.structure.fit import (
     ITERATIONS,
     LEAST_SHARE,
     SHORTEST,
     Array,
+    Features,
     Fit,
     Further,
     Problem,
@@ -33,6 +34,7 @@ from leglab.identification.structure.fit import (
     startable,
 )
 from leglab.identification.structure.library import Orders
+from leglab.identification.structure.states import StatePath
 
 BLOCKS = (8, 3)
 # Simulated samples of a fit. Parameters hardly depend on more; the last fit has all up to LAST.
@@ -45,6 +47,10 @@ _WORTH = 0.997  # a feature that leaves more of the RMS error of the fit ends a 
 # A path ends after _PATIENCE features in a row that leave more than this share of the score.
 _PATIENCE, _PROGRESS = 3, 0.99
 MOST_TERMS, FEW_TERMS = 20, 5
+MOST_CURVES = 4  # of a state-space model
+STATES_BUDGET = 3000  # samples of its fits, which cost more than those of lags
+_STATES = (1, 2, 3, 4, 6)
+STATES_STRENGTHS = (10.0, 100.0, 1000.0)
 _KEPT = 3  # structures of the first search that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
@@ -63,6 +69,8 @@ _USUAL = 10.0
 # Linear models, by the free run or by least squares of one step, which is better where the machine
 # is disturbed rather than its sensor.
 LINEAR = ("linear", "one step")
+# State-space models with curves, and those that only find out which are worth it.
+STATES, SKETCHED = "states", "sketched states"
 CONSTANT = "constant"
 SIMPLE = (*LINEAR, CONSTANT)
 
@@ -72,8 +80,8 @@ class Plan:
     """A structure that is searched.
 
     Attributes:
-        kind: Of `SIMPLE`, or of the library.
-        orders: Its lags.
+        kind: Of `SIMPLE`, of the library, or `STATES`.
+        orders: Its lags; of a state-space model outputs are its states.
         length: Samples of a stretch of its fits.
         strength: Of the prior of its parameters.
         most: Features beyond the linear ones.
@@ -213,8 +221,9 @@ class Path:
         self.fit, taken = best
         self._further = self._further.without(taken)
 
-    def _fitted(self, features: tuple[Feature, ...], theta: Array, iterations: int) -> Fit:
-        return fit(self._problem, features, theta, self._stretches, self._strength, iterations)
+    def _fitted(self, features: Features, theta: Array, iterations: int) -> Fit:
+        own = self._problem.lagged(features).features
+        return fit(self._problem, own, theta, self._stretches, self._strength, iterations)
 
 
 def promises(
@@ -225,13 +234,13 @@ def promises(
     To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
     the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
     """
-    settings = problem.model(now.features)
+    settings = problem.lagged(now.features)
     simulator = Simulator(settings, problem.records, further.blocks)
     found = simulator.sums(now.theta, own, sensitivities=True)
     scale = max(found.error, LEAST_SHARE)
     p = len(now.theta)
     share = strength / problem.count
-    form = share * prior(now.features, settings.blocks)
+    form = share * prior(settings.features, settings.blocks)
     hessian = found.products[:p] / scale + form
     downhill = found.gradient[:p] / scale - form @ now.theta
     cross = found.products[p:] / scale
@@ -262,9 +271,39 @@ def promises(
 
 def searched(problem: Problem, plan: Plan) -> Candidate:
     """Carries out a plan: paths in step with each block held out, then one on all records."""
-    linear = plan.orders.linear(problem)
+    if plan.kind == SKETCHED:
+        return _sketched(problem, plan)
+    depth, begun = _beginning(problem, plan)
+    held = Held(problem, depth)
+    paths = [[begun(block) for block in part] for part in held.blocks]
+    flat = [path for part in paths for path in part]
+
+    def sizes() -> Iterator[Table]:
+        yield held.errors([[path.fit for path in part] for part in paths])
+        while not all(path.ended for path in flat):
+            for path in flat:
+                path.grow()
+            yield held.errors([[path.fit for path in part] for part in paths])
+
+    table, tried = _table(sizes(), plan.most)
+    whole = begun(None)
+    for _ in range(len(table) - 1):
+        whole.grow()
+    return Candidate(plan, whole.fit, table[-1], tried)
+
+
+def _beginning(
+    problem: Problem, plan: Plan
+) -> tuple[int, Callable[[Stretch | None], Path | StatePath]]:
+    """Samples that a model needs to start, and its path with a block held out."""
+    orders = plan.orders
+    if plan.kind == STATES:
+        structure = StateSpace(states=orders.outputs, delays=orders.delays)
+        depth = problem.model((structure,)).lags
+        return depth, lambda b: StatePath(problem, structure, plan.strength, plan.budget, b)
+    linear = orders.linear(problem)
     makers = {**library.KINDS, **library.REFINED}.get(plan.kind)
-    further = Further(problem.template, makers(problem, plan.orders) if makers else ())
+    further = Further(problem.template, makers(problem, orders) if makers else ())
     depth = problem.model(linear).lags + 1  # that of a change, too
 
     def begun(block: Stretch | None) -> Path:
@@ -274,35 +313,60 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
         start = fit(problem, linear, theta, own, plan.strength, iterations)
         return Path(problem, start, further, own, plan.strength)
 
-    held = [blocks(problem, depth, count) for count in BLOCKS]
-    firsts = [[lead_in(problem, block, depth) for block in part] for part in held]
-    paths = [[begun(block) for block in part] for part in held]
+    return depth, begun
 
-    def errors() -> tuple[tuple[float, ...], ...]:
+
+def _sketched(problem: Problem, plan: Plan) -> Candidate:
+    """A path on all records, fitted anew at each size with each block held out.
+
+    The fits without a block begin at that with it and take a tenth of the time. They still know a
+    little of the block, so this ranks state-space models among each other and nothing else.
+    """
+    structure = StateSpace(states=plan.orders.outputs, delays=plan.orders.delays)
+    held = Held(problem, problem.model((structure,)).lags, BLOCKS[-1:])
+    path = StatePath(problem, structure, plan.strength, plan.budget)
+
+    def sizes() -> Iterator[Table]:
+        while not path.ended:
+            yield held.errors([[path.without(block) for block in part] for part in held.blocks])
+            path.grow()
+
+    table, tried = _table(sizes(), plan.most)
+    return Candidate(plan, path.fit, table[-1], tried)
+
+
+Table = tuple[tuple[float, ...], ...]
+
+
+class Held:
+    """Blocks that are held out: eighths and thirds of all records, or others."""
+
+    def __init__(self, problem: Problem, depth: int, counts: tuple[int, ...] = BLOCKS) -> None:
+        self._problem = problem
+        self.blocks = [blocks(problem, depth, count) for count in counts]
+        self._firsts = [[lead_in(problem, block, depth) for block in part] for part in self.blocks]
+
+    def errors(self, fits: Sequence[Sequence[Fit]]) -> Table:
+        """Mean square of the error over each block, of the model that was fitted without it."""
         return tuple(
-            tuple(
-                problem.error_of(path.fit, block, first)
-                for path, block, first in zip(*row, strict=True)
-            )
-            for row in zip(paths, held, firsts, strict=True)
+            tuple(self._problem.error_of(*one) for one in zip(*row, strict=True))
+            for row in zip(fits, self.blocks, self._firsts, strict=True)
         )
 
-    table = [errors()]
-    flat = [path for part in paths for path in part]
-    best, since = _mean_score(table[0]), 0
-    while len(table) <= plan.most and since < _PATIENCE and not all(path.ended for path in flat):
-        for path in flat:
-            path.grow()
-        table.append(errors())
-        score = _mean_score(table[-1])
-        since = 0 if score < _PROGRESS * best else since + 1
-        best = min(best, score)
-    tried = [_mean_score(row) for row in table]
-    size = int(np.argmin(tried))
-    whole = begun(None)
-    for _ in range(size):
-        whole.grow()
-    return Candidate(plan, whole.fit, table[size], tuple(tried))
+
+def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float, ...]]:
+    """Errors up to the best number of features, and the score of each number that was tried."""
+    table: list[Table] = []
+    scores: list[float] = []
+    best, since = np.inf, 0
+    for errors in sizes:
+        table.append(errors)
+        scores.append(_mean_score(errors))
+        since = 0 if scores[-1] < _PROGRESS * best else since + 1
+        best = min(best, scores[-1])
+        if len(table) > most or since >= _PATIENCE:
+            break
+    return table[: int(np.argmin(scores)) + 1], tuple(scores)
 
 
 def delays(problem: Problem) -> tuple[int, ...]:
@@ -373,15 +437,32 @@ def plans_bent(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
     ]
 
 
+def plans_sketched(lead: tuple[int, ...]) -> list[Plan]:
+    """State-space models of all orders."""
+    return [
+        Plan(SKETCHED, Orders(n, 0, delays), 0, _STRENGTHS[-1], MOST_CURVES, STATES_BUDGET)
+        for n in _STATES
+        for delays in dict.fromkeys((lead, (0,) * len(lead)))
+    ]
+
+
+def plans_states(sketched: Sequence[Candidate]) -> list[Plan]:
+    """The best of them."""
+    best = sorted(sketched, key=_score)[:_KEPT]
+    return [replace(c.plan, kind=STATES) for c in best]
+
+
 def plans_full(bent: Sequence[Candidate]) -> list[Plan]:
     """The best structures once more, with all samples and as many features as they bear."""
     best = sorted(bent, key=_score)[:_KEPT]
-    return [replace(c.plan, most=MOST_TERMS, budget=FULL) for c in best]
+    return [replace(c.plan, most=MOST_TERMS, budget=FULL) for c in best if c.plan.kind != STATES]
 
 
 def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
     """The best structure with other stretches, then priors and finer curves."""
     best = min(bent, key=_score).plan
+    if best.kind == STATES:
+        return [replace(best, strength=s) for s in STATES_STRENGTHS if s != best.strength]
     wanted = replace(best, most=MOST_TERMS, budget=FULL)
     kinds = [best.kind, *(library.REFINED if best.kind == "curves" else ())]
     plans = [replace(wanted, length=n) for n in _lengths(problem)]
@@ -444,8 +525,11 @@ def search(
 
     linear = made("linear models", plans_linear(problem, delays(problem)))
     linear += made("linear models, tuned", plans_tuned(problem, linear))
-    bent = made("nonlinear models", plans_bent(problem, linear))
-    bent += made("best models", plans_full(bent))
+    lead = min(linear, key=_score).plan.orders.delays
+    sketched = made("state-space models", plans_sketched(lead))
+    bent = made("best state-space models", plans_states(sketched))
+    bent += made("models of lags", plans_bent(problem, linear))
+    bent += made("best models of lags", plans_full(bent))
     bent += made("best model, varied", plans_varied(problem, bent))
     return chosen_first(linear, bent)
 

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from leglab.identification.features import Spline, Term
+from leglab.identification.spline_state_space import SplineStateSpace, StateSpace
 from leglab.identification.structure import library
 from leglab.identification.structure.identified import Errors, Identified
 from leglab.identification.structure.residuals import ResidualTest
@@ -13,6 +14,7 @@ _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
 _MOST_SAMPLES = 1500  # of a curve; longer records show their beginning
 _MOST_PARAMETERS = 6  # of as many colours
 _POINTS = 800  # of a parameter's curve
+_REST = 101  # points of a curve at rest
 
 
 def free_run_figure(found: Identified, errors: Errors) -> Figure:
@@ -68,13 +70,7 @@ def parameter_figure(found: Identified) -> Figure | None:
     rows = trajectory[::step]
     time = np.arange(len(trajectory))[::step] * found.period
     largest = np.argsort(-np.abs(trajectory[-1]), kind="stable")[:_MOST_PARAMETERS]
-    names = [
-        name
-        for feature, (_, theta, _) in zip(
-            found.model.settings.features, found.model.learned_blocks(), strict=True
-        )
-        for name in library.parameter_names(feature, len(theta))
-    ]
+    names = [name for _, own, _ in library.named_parameters(found.model) for name in own]
     with style():
         figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
         axes = figure.subplots()
@@ -84,17 +80,25 @@ def parameter_figure(found: Identified) -> Figure | None:
         low, high = np.quantile(rows[len(rows) // 10 :, largest], (0.005, 0.995))
         slack = 0.2 * max(high - low, 1e-9)
         axes.set_ylim(low - slack, high + slack)
-        axes.set_title("largest parameters, learned in one pass from nothing")
+        axes.set_title("largest parameters, learned in one pass")
         axes.set(xlabel="time [s]", ylabel="scaled parameter")
     return figure
 
 
+def bent_signals(found: Identified) -> list[str]:
+    """Signals that a curve or term bends; of a state-space model with curves all inputs."""
+    (first, *_) = features = found.chosen.fit.features
+    if isinstance(first, StateSpace):
+        return list(found.inputs) if first.curves else []
+    return list(dict.fromkeys(f.signal for f in features if isinstance(f, Spline | Term)))
+
+
 def curve_figure(found: Identified) -> Figure | None:
-    """Predicted output over each signal that a curve or term bends; None for a linear model."""
-    features = found.model.settings.features
-    bent = dict.fromkeys(f.signal for f in features if isinstance(f, Spline | Term))
+    """Output over each bent signal, the others at their means; None for a linear model."""
+    bent = bent_signals(found)
     if not bent:
         return None
+    lags = not isinstance(found.model, SplineStateSpace)
     columns = min(3, len(bent))
     rows = -(-len(bent) // columns)
     with style():
@@ -102,9 +106,26 @@ def curve_figure(found: Identified) -> Figure | None:
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, name in zip(grid.flat, bent, strict=False):
             samples = found.problem.samples[name]
-            x = np.linspace(float(samples.min()), float(samples.max()), 200)
+            x = np.linspace(float(samples.min()), float(samples.max()), _REST)
             axes.plot(x, found.at_rest(name, x), color=BLUE)
-            axes.set(xlabel=f"{name}, all lags", ylabel=f"{found.output}(t)")
+            axes.set_xlabel(f"{name}, all lags" if lags else name)
+            axes.set_ylabel(f"{found.output}(t)" if lags else f"{found.output} at rest")
         for axes in grid.flat[len(bent) :]:
             axes.set_visible(False)
+    return figure
+
+
+def inner_figure(found: Identified) -> Figure | None:
+    """Curves of a state-space model over their arguments; None where there are none."""
+    model = found.model
+    if not isinstance(model, SplineStateSpace) or not model.parts().curves:
+        return None
+    curves = model.parts().curves
+    z = np.linspace(-1.0, 1.0, _REST)
+    with style():
+        figure = Figure(figsize=(_WIDTH, 2.3), layout="constrained")
+        for k, axes in enumerate(np.atleast_1d(figure.subplots(1, len(curves))), 1):
+            spline = model.settings.structure.basis.spline(curves[k - 1].e)
+            axes.plot(z, spline(z), color=BLUE)
+            axes.set(xlabel=f"z{k}", title=f"curve {k}")
     return figure

@@ -13,6 +13,11 @@ from leglab import __version__
 from leglab.base.output import piece, write_atomically
 from leglab.identification.c_header import c_header
 from leglab.identification.features import Spline
+from leglab.identification.spline_state_space import (
+    SplineStateSpace,
+    SplineStateSpaceSettings,
+    StateSpace,
+)
 from leglab.identification.storage import save
 from leglab.identification.structure import library
 from leglab.identification.structure.identified import Errors, Identified
@@ -111,11 +116,10 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
 
 def features(found: Identified) -> list[dict[str, Any]]:
     """Features with their parameters, of signals that are scaled to [-1, 1]."""
-    out = []
-    blocks = found.model.learned_blocks()
-    for feature, (_, theta, _) in zip(found.model.settings.features, blocks, strict=True):
-        out.append({"feature": library.name_of(feature), "scaled_parameters": theta.tolist()})
-    return out
+    return [
+        {"feature": name, "scaled_parameters": theta.tolist()}
+        for name, _, theta in library.named_parameters(found.model)
+    ]
 
 
 def transfer_functions(found: Identified) -> list[dict[str, Any]]:
@@ -135,21 +139,31 @@ def transfer_functions(found: Identified) -> list[dict[str, Any]]:
 
 
 def curves(found: Identified) -> list[dict[str, Any]]:
-    """Tables of the static curves, in physical units."""
-    out = []
-    for k, feature in enumerate(found.model.settings.features):
+    """Tables of the static curves, in physical units; those of a state-space model are scaled."""
+    out: list[dict[str, Any]] = []
+    model = found.model
+    if isinstance(model, SplineStateSpace):
+        x = np.linspace(-1.0, 1.0, _TABLE_POINTS)
+        basis = model.settings.structure.basis
+        for k, curve in enumerate(model.parts().curves, 1):
+            values = basis.spline(curve.e)(x)
+            out.append({"of": f"z{k}", "x": x.tolist(), "share": values.tolist()})
+        return out
+    for k, feature in enumerate(model.settings.features):
         if isinstance(feature, Spline):
             x = np.linspace(feature.basis.knots[0], feature.basis.knots[-1], _TABLE_POINTS)
-            values = found.model.static_spline(k)(x)
+            values = model.static_spline(k)(x)
             out.append({"of": feature.signal, "lag": feature.lag, "x": x.tolist(),
                         "share": values.tolist()})  # fmt: skip
     return out
 
 
 def at_rest(found: Identified) -> list[dict[str, Any]]:
-    """Predicted output where all lags of one signal have one value, the others their means."""
+    """Output where one signal has one value, the others their means; see `Identified.at_rest`."""
     out = []
     for name, samples in found.problem.samples.items():
+        if name == found.output and isinstance(found.model, SplineStateSpace):
+            continue
         x = np.linspace(samples.min(), samples.max(), _TABLE_POINTS)
         out.append({"of": name, "x": x.tolist(), "predicted": found.at_rest(name, x).tolist()})
     return out
@@ -175,6 +189,10 @@ def tests_of(found: Identified) -> tuple[ResidualTest, ...]:
 
 def _words(candidate: Any, found: Identified) -> str:
     plan = candidate.plan
+    if isinstance(structure := candidate.fit.features[0], StateSpace):
+        delays = ", ".join(map(str, structure.delays))
+        what = "curve" if structure.curves == 1 else "curves"
+        return f"{structure.states} states, {structure.curves} {what}, delay {delays}"
     linear = len(plan.orders.linear(found.problem))
     bent = len(candidate.fit.features) - linear
     lags = f"{plan.orders.outputs} lags of {found.output}, {plan.orders.inputs} of each input"
@@ -205,13 +223,23 @@ def _part(found: Identified) -> dict[str, Any]:
     ]
     bands = "Grey: 99 % of the values lie there if there is no correlation."
     drawn.append((bands, figures.residual_figure(tests_of(found))))
+    states = isinstance(found.model, SplineStateSpace)
     passed = (
         "Scaled parameters while the structure learns the training data once, by the one-step "
         "error. They may end elsewhere than the parameters of the fit."
     )
+    if states:
+        passed = (
+            "Scaled parameters while the model learns the training data once, from straight curves "
+            "on. They may end elsewhere than the parameters of the fit."
+        )
     drawn.append((passed, figures.parameter_figure(found)))
     bent = "One-step prediction while all lags of one signal have one value, the others their mean."
+    if states:
+        bent = "Output at rest over one input, the others at their mean."
     drawn.append((bent, figures.curve_figure(found)))
+    inner = "Curves inside, of scaled combinations of states and inputs."
+    drawn.append((inner, figures.inner_figure(found)))
     return {
         "headline": headline(found),
         "sections": sections(found),
@@ -269,10 +297,16 @@ def sections(found: Identified) -> tuple[Section, ...]:
     use = "test" if found.tested else "training"
     online = [
         f"free run over {e.recording} ({use}): {number(e.free_run)} as fitted, {number(e.online)} "
-        "if the same structure learns the training data online, in one pass from nothing."
+        f"if the same structure learns the training data online, in one pass {_begun(found)}."
         for e in (found.tested or found.trained)
     ]
-    by = "the free run's" if found.model.settings.output_error_after else "the one-step"
+    settings = found.model.settings
+    simulates = (
+        not settings.process_noise
+        if isinstance(settings, SplineStateSpaceSettings)
+        else settings.output_error_after > 0
+    )
+    by = "the free run's" if simulates else "the one-step"
     online.append(f"The model goes on learning by {by} error.")
     return (
         Section(title="Structure", lines=(f"{found.kind}.",)),
@@ -281,6 +315,11 @@ def sections(found: Identified) -> tuple[Section, ...]:
         Section(title="Learned online", lines=tuple(online)),
         Section(title="Data", lines=found.notes),
     )
+
+
+def _begun(found: Identified) -> str:
+    """Where one pass begins."""
+    return "from straight curves" if isinstance(found.model, SplineStateSpace) else "from nothing"
 
 
 def errors_table(found: Identified) -> Table:
@@ -299,9 +338,18 @@ def _features_table(found: Identified) -> Table:
     rows = []
     for one in features(found):
         rows.append([one["feature"], ", ".join(map(number, one["scaled_parameters"]))])
+    caption = (
+        f"{found.output}(t) is the sum of these, with signals scaled to [-1, 1]; hinges and widths "
+        "in the units of their signals"
+    )
+    if isinstance(found.model, SplineStateSpace):
+        caption = (
+            "x(t+1) = A x + B u + sum of w f(z), "
+            f"{found.output}(t) = C x + D u + d + sum of o f(z), with z = v [x; u], curves "
+            "f = sum of e N(z) and signals scaled to [-1, 1]; matrices by rows"
+        )
     return Table(
-        caption=f"{found.output}(t) is the sum of these, with signals scaled to [-1, 1]; "
-        "hinges and widths in the units of their signals",
+        caption=caption,
         head=("feature", "parameters"),
         rows=rows,
         words=2,

@@ -1,0 +1,129 @@
+// Simulation of a state-space model over a stretch of a record from a given state, and the sums from
+// which a Gauss-Newton step is made.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "identification/state_space.h"
+
+namespace leglab::identification {
+
+// With psi = d y / d (theta, x0, g), where g are the splines' weights of a further curve: those of
+// what it adds to each state, then to the output. The curve itself is zero.
+template <class T>
+struct StateSums {
+  std::vector<T> products;  // (width, width), the lower triangle: sum of psi_i psi_j
+  std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
+  T error = T(0);           // sum of squared errors
+  std::size_t count = 0;    // of samples
+};
+
+template <class T>
+class StateRun {
+ public:
+  // `further`: weights of states and inputs in the argument of a further curve, or nullptr; owned by
+  // the caller.
+  StateRun(const StateStructure<T>& structure, T lower, T upper, const T* further)
+      : further_(further), lower_(lower), upper_(upper) {
+    width_ = structure.parameters() + structure.states;
+    if (further != nullptr) width_ += (structure.states + 1) * structure.basis.count;
+    Workspace measuring;
+    lay_out(measuring, structure);
+    block_.resize(measuring.used() / sizeof(Line) + 1);
+    Workspace workspace(block_[0].bytes);
+    lay_out(workspace, structure);
+    sums_.products.resize(std::size_t(width_) * std::size_t(width_));
+    sums_.gradient.resize(std::size_t(width_));
+  }
+
+  int width() const { return width_; }
+  const StateSums<T>& sums() const { return sums_; }
+
+  // Simulates `length` samples of inputs (length, inputs) from the state x0; y may have gaps (NaN).
+  // Writes the states, (length, states), where they are given.
+  void run(const T* u, const T* y, int length, const T* theta, const T* x0, bool sensitivities,
+           T* states = nullptr) {
+    clear();
+    const StateStructure<T>& s = model_.structure();
+    const int n = s.states;
+    for (int i = 0; i < n; ++i) x_[i] = x0[i];
+    for (int i = 0; i < n * width_; ++i) sensitivity_[i] = T(0);
+    for (int i = 0; i < n; ++i) sensitivity_[i * width_ + s.parameters() + i] = T(1);
+    int waiting = 0;  // sensitivities whose products are to be added
+    for (int t = 0; t < length; ++t) {
+      for (int i = 0; states != nullptr && i < n; ++i) states[t * n + i] = x_[i];
+      const T free = model_.evaluate(theta, x_, u + t * s.inputs);
+      const T own = clamp(free, lower_, upper_);
+      T* psi = psi_ + waiting * width_;
+      if (sensitivities) {
+        model_.linearise(theta);
+        model_.propagate(theta, sensitivity_, psi);
+        if (further_ != nullptr) add_further(x_, u + t * s.inputs, psi);
+      }
+      const T error = y[t] - own;
+      if (is_finite(error)) {
+        sums_.error += error * error;
+        ++sums_.count;
+        if (sensitivities && own == free) {
+          add_scaled(sums_.gradient.data(), psi, error, width_);
+          if (++waiting == rows) {
+            add_four_products(sums_.products.data(), psi_, width_);
+            waiting = 0;
+          }
+        }
+      }
+      for (int i = 0; i < n; ++i) x_[i] = model_.next()[i];
+    }
+    for (int i = waiting * width_; waiting > 0 && i < rows * width_; ++i) psi_[i] = T(0);
+    if (waiting > 0) add_four_products(sums_.products.data(), psi_, width_);
+  }
+
+ private:
+  struct alignas(Workspace::alignment) Line {
+    std::byte bytes[Workspace::alignment];
+  };
+
+  static constexpr int rows = 4;
+
+  // What the weights of the further curve do at this sample.
+  void add_further(const T* x, const T* u, T* psi) {
+    const StateStructure<T>& s = model_.structure();
+    T z = T(0);
+    for (int i = 0; i < s.states; ++i) z += further_[i] * x[i];
+    for (int j = 0; j < s.inputs; ++j) z += further_[s.states + j] * u[j];
+    const LocalBasis<T> local = s.basis.evaluate(z);
+    const int first = s.parameters() + s.states + local.first;
+    for (int i = 0; i <= s.states; ++i) {
+      T* row = i < s.states ? sensitivity_ + i * width_ : psi;
+      for (int k = 0; k < 3; ++k) row[first + i * s.basis.count + k] += local.value[k];
+    }
+  }
+
+  void clear() {
+    for (auto* part : {&sums_.products, &sums_.gradient}) {
+      for (T& value : *part) value = T(0);
+    }
+    sums_.error = T(0);
+    sums_.count = 0;
+  }
+
+  void lay_out(Workspace& workspace, const StateStructure<T>& structure) {
+    model_.layout(workspace, structure, width_);
+    x_ = workspace.take<T>(structure.states);
+    sensitivity_ = workspace.take<T>(structure.states * width_);
+    psi_ = workspace.take<T>(rows * width_);
+  }
+
+  int width_ = 0;
+  const T* further_;
+  T lower_, upper_;
+  std::vector<Line> block_;
+  StateSpace<T> model_;
+  T* x_ = nullptr;
+  T* sensitivity_ = nullptr;
+  T* psi_ = nullptr;  // of some samples
+  StateSums<T> sums_;
+};
+
+}  // namespace leglab::identification

@@ -1,0 +1,386 @@
+"""State-space models with static curves, fitted to the free run; see `StateSpace`.
+
+The best linear model of an order is found first (high-order ARX, its impulse response realised,
+output-error fit). Then curves are added one by one: of many combinations of states and inputs that
+one whose curve promises to explain most of the free run's error. All parameters are fitted anew
+after each. Schoukens and Toth (2020) begin nonlinear LFR models so, Paduart et al. (2010)
+polynomial ones.
+"""
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from leglab._native.structure import StateRuns
+from leglab.identification.spline_state_space import StateSpace
+from leglab.identification.structure.fit import (
+    ITERATIONS,
+    Array,
+    Fit,
+    Problem,
+    Stretch,
+    descend,
+    roughness,
+    solve,
+)
+
+_ARX = 20  # lags of the ARX model whose impulse response is realised, at most
+_RESPONSE = 60  # samples of the response in either direction of the Hankel matrix
+_LINEAR = 0.01  # prior precision of A, B, C, D and of a start, relative to that of a curve
+_RANDOM = 16  # combinations of states and inputs that are drawn
+_TRIED = 2  # curves of the largest promise that are fitted, of which the best is taken
+_GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the best
+_ANEW = 6  # iterations of a fit without a block that starts at the fit with it
+_WORTH = 0.997  # a curve that leaves more of the RMS error of the fit ends a path
+_SHORTEST = 500  # samples of a segment where a record is too long for the budget
+_MOST = 24  # segments of a fit, each of which has a start of its own
+_NONE = np.zeros(0)  # no further curve
+_RIDGE = 1e-9  # smallest singular value and reach of a state
+
+
+class Segments(NamedTuple):
+    """What a fit simulates: stretches of records, each from a start that is fitted as well.
+
+    Attributes:
+        of: The stretches.
+        runs: Core simulations of their records, for one structure.
+    """
+
+    of: tuple[Stretch, ...]
+    runs: tuple[StateRuns, ...]
+
+    def sums(self, theta: Array, count: int, *, sensitivities: bool, further: int = 0) -> "Sums":
+        """Sums over all segments for parameters and starts, (count + segments * n,).
+
+        Those of the `further` weights of a further curve are the last.
+        """
+        n = (len(theta) - count) // len(self.of)
+        width = len(theta)
+        error, samples = 0.0, 0
+        products, gradient = np.zeros((width + further,) * 2), np.zeros(width + further)
+        for k, stretch in enumerate(self.of):
+            own = slice(count + k * n, count + (k + 1) * n)
+            runs = self.runs[stretch.record]
+            found = runs.sums(
+                theta[:count], theta[own], stretch.start, stretch.length, sensitivities
+            )
+            error, samples = error + found[0], samples + found[1]
+            if sensitivities:
+                at = np.r_[:count, own, width : width + further]
+                products[np.ix_(at, at)] += found[2]
+                gradient[at] += found[3]
+        return Sums(error, samples, products, gradient)
+
+    def states(self, theta: Array, count: int) -> Array:
+        """States of all segments, (N, n)."""
+        n = (len(theta) - count) // len(self.of)
+        starts = theta[count:].reshape(-1, n)
+        return np.concatenate([
+            self.runs[s.record].states(theta[:count], x0, s.start, s.length)
+            for s, x0 in zip(self.of, starts, strict=True)
+        ])  # fmt: skip
+
+
+class Sums(NamedTuple):
+    """Sums over segments, in scaled units; see csrc/identification/state_run.h."""
+
+    error: float
+    samples: int
+    products: Array
+    gradient: Array
+
+
+def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -> list[Stretch]:
+    """Parts of the records outside of a block that is held out, evenly where they are too long."""
+    whole: list[Stretch] = []
+    for k, record in enumerate(problem.records):
+        ends = [(0, len(record))]
+        if without is not None and without.record == k:
+            ends = [(0, without.start), (without.start + without.length, len(record))]
+        # Simulation needs no measured outputs; what has hardly any teaches nothing.
+        whole += [Stretch(k, a, b - a) for a, b in ends if np.isfinite(record.y[a:b]).sum() > 1]
+    total = sum(s.length for s in whole)
+    if total <= budget and len(whole) <= _MOST:
+        return whole
+    length = max(_SHORTEST, min(budget, total) // _MOST)
+    pieces = [
+        Stretch(s.record, s.start + at, min(length, s.length - at))
+        for s in whole
+        for at in range(0, s.length, length)
+    ]
+    keep = min(_MOST, max(1, budget // length), len(pieces))
+    return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, keep).round().astype(int))]
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A model while it is fitted: parameters, then the start of each segment."""
+
+    structure: StateSpace
+    theta: Array
+
+    @property
+    def parameters(self) -> Array:
+        return self.theta[: self.structure.count]
+
+
+class StatePath:
+    """A model that grows by the curve that promises to explain most of the free run's error.
+
+    Args:
+        problem: Records.
+        structure: States and delays. It may have curves if it starts somewhere.
+        strength: Of the prior of the parameters.
+        budget: Samples that a fit simulates.
+        block: What is held out.
+        start: Parameters, (count,); the best linear model by default.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        structure: StateSpace,
+        strength: float,
+        budget: int,
+        block: Stretch | None = None,
+        start: Array | None = None,
+    ) -> None:
+        self._problem, self._strength, self._budget = problem, strength, budget
+        self._of = tuple(segments_of(problem, budget, block))
+        # The same directions for all blocks.
+        self._rng = np.random.default_rng(structure.states)
+        self.ended = False
+        theta = realised(problem, structure, self._of) if start is None else start
+        theta = np.append(theta, np.zeros(len(self._of) * structure.states))
+        if start is None:
+            theta = self._scaled(structure, theta)
+        self._model, error = self._fitted(_Model(structure, theta), ITERATIONS)
+        if start is None:
+            scaled = self._scaled(structure, self._model.theta)
+            self._model = replace(self._model, theta=scaled)
+        self.fit = self._told(error)
+
+    def grow(self) -> None:
+        """Takes one more curve, or ends where none is worth it."""
+        if self.ended:
+            return
+        best: tuple[_Model, float] | None = None
+        for tried in self._promising():
+            fitted = self._fitted(tried, _GLANCE)
+            if best is None or fitted[1] < best[1]:
+                best = fitted
+        if best is not None:
+            best = self._fitted(best[0], _STEPS)
+        if best is None or not best[1] < _WORTH * self.fit.error:
+            self.ended = True
+            return
+        self._model = best[0]
+        self.fit = self._told(best[1])
+
+    def without(self, block: Stretch) -> Fit:
+        """Fits the model to what is outside of a block, from where it is."""
+        return self._elsewhere(segments_of(self._problem, self._budget, block), _ANEW)
+
+    def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
+        """Fits the model to other segments, each from the state that the model has there."""
+        structure = self._model.structure
+        x = self._segments(structure).states(self._model.theta, structure.count)
+        ends = np.cumsum([s.length for s in self._of])
+        starts = np.zeros((len(of), structure.states))
+        for k, there in enumerate(of):
+            for own, end in zip(self._of, ends, strict=True):
+                if own.record == there.record and 0 <= there.start - own.start < own.length:
+                    starts[k] = x[end - own.length + there.start - own.start]
+        other = copy(self)
+        other._of = tuple(of)
+        other._model = replace(self._model, theta=np.append(self._model.parameters, starts))
+        other._model, error = other._fitted(other._model, iterations)
+        return other._told(error)
+
+    def _told(self, error: float) -> Fit:
+        variance = max(error**2 * self._problem.variance, 1e-12)
+        structure = replace(self._model.structure, noise=variance)
+        return Fit((structure,), self._model.parameters.copy(), error)
+
+    def _segments(self, structure: StateSpace, further: Array = _NONE) -> Segments:
+        settings = self._problem.model((structure,))
+        records = self._problem.records
+        return Segments(self._of, tuple(StateRuns(settings, r.u, r.y, further) for r in records))
+
+    def _fitted(self, model: _Model, iterations: int) -> tuple[_Model, float]:
+        count = model.structure.count
+        segments = self._segments(model.structure)
+
+        def sums(theta: Array, sensitivities: bool) -> Sums:
+            return segments.sums(theta, count, sensitivities=sensitivities)
+
+        form = self._strength / self._problem.count * self._prior(model)
+        centre = model.theta.copy()
+        centre[model.structure.spline_weights] = 0.0
+        theta, error = descend(
+            sums, model.theta, form, self._problem.variance, iterations, centre=centre
+        )
+        return replace(model, theta=theta), error
+
+    def _prior(self, model: _Model) -> Array:
+        """Quadratic form: about zero for the splines, about the start of the fit for the others."""
+        structure = model.structure
+        out = np.diag(np.full(len(model.theta), _LINEAR))
+        curves = np.arange(structure.linear, structure.count)
+        out[curves, curves] = 1.0
+        for own in structure.spline_weights:
+            out[np.ix_(own, own)] = roughness(structure.splines)
+        return out
+
+    def _scaled(self, structure: StateSpace, theta: Array) -> Array:
+        """The same linear model with states whose largest value is one."""
+        x = self._segments(structure).states(theta, structure.count)
+        reach = np.maximum(np.abs(x).max(axis=0), _RIDGE)
+        parts = structure.parts(theta)
+        return np.concatenate([
+            (parts.A * reach / reach[:, None]).ravel(),
+            (parts.B / reach[:, None]).ravel(),
+            parts.C * reach,
+            parts.D,
+            [parts.d],
+            (theta[structure.count :].reshape(-1, structure.states) / reach).ravel(),
+        ])  # fmt: skip
+
+    def _promising(self) -> list[_Model]:
+        """Models with one more curve, those first that explain most to first order."""
+        now = self._model.structure
+        structure = replace(now, curves=now.curves + 1)
+        at = self._model.theta
+        found: list[tuple[float, Array]] = []
+        for v in self._directions():
+            further = (now.states + 1) * now.splines
+            sums = self._segments(now, v).sums(at, now.count, sensitivities=True, further=further)
+            for k, (gain, splines) in enumerate(self._gains(sums)):
+                target = np.eye(now.states + 1)[k]
+                curve = np.concatenate([v, target, splines])
+                found.append((gain, np.insert(at, now.count, curve)))
+        found.sort(key=lambda one: -one[0])
+        return [_Model(structure, theta) for _, theta in found[:_TRIED]]
+
+    def _gains(self, sums: Sums) -> Iterator[tuple[float, Array]]:
+        """Share of the squared error that a curve explains, and its splines, by what it adds to.
+
+        To first order, as `promises` of the search.
+        """
+        structure, width = self._model.structure, len(self._model.theta)
+        share = self._strength / self._problem.count
+        products, gradient = sums.products / sums.error, sums.gradient / sums.error
+        hessian = products[:width, :width] + share * self._prior(self._model)
+        cross = products[width:, :width]
+        inner = solve(hessian, np.column_stack([cross.T, gradient[:width]]))
+        left = gradient[width:] - cross @ inner[:, -1]
+        gram = products[width:, width:] - cross @ inner[:, :-1]
+        form = share * roughness(structure.splines)
+        for own in np.split(np.arange(len(left)), structure.states + 1):
+            splines = solve(gram[np.ix_(own, own)] + form, left[own])
+            yield float(left[own] @ splines), splines
+
+    def _directions(self) -> list[Array]:
+        """Combinations of states and inputs: each alone, the output, its rate, and random ones.
+
+        They are scaled to a largest value of one.
+        """
+        structure = self._model.structure
+        parts = structure.parts(self._model.parameters)
+        x = self._segments(structure).states(self._model.theta, structure.count)
+        z = np.column_stack([x, self._inputs(structure)])
+        _, spread, axes = np.linalg.svd(z - z.mean(axis=0), full_matrices=False)
+        spread = np.maximum(spread / np.sqrt(len(z)), 1e-3 * spread[0] / np.sqrt(len(z)))
+        wanted = [
+            *np.eye(z.shape[1]),
+            np.append(parts.C, parts.D),
+            np.append(parts.C @ parts.A - parts.C, parts.C @ parts.B),
+            *((self._rng.normal(size=(_RANDOM, len(spread))) / spread) @ axes),
+        ]
+        reach = [np.abs(z @ v).max() for v in wanted]
+        return [v / r for v, r in zip(wanted, reach, strict=True) if r > _RIDGE]
+
+    def _inputs(self, structure: StateSpace) -> Array:
+        signals = self._problem.template.inputs
+        columns = []
+        for s in self._of:
+            u = self._problem.records[s.record].u
+            at = np.arange(s.start, s.start + s.length)
+            columns.append(np.column_stack([
+                (u[np.maximum(at - d, 0), j] - one.centre) / one.half_range
+                for j, (d, one) in enumerate(zip(structure.delays, signals, strict=True))
+            ]))  # fmt: skip
+        return np.concatenate(columns)
+
+
+def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> Array:
+    """Parameters of a linear model: balanced realisation of a high-order ARX model.
+
+    Ho and Kalman's realisation of the impulse response (Kung 1978), (count,).
+    """
+    n, inputs = structure.states, len(structure.delays)
+    lags = max(n, min(_ARX, problem.count // (10 * (1 + inputs))))
+    output, signals = problem.template.output, problem.template.inputs
+    rows, right = [], []
+    for s in of:
+        record = problem.records[s.record]
+        y = (record.y[s.start : s.start + s.length] - output.centre) / output.half_range
+        at = np.arange(lags, s.length)
+        columns = [y[at - k] for k in range(1, lags + 1)]
+        for j, (delay, signal) in enumerate(zip(structure.delays, signals, strict=True)):
+            late = np.maximum(np.arange(s.length) + s.start - delay, 0)
+            u = (record.u[late, j] - signal.centre) / signal.half_range
+            columns += [u[at - k] for k in range(lags + 1)]
+        table = np.column_stack([*columns, np.ones(len(at)), y[at]])
+        table = table[np.isfinite(table).all(axis=1)]
+        rows.append(table[:, :-1])
+        right.append(table[:, -1])
+    table, wanted = np.concatenate(rows), np.concatenate(right)
+    ridge = 1e-6 * max(len(wanted), 1) * np.eye(table.shape[1])
+    found = solve(table.T @ table + ridge, table.T @ wanted)
+    a, b = found[:lags], found[lags:-1].reshape(inputs, lags + 1)
+    response = np.zeros((2 * _RESPONSE + 1, inputs))
+    for t in range(len(response)):
+        past = response[max(t - lags, 0) : t][::-1]
+        response[t] = a[: len(past)] @ past + (b[:, t] if t <= lags else 0.0)
+    response = np.nan_to_num(np.clip(response, -1e3, 1e3))
+    left, spread, across = np.linalg.svd(_hankel(response, 1), full_matrices=False)
+    root = np.sqrt(np.maximum(spread[:n], _RIDGE))
+    left, across = left[:, :n], across[:n]
+    matrix = (left / root).T @ _hankel(response, 2) @ (across.T / root)
+    largest = np.abs(np.linalg.eigvals(matrix)).max()
+    matrix *= min(1.0, 0.999 / max(largest, _RIDGE))
+    reach = (root[:, None] * across)[:, :inputs]
+    return np.concatenate([matrix.ravel(), reach.ravel(), left[0] * root, response[0], [found[-1]]])
+
+
+def _hankel(response: Array, first: int) -> Array:
+    """Responses from `first` on: row i, column block k has that of sample first + i + k."""
+    at = first + np.arange(_RESPONSE)[:, None] + np.arange(_RESPONSE)
+    return response[at].reshape(_RESPONSE, -1)
+
+
+def refitted(problem: Problem, fit: Fit, strength: float, budget: int) -> Fit:
+    """Fits a model once more, to as many samples."""
+    return StatePath(problem, _structure(fit), strength, budget, start=fit.theta).fit
+
+
+def information_of(problem: Problem, fit: Fit) -> Array:
+    """Sum of psi psi' over all records from rest, (count, count); psi = d y / d theta, scaled."""
+    structure = _structure(fit)
+    settings = problem.model((structure,))
+    total = np.zeros((structure.count,) * 2)
+    for record in problem.records:
+        runs = StateRuns(settings, record.u, record.y, _NONE)
+        found = runs.sums(fit.theta, np.zeros(structure.states), 0, len(record), True)
+        total += found[2][: structure.count, : structure.count]
+    return total
+
+
+def _structure(fit: Fit) -> StateSpace:
+    (structure,) = fit.features
+    assert isinstance(structure, StateSpace), structure
+    return structure
