@@ -3,7 +3,7 @@
 Public sets from $LEGLAB_DATA or ../shared/data, and machines that are simulated: four whose
 equations are fitted as well, and a family that is drawn by a seed (`--drawn SEED NUMBER`).
 Everything is chosen from the training part; the free run on the test part is scored. Each chosen
-structure also learns online from nothing: its time per sample is compared with that of dense
+model also goes on learning online: its time per sample is compared with that of dense
 recursive least squares, and a stream of wild samples must leave it finite.
 """
 
@@ -21,7 +21,7 @@ from benchmarks import bsnn_arx_speed, data_sets, results, structure_peers
 from benchmarks.simulated_machines import MACHINES, drawn
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
-from leglab.identification import SplineNarx, StateSpace
+from leglab.identification import Identifier, StateSpace
 from leglab.identification.structure import Identified, identify
 from leglab.studies.shared_data import shared_data
 
@@ -154,7 +154,7 @@ def _drawn(seed: int, number: int) -> Set:
 
 
 def online(found: Identified) -> list[Any]:
-    """Row of the structure that learns from nothing: parameters, ns, over a bare loop, stream.
+    """Row of the model as it goes on learning: parameters, ns, over a bare loop, stream.
 
     The bare loop is dense recursive least squares with as many parameters and nothing else: no
     regressors, no forgetting, no guards.
@@ -167,7 +167,7 @@ def online(found: Identified) -> list[Any]:
     count, samples = len(found.model.parameters), len(y)
     phi = np.random.default_rng(0).normal(size=(samples, count))
     works = {
-        "online": (lambda: SplineNarx(found.model.settings).run(u, y), samples),
+        "online": (lambda: found.model.copy().run(u, y), samples),
         "bare": (
             lambda: native.bare_rls(
                 *(a.ctypes.data_as(ctypes.c_void_p) for a in (phi, y)), samples, count
@@ -189,10 +189,10 @@ def _native() -> ctypes.CDLL:
     return _LIBRARIES[0]
 
 
-def stays_finite(model: SplineNarx) -> bool:
+def stays_finite(model: Identifier) -> bool:
     """Whether all stays finite over jumps, NaN, rests and changes of scale in a stream."""
     rng = np.random.default_rng(0)
-    learner = SplineNarx(model.settings)
+    learner = model.copy()
     signals = model.settings.signals
     for _ in range(STREAM // 10_000):
         columns = []

@@ -283,7 +283,8 @@ def test_a_stream_of_anything_leaves_no_number_that_is_not_finite(dead_zone, lin
 def test_the_c_header_runs_as_the_model_does(dead_zone, tmp_path):
     from leglab.identification.c_header import c_header
 
-    model, record = dead_zone.model, dead_zone.tests[0]
+    curves = next(c for c in dead_zone.candidates if c.plan.kind == "curves")
+    model, record = dead_zone.problem.identifier(curves.fit), dead_zone.tests[0]
     (tmp_path / "model.h").write_text(c_header(model, "my model", dead_zone.period))
     u, lags = record.u[:, 0], model.lags
     lines = [f"{a!r} {b!r}" for a, b in zip(u.tolist(), record.y.tolist(), strict=True)]

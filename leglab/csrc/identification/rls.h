@@ -94,8 +94,9 @@ class Rls {
     return i < n ? even + odd + theta_[i] * phi[i] : even + odd;
   }
 
-  // One update with regressor phi and a-priori error; true where a change was detected.
-  bool update(const T* phi, T error, Support support = {}) {
+  // One update with regressor phi and a-priori error; true where a change was detected. `variance` is
+  // that of the noise in this sample over that in others.
+  bool update(const T* phi, T error, Support support = {}, T variance = T(1)) {
     bool changed = false;
     T power = factor_.project(phi, support);
     const T squared = error * error;
@@ -110,7 +111,7 @@ class Rls {
       else factor_.inflate(change.gain, settings_.gain_bound);
       power = factor_.project(phi, support);
     }
-    const T denominator = forget(power, squared);
+    const T denominator = forget(power, squared, variance);
     const T weight = error / denominator;
     const T* gain = factor_.gain_vector();
     const int n = size();
@@ -169,18 +170,19 @@ class Rls {
   }
 
   // Updates F; returns what the gain F phi is divided by.
-  T forget(T power, T squared) {
+  T forget(T power, T squared, T variance) {
     const T one = T(1);
     T factor = one;
     switch (settings_.forgetting) {
       case Forgetting::none: break;
       case Forgetting::exponential: factor = settings_.forgetting_factor; break;
       case Forgetting::directional: {
-        const T beta = settings_.forgetting_factor - (one - settings_.forgetting_factor) / power;
+        const T lost = (one - settings_.forgetting_factor) * variance;
+        const T beta = settings_.forgetting_factor - lost / power;
         // Without excitation there is nothing to forget, and 1 / power overflows.
         const bool excited = power > T(1e-12);
-        factor_.update(one, excited ? beta : T(0), one, settings_.gain_bound);
-        return one + power;
+        factor_.update(variance, excited ? beta : T(0), one, settings_.gain_bound);
+        return variance + power;
       }
       case Forgetting::variable: {
         const T noise = settings_.noise_variance > T(0) ? settings_.noise_variance
@@ -192,8 +194,8 @@ class Rls {
       }
     }
     tally_->factor = factor;
-    factor_.update(factor, one, one / factor, settings_.gain_bound);
-    return factor + power;
+    factor_.update(factor * variance, one, one / factor, settings_.gain_bound);
+    return factor * variance + power;
   }
 
   RlsSettings<T> settings_;

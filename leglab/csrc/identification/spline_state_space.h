@@ -83,25 +83,26 @@ class SplineStateSpace {
     T u[GuardSettings<T>::max_inputs];
     for (int j = 0; j < inputs(); ++j) u[j] = input[j];
     const Sample verdict = guard_.judge(u, y, present);
-    const T prediction = expect(u);
-    const T error = settings_.output.apply(y) - prediction;
-    // Where the output itself is doubtful, the state follows the model alone.
     const bool measured = verdict == Sample::learned || verdict == Sample::frozen ||
                           verdict == Sample::recovering || verdict == Sample::saturated;
-    const bool learns = verdict == Sample::learned;
+    if (!measured) lose_state(input, u);
+    const T prediction = expect(u);
+    const T error = settings_.output.apply(y) - prediction;
     const bool follows = !guard_.state().frozen;
     model_.linearise(rls_.theta());
     if (follows) model_.propagate(rls_.theta(), sensitivity_, psi_);
-    advance(measured ? error : T(0), measured);
+    // Where the output itself is doubtful, the state follows the model alone.
+    const T variance = advance(error, measured);
     if (follows && measured) {
       for (int i = 0; i < settings_.structure.states; ++i) {
         T* row = sensitivity_ + i * parameters_;
         for (int p = 0; p < parameters_; ++p) row[p] -= gain_[i] * psi_[p];
       }
     }
-    if (learns) {
+    if (verdict == Sample::learned) {
       ++state_->learned;
-      rls_.update(psi_, error);
+      // An error that the state explains tells little of the parameters.
+      rls_.update(psi_, error, {}, variance / settings_.noise);
     }
     return settings_.output.undo(prediction);
   }
@@ -138,8 +139,19 @@ class SplineStateSpace {
     return model_.evaluate(rls_.theta(), x_, late);
   }
 
-  // x(t + 1) and its covariance from those of x(t), after `linearise`.
-  void advance(T error, bool measured) {
+  // Where an input is not known, no state is: another recording may follow.
+  void lose_state(const T* input, const T* used) {
+    for (int j = 0; j < inputs(); ++j) {
+      if (input[j] == used[j]) continue;
+      forget_covariance();
+      for (int i = 0; i < settings_.structure.states * parameters_; ++i) sensitivity_[i] = T(0);
+      return;
+    }
+  }
+
+  // x(t + 1) and its covariance from those of x(t), after `linearise`; returns the variance of the
+  // prediction's error.
+  T advance(T error, bool measured) {
     const int n = settings_.structure.states;
     const T* j = model_.jacobian();
     const T* c = model_.output_slope();
@@ -154,7 +166,7 @@ class SplineStateSpace {
     }
     bool sound = true;
     for (int i = 0; i < n; ++i) {
-      const T next = model_.next()[i] + gain_[i] * error;
+      const T next = measured ? model_.next()[i] + gain_[i] * error : model_.next()[i];
       x_[i] = clamp(next, -settings_.structure.reach, settings_.structure.reach);
       for (int k = 0; k <= i; ++k) {
         T sum = i == k ? settings_.process_noise : T(0);
@@ -165,6 +177,7 @@ class SplineStateSpace {
       sound &= covariance_[i * n + i] >= T(0) && all_finite(covariance_ + i * n, n);
     }
     if (!sound) forget_covariance();
+    return spread;
   }
 
   static void multiply(const T* a, const T* b, T* out, int n) {

@@ -109,7 +109,7 @@ class Identified:
     @property
     def kind(self) -> str:
         """What a field calls the model."""
-        kind = library.kind_of(self.problem, self.chosen.fit.features)
+        kind = library.kind_of(self.problem, self.chosen.fit)
         how = {"linear": ", fitted to the free run", "one step": ", fitted to one step (ARX)"}
         return kind + how.get(self.chosen.plan.kind, "")
 
@@ -395,7 +395,10 @@ def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]
             narx.parameters = theta
             yield narx, simulator.sums(theta, own, sensitivities=True).products
         return
-    information = information_of(problem, best.fit)
+    information = information_of(problem, best.fit, best.plan.strength)
+    # Many parameters change nothing together: their gain would grow while the samples forget them.
+    rls = replace(settings.rls, forgetting="directional")
+    settings = replace(settings, rls=rls)
     for disturbed in (False, True):
         model = SplineStateSpace(settings)
         model.parameters = theta

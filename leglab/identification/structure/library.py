@@ -1,6 +1,6 @@
 """Features that a structure may take, made from the lags of its signals."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from leglab.identification.basis import Basis
 from leglab.identification.features import Constant, Feature, Lags, Spline, Term
-from leglab.identification.spline_state_space import SplineStateSpace, StateSpace
-from leglab.identification.structure.fit import Array, Features, Model, Problem
+from leglab.identification.spline_state_space import Curve, SplineStateSpace, StateSpace
+from leglab.identification.structure.fit import Array, Fit, Model, Problem
 
 HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges stand
 SPLINES, FINE = 8, 16  # of a curve
@@ -90,16 +90,20 @@ def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Fea
     return out
 
 
+# Share of a curve's weights below which they do nothing; signals and states reach one.
+_SMALL = 0.1
 # Those that are tried first, and what the best one may become.
 Maker = Callable[[Problem, Orders], list[Feature]]
 KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
 REFINED: dict[str, Maker] = {"fine curves": partial(curves, splines=FINE)}
 
 
-def kind_of(problem: Problem, features: Features) -> str:
-    """What a field calls a model of these features."""
-    if isinstance(features[0], StateSpace):
-        return _state_space(features[0])
+def kind_of(problem: Problem, fit: Fit) -> str:
+    """What a field calls a model."""
+    first = fit.features[0]
+    if isinstance(first, StateSpace):
+        return _state_space(first, first.parts(fit.theta).curves)
+    features = problem.lagged(fit.features).features
     output = problem.template.output.name
     bent = [f for f in features if isinstance(f, Term | Spline)]
     if all(isinstance(f, Constant) for f in features):
@@ -113,12 +117,21 @@ def kind_of(problem: Problem, features: Features) -> str:
     return "nonlinear in the output's lags as well (NARX)"
 
 
-def _state_space(structure: StateSpace) -> str:
+def _state_space(structure: StateSpace, curves: Sequence[Curve]) -> str:
     linear = f"linear state space of order {structure.states}"
-    if not structure.curves:
+    if not curves:
         return linear
-    curves = "a static curve" if structure.curves == 1 else f"{structure.curves} static curves"
-    return f"{linear} in feedback with {curves} of states and inputs (nonlinear LFR)"
+    many = "a static curve" if len(curves) == 1 else f"{len(curves)} static curves"
+    n = structure.states
+
+    def small(part: Array, whole: Array) -> bool:
+        return float(np.abs(part).sum()) < _SMALL * float(np.abs(whole).sum())
+
+    if all(small(c.v[:n], c.v) for c in curves):
+        return f"Hammerstein: {many} of inputs before a {linear}"
+    if all(small(c.w, np.append(c.w, c.o)) for c in curves):
+        return f"Wiener: {many} behind a {linear}"
+    return f"{linear} in feedback with {many} of states and inputs (nonlinear LFR)"
 
 
 def name_of(feature: Feature) -> str:

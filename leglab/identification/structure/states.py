@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from leglab._native.structure import StateRuns
 from leglab.identification.spline_state_space import StateSpace
@@ -226,14 +227,8 @@ class StatePath:
         return replace(model, theta=theta), error
 
     def _prior(self, model: _Model) -> Array:
-        """Quadratic form: about zero for the splines, about the start of the fit for the others."""
-        structure = model.structure
-        out = np.diag(np.full(len(model.theta), _LINEAR))
-        curves = np.arange(structure.linear, structure.count)
-        out[curves, curves] = 1.0
-        for own in structure.spline_weights:
-            out[np.ix_(own, own)] = roughness(structure.splines)
-        return out
+        starts = len(model.theta) - model.structure.count
+        return np.asarray(block_diag(prior_of(model.structure), _LINEAR * np.eye(starts)), float)
 
     def _scaled(self, structure: StateSpace, theta: Array) -> Array:
         """The same linear model with states whose largest value is one."""
@@ -316,6 +311,16 @@ class StatePath:
         return np.concatenate(columns)
 
 
+def prior_of(structure: StateSpace) -> Array:
+    """Quadratic form, (count, count): about zero for splines, about the fit's start for others."""
+    out = np.diag(np.full(structure.count, _LINEAR))
+    curves = np.arange(structure.linear, structure.count)
+    out[curves, curves] = 1.0
+    for own in structure.spline_weights:
+        out[np.ix_(own, own)] = roughness(structure.splines)
+    return out
+
+
 def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> Array:
     """Parameters of a linear model: balanced realisation of a high-order ARX model.
 
@@ -368,11 +373,14 @@ def refitted(problem: Problem, fit: Fit, strength: float, budget: int) -> Fit:
     return StatePath(problem, _structure(fit), strength, budget, start=fit.theta).fit
 
 
-def information_of(problem: Problem, fit: Fit) -> Array:
-    """Sum of psi psi' over all records from rest, (count, count); psi = d y / d theta, scaled."""
+def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
+    """Sum of psi psi' over all records from rest, and what the prior of some strength weighs.
+
+    In squares of the output's error, (count, count); psi = d y / d theta, scaled.
+    """
     structure = _structure(fit)
     settings = problem.model((structure,))
-    total = np.zeros((structure.count,) * 2)
+    total = strength * fit.error**2 * problem.variance * prior_of(structure)
     for record in problem.records:
         runs = StateRuns(settings, record.u, record.y, _NONE)
         found = runs.sums(fit.theta, np.zeros(structure.states), 0, len(record), True)
