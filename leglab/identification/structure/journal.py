@@ -50,7 +50,7 @@ def _line(output: str, candidate: Candidate) -> str:
     plan, orders = candidate.plan, candidate.plan.orders
     content = {
         "output": output,
-        "plan": [plan.kind, plan.length, plan.strength, plan.most, plan.budget],
+        "plan": [plan.kind, plan.length, plan.strength, plan.most, plan.budget, plan.sketch],
         "orders": [orders.outputs, orders.inputs, list(orders.delays)],
         "features": encode(candidate.fit.features),
         "theta": candidate.fit.theta.tolist(),
@@ -64,8 +64,8 @@ def _line(output: str, candidate: Candidate) -> str:
 def _read(line: str) -> tuple[str, Candidate]:
     content = json.loads(line)
     outputs, inputs, delays = content["orders"]
-    kind, length, strength, most, budget = content["plan"]
-    plan = Plan(kind, Orders(outputs, inputs, tuple(delays)), length, strength, most, budget)
+    kind, *rest = content["plan"]
+    plan = Plan(kind, Orders(outputs, inputs, tuple(delays)), *rest)
     fit = Fit(decode(content["features"]), np.array(content["theta"]), content["error"])
     held_out = tuple(map(tuple, content["held_out"]))
     return content["output"], Candidate(plan, fit, held_out, tuple(content["path"]))

@@ -34,7 +34,7 @@ from leglab.identification.structure.fit import (
     startable,
 )
 from leglab.identification.structure.library import Orders
-from leglab.identification.structure.states import StatePath
+from leglab.identification.structure.states import StatePath, refitted
 
 BLOCKS = (8, 3)
 # Simulated samples of a fit. Parameters hardly depend on more; the last fit has all up to LAST.
@@ -69,8 +69,7 @@ _USUAL = 10.0
 # Linear models, by the free run or by least squares of one step, which is better where the machine
 # is disturbed rather than its sensor.
 LINEAR = ("linear", "one step")
-# State-space models with curves, and those that only find out which are worth it.
-STATES, SKETCHED = "states", "sketched states"
+STATES = "states"  # state-space models with curves
 CONSTANT = "constant"
 SIMPLE = (*LINEAR, CONSTANT)
 
@@ -86,6 +85,7 @@ class Plan:
         strength: Of the prior of its parameters.
         most: Features beyond the linear ones.
         budget: Samples that a fit simulates.
+        sketch: Whether it only finds out, on thirds, if the structure is worth more.
     """
 
     kind: str
@@ -94,6 +94,7 @@ class Plan:
     strength: float = _USUAL
     most: int = 0
     budget: int = FULL
+    sketch: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Candidate:
         plan: The plan.
         fit: The model, fitted to all records.
         held_out: Mean square of the error over each eighth, and each third, of the records, as a
-            share of the output's variance.
+            share of the output's variance; of a sketch over each third.
         path: Score at each number of features.
     """
 
@@ -271,25 +272,35 @@ def promises(
 
 def searched(problem: Problem, plan: Plan) -> Candidate:
     """Carries out a plan: paths in step with each block held out, then one on all records."""
-    if plan.kind == SKETCHED:
+    if plan.sketch and plan.kind == STATES:
         return _sketched(problem, plan)
     depth, begun = _beginning(problem, plan)
-    held = Held(problem, depth)
+    held = Held(problem, depth, _counts(plan))
     paths = [[begun(block) for block in part] for part in held.blocks]
     flat = [path for part in paths for path in part]
+    grown: list[list[Fit]] = []  # fits without each block, by size
 
     def sizes() -> Iterator[Table]:
-        yield held.errors([[path.fit for path in part] for part in paths])
-        while not all(path.ended for path in flat):
+        while True:
+            grown.append([path.fit for path in flat])
+            yield held.errors([[path.fit for path in part] for part in paths])
+            if all(path.ended for path in flat):
+                return
             for path in flat:
                 path.grow()
-            yield held.errors([[path.fit for path in part] for part in paths])
 
     table, tried = _table(sizes(), plan.most)
     whole = begun(None)
     for _ in range(len(table) - 1):
         whole.grow()
-    return Candidate(plan, whole.fit, table[-1], tried)
+    fits = [whole.fit]
+    if plan.kind == STATES:  # of several minima, to which fits without a block may have come
+        fits += [refitted(problem, f, plan.strength, plan.budget) for f in grown[len(table) - 1]]
+    return Candidate(plan, min(fits, key=lambda f: f.error), table[-1], tried)
+
+
+def _counts(plan: Plan) -> tuple[int, ...]:
+    return BLOCKS[-1:] if plan.sketch else BLOCKS
 
 
 def _beginning(
@@ -323,7 +334,7 @@ def _sketched(problem: Problem, plan: Plan) -> Candidate:
     little of the block, so this ranks state-space models among each other and nothing else.
     """
     structure = StateSpace(states=plan.orders.outputs, delays=plan.orders.delays)
-    held = Held(problem, problem.model((structure,)).lags, BLOCKS[-1:])
+    held = Held(problem, problem.model((structure,)).lags, _counts(plan))
     path = StatePath(problem, structure, plan.strength, plan.budget)
 
     def sizes() -> Iterator[Table]:
@@ -422,8 +433,8 @@ def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
     ]
 
 
-def plans_bent(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
-    """Structures with nonlinear features, first with few of them."""
+def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
+    """Structures of lags with a few nonlinear features."""
     best = [min(_of(kind, linear), key=_score).plan for kind in LINEAR]
     inputs = len(problem.template.inputs)
     orders = [p.orders for p in best if p.orders.outputs + inputs * p.orders.inputs <= _MOST_LAGS]
@@ -431,53 +442,64 @@ def plans_bent(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
         most = max(1, (_MOST_LAGS - ny) // inputs)
         orders.append(Orders(ny, min(nu, most), best[0].orders.delays))
     return [
-        Plan(kind, one, best[0].length, most=FEW_TERMS, budget=SKETCH)
+        Plan(kind, one, best[0].length, most=FEW_TERMS, budget=SKETCH, sketch=True)
         for one in dict.fromkeys(orders)
         for kind in library.KINDS
     ]
 
 
-def plans_sketched(lead: tuple[int, ...]) -> list[Plan]:
+def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
     """State-space models of all orders."""
+    lead = min(linear, key=_score).plan.orders.delays
     return [
-        Plan(SKETCHED, Orders(n, 0, delays), 0, _STRENGTHS[-1], MOST_CURVES, STATES_BUDGET)
+        Plan(STATES, Orders(n, 0, delays), 0, _STRENGTHS[-1], MOST_CURVES, STATES_BUDGET, True)
         for n in _STATES
         for delays in dict.fromkeys((lead, (0,) * len(lead)))
     ]
 
 
-def plans_states(sketched: Sequence[Candidate]) -> list[Plan]:
-    """The best of them."""
-    best = sorted(sketched, key=_score)[:_KEPT]
-    return [replace(c.plan, kind=STATES) for c in best]
-
-
-def plans_full(bent: Sequence[Candidate]) -> list[Plan]:
-    """The best structures once more, with all samples and as many features as they bear."""
-    best = sorted(bent, key=_score)[:_KEPT]
-    return [replace(c.plan, most=MOST_TERMS, budget=FULL) for c in best if c.plan.kind != STATES]
+def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
+    """Of the best the sketches, with all samples and as many features as they bear."""
+    best = [c.plan for c in sorted(candidates, key=_thirds)[:_KEPT] if c.plan.sketch]
+    return [
+        replace(plan, sketch=False)
+        if plan.kind == STATES
+        else replace(plan, sketch=False, most=MOST_TERMS, budget=FULL)
+        for plan in best
+    ]
 
 
 def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
-    """The best structure with other stretches, then priors and finer curves."""
-    best = min(bent, key=_score).plan
-    if best.kind == STATES:
-        return [replace(best, strength=s) for s in STATES_STRENGTHS if s != best.strength]
-    wanted = replace(best, most=MOST_TERMS, budget=FULL)
-    kinds = [best.kind, *(library.REFINED if best.kind == "curves" else ())]
-    plans = [replace(wanted, length=n) for n in _lengths(problem)]
-    most = {best.kind: MOST_TERMS}
-    plans += [
-        replace(wanted, kind=k, strength=s, most=most.get(k, FEW_TERMS))
-        for k in kinds
-        for s in _STRENGTHS
-    ]
+    """The best of lags and the best state-space model, unless the other beats it, varied."""
+    families = (_of(STATES, bent), [c for c in bent if c.plan.kind != STATES])
+    best = [min(family, key=_score) for family in families if family]
+    plans = []
+    for one in best:
+        if not any(_beats(other, one) for other in best if other is not one):
+            plans += _variants(problem, one.plan)
     known = {candidate.plan for candidate in bent}
     return [plan for plan in dict.fromkeys(plans) if plan not in known]
 
 
+def _variants(problem: Problem, plan: Plan) -> list[Plan]:
+    """The same structure with other stretches, then priors and finer curves."""
+    if plan.kind == STATES:
+        return [replace(plan, strength=s) for s in STATES_STRENGTHS]
+    kinds = [plan.kind, *(library.REFINED if plan.kind == "curves" else ())]
+    most = {plan.kind: MOST_TERMS}
+    return [replace(plan, length=n) for n in _lengths(problem)] + [
+        replace(plan, kind=k, strength=s, most=most.get(k, FEW_TERMS))
+        for k in kinds
+        for s in _STRENGTHS
+    ]
+
+
 def _score(candidate: Candidate) -> float:
     return candidate.score
+
+
+def _thirds(candidate: Candidate) -> float:
+    return candidate.scores[-1]
 
 
 def _of(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -525,11 +547,10 @@ def search(
 
     linear = made("linear models", plans_linear(problem, delays(problem)))
     linear += made("linear models, tuned", plans_tuned(problem, linear))
-    lead = min(linear, key=_score).plan.orders.delays
-    sketched = made("state-space models", plans_sketched(lead))
-    bent = made("best state-space models", plans_states(sketched))
-    bent += made("models of lags", plans_bent(problem, linear))
-    bent += made("best models of lags", plans_full(bent))
+    sketched = made("state-space models", plans_states(linear))
+    bent = made("best state-space models", plans_full(sketched))
+    sketched = made("models of lags", plans_lags(problem, linear))
+    bent += made("best models of lags", plans_full([*bent, *sketched]))
     bent += made("best model, varied", plans_varied(problem, bent))
     return chosen_first(linear, bent)
 
@@ -538,14 +559,18 @@ def chosen_first(linear: Sequence[Candidate], bent: Sequence[Candidate]) -> list
     """Sorts candidates by score; those that do not beat every simpler one come last.
 
     A linear model has to beat the constant, a nonlinear one every linear one: by more than a
-    standard error over the eighths, and over the thirds.
+    standard error over the eighths, and over the thirds. A state-space model has to beat those of
+    lags that have fewer parameters, and the other way round.
     """
     constant, simple = _of(CONSTANT, linear), list(linear)
 
     def rank(candidate: Candidate) -> tuple[bool, float]:
-        if candidate.plan.kind == CONSTANT:
+        kind, size = candidate.plan.kind, len(candidate.fit.theta)
+        if kind == CONSTANT:
             return False, candidate.score
-        rivals = constant if candidate.plan.kind in LINEAR else simple
+        others = [c for c in bent if (c.plan.kind == STATES) != (kind == STATES)]
+        smaller = [c for c in others if len(c.fit.theta) < size]
+        rivals = constant if kind in LINEAR else [*simple, *smaller]
         return not all(_beats(candidate, rival) for rival in rivals), candidate.score
 
     return sorted([*linear, *bent], key=rank)

@@ -31,7 +31,7 @@ from leglab.identification.structure.fit import (
 _ARX = 20  # lags of the ARX model whose impulse response is realised, at most
 _RESPONSE = 60  # samples of the response in either direction of the Hankel matrix
 _LINEAR = 0.01  # prior precision of A, B, C, D and of a start, relative to that of a curve
-_RANDOM = 16  # combinations of states and inputs that are drawn
+_RANDOM = 8  # combinations of states and inputs that are drawn
 _TRIED = 2  # curves of the largest promise that are fitted, of which the best is taken
 _GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the best
 _ANEW = 6  # iterations of a fit without a block that starts at the fit with it
@@ -249,33 +249,33 @@ class StatePath:
         now = self._model.structure
         structure = replace(now, curves=now.curves + 1)
         at = self._model.theta
+        form = self._strength / self._problem.count * self._prior(self._model)
         found: list[tuple[float, Array]] = []
         for v in self._directions():
             further = (now.states + 1) * now.splines
             sums = self._segments(now, v).sums(at, now.count, sensitivities=True, further=further)
-            for k, (gain, splines) in enumerate(self._gains(sums)):
+            for k, (gain, splines) in enumerate(self._gains(sums, form)):
                 target = np.eye(now.states + 1)[k]
                 curve = np.concatenate([v, target, splines])
                 found.append((gain, np.insert(at, now.count, curve)))
         found.sort(key=lambda one: -one[0])
         return [_Model(structure, theta) for _, theta in found[:_TRIED]]
 
-    def _gains(self, sums: Sums) -> Iterator[tuple[float, Array]]:
+    def _gains(self, sums: Sums, form: Array) -> Iterator[tuple[float, Array]]:
         """Share of the squared error that a curve explains, and its splines, by what it adds to.
 
         To first order, as `promises` of the search.
         """
-        structure, width = self._model.structure, len(self._model.theta)
-        share = self._strength / self._problem.count
+        structure, width = self._model.structure, len(form)
         products, gradient = sums.products / sums.error, sums.gradient / sums.error
-        hessian = products[:width, :width] + share * self._prior(self._model)
+        hessian = products[:width, :width] + form
         cross = products[width:, :width]
         inner = solve(hessian, np.column_stack([cross.T, gradient[:width]]))
         left = gradient[width:] - cross @ inner[:, -1]
         gram = products[width:, width:] - cross @ inner[:, :-1]
-        form = share * roughness(structure.splines)
+        curve = self._strength / self._problem.count * roughness(structure.splines)
         for own in np.split(np.arange(len(left)), structure.states + 1):
-            splines = solve(gram[np.ix_(own, own)] + form, left[own])
+            splines = solve(gram[np.ix_(own, own)] + curve, left[own])
             yield float(left[own] @ splines), splines
 
     def _directions(self) -> list[Array]:

@@ -69,18 +69,19 @@ def parameter_figure(found: Identified) -> Figure | None:
     step = max(1, len(trajectory) // _POINTS)
     rows = trajectory[::step]
     time = np.arange(len(trajectory))[::step] * found.period
-    largest = np.argsort(-np.abs(trajectory[-1]), kind="stable")[:_MOST_PARAMETERS]
+    moved = np.ptp(trajectory, axis=0)
+    most = np.argsort(-moved, kind="stable")[:_MOST_PARAMETERS]
     names = [name for _, own, _ in library.named_parameters(found.model) for name in own]
     with style():
         figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
         axes = figure.subplots()
-        for k in sorted(largest):
+        for k in sorted(most):
             axes.plot(time, rows[:, k], linewidth=0.9, label=names[k])
         figure.legend(loc="outside lower left", ncols=2, fontsize=7)
-        low, high = np.quantile(rows[len(rows) // 10 :, largest], (0.005, 0.995))
+        low, high = np.quantile(rows[len(rows) // 10 :, most], (0.005, 0.995))
         slack = 0.2 * max(high - low, 1e-9)
         axes.set_ylim(low - slack, high + slack)
-        axes.set_title("largest parameters, learned in one pass")
+        axes.set_title("parameters that move most in one pass")
         axes.set(xlabel="time [s]", ylabel="scaled parameter")
     return figure
 
