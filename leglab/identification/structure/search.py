@@ -442,7 +442,7 @@ def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
         most = max(1, (_MOST_LAGS - ny) // inputs)
         orders.append(Orders(ny, min(nu, most), best[0].orders.delays))
     return [
-        Plan(kind, one, best[0].length, most=FEW_TERMS, budget=SKETCH, sketch=True)
+        Plan(kind, one, best[0].length, most=FEW_TERMS, budget=SKETCH)
         for one in dict.fromkeys(orders)
         for kind in library.KINDS
     ]
@@ -459,13 +459,14 @@ def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
-    """Of the best the sketches, with all samples and as many features as they bear."""
-    best = [c.plan for c in sorted(candidates, key=_thirds)[:_KEPT] if c.plan.sketch]
+    """The best once more: sketches in earnest, lags with all samples and many features."""
+    best = [c.plan for c in sorted(candidates, key=_score)[:_KEPT]]
     return [
         replace(plan, sketch=False)
         if plan.kind == STATES
-        else replace(plan, sketch=False, most=MOST_TERMS, budget=FULL)
+        else replace(plan, most=MOST_TERMS, budget=FULL)
         for plan in best
+        if plan.sketch or plan.kind != STATES
     ]
 
 
@@ -496,10 +497,6 @@ def _variants(problem: Problem, plan: Plan) -> list[Plan]:
 
 def _score(candidate: Candidate) -> float:
     return candidate.score
-
-
-def _thirds(candidate: Candidate) -> float:
-    return candidate.scores[-1]
 
 
 def _of(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -549,8 +546,8 @@ def search(
     linear += made("linear models, tuned", plans_tuned(problem, linear))
     sketched = made("state-space models", plans_states(linear))
     bent = made("best state-space models", plans_full(sketched))
-    sketched = made("models of lags", plans_lags(problem, linear))
-    bent += made("best models of lags", plans_full([*bent, *sketched]))
+    bent += made("models of lags", plans_lags(problem, linear))
+    bent += made("best models of lags", plans_full(bent))
     bent += made("best model, varied", plans_varied(problem, bent))
     return chosen_first(linear, bent)
 
