@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from leglab.cli.app import main
 from leglab.data import write
 from leglab.identification import load
 from leglab.identification.structure import search
+from leglab.identification.structure.fit import Fit
 from leglab.identification.structure.identified import rms
 from leglab.identification.structure.journal import Journal
 from leglab.identification.structure.residuals import residual_tests
@@ -158,9 +160,10 @@ def test_an_interruption_drops_the_structures_that_wait(monkeypatch):
 
 
 def test_a_nonlinear_structure_must_win_between_the_data_and_beyond_them():
-    def candidate(kind, eighths, thirds):
+    def candidate(kind, eighths, thirds, parameters=10):
         plan = search.Plan(kind, search.Orders(1, 1, (0,)), 60)
-        return search.Candidate(plan, None, (eighths, thirds), ())
+        fit = Fit((), np.zeros(parameters), 0.1)
+        return search.Candidate(plan, fit, (eighths, thirds), ())
 
     flat = candidate("constant", (1.0, 1.0, 1.0), (1.0, 1.0))
     line = candidate("linear", (0.5, 0.4, 0.6), (0.5, 0.5))
@@ -171,6 +174,11 @@ def test_a_nonlinear_structure_must_win_between_the_data_and_beyond_them():
     assert search.chosen_first([flat, line], [beyond, lucky])[0] == line
     chance = candidate("linear", (0.9, 1.05, 0.99), (0.9, 0.9))
     assert search.chosen_first([flat, chance], [])[0] == flat
+    # A larger model of another family has to win in both block sizes, a smaller one need not.
+    states = candidate("states", (0.3, 0.2, 0.4), (0.41, 0.4), 20)
+    assert search.chosen_first([flat, line], [sure, states])[0] == sure
+    small = replace(states, fit=Fit((), np.zeros(9), 0.1))
+    assert search.chosen_first([flat, line], [sure, small])[0] == small
 
 
 def test_garbage_is_named_and_left_out():

@@ -228,7 +228,7 @@ def test_a_bend_between_two_filters_is_fitted_to_the_noise(inner):
     y = wiener_hammerstein(u)
     model = inner.identifier(found.fit)
     error = rms(model.free_run(u, y[: model.lags]) - y, model.lags)
-    assert error < 0.002  # below the noise; the best linear model has .02
+    assert error < 0.003  # the noise; the best linear model has .02
     assert found.path[0] > 5 * found.path[1]
     assert found.fit.error * inner.deviation == pytest.approx(0.003, rel=0.15)
     # The block that is held out is in no fit: another output there changes nothing.

@@ -1,6 +1,6 @@
 """Features that a structure may take, made from the lags of its signals."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -90,7 +90,7 @@ def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Fea
     return out
 
 
-# Share of a curve's weights below which they do nothing; signals and states reach one.
+# Share of the weights of curves below which they hardly matter; signals and states reach one.
 _SMALL = 0.1
 # Those that are tried first, and what the best one may become.
 Maker = Callable[[Problem, Orders], list[Feature]]
@@ -123,13 +123,20 @@ def _state_space(structure: StateSpace, curves: Sequence[Curve]) -> str:
         return linear
     many = "a static curve" if len(curves) == 1 else f"{len(curves)} static curves"
     n = structure.states
+    heights = [float(np.ptp(c.e)) for c in curves]
 
-    def small(part: Array, whole: Array) -> bool:
-        return float(np.abs(part).sum()) < _SMALL * float(np.abs(whole).sum())
+    def share(parts: Iterable[tuple[Array, Array]]) -> float:
+        """Of the first of each pair in the second, over all curves by their heights."""
+        sums = [
+            (h * np.abs(a).sum(), h * np.abs(b).sum())
+            for h, (a, b) in zip(heights, parts, strict=True)
+        ]
+        part, whole = np.sum(sums, axis=0)
+        return float(part / whole)
 
-    if all(small(c.v[:n], c.v) for c in curves):
+    if share((c.v[:n], c.v) for c in curves) < _SMALL:
         return f"Hammerstein: {many} of inputs before a {linear}"
-    if all(small(c.w, np.append(c.w, c.o)) for c in curves):
+    if share((c.w, np.append(c.w, c.o)) for c in curves) < _SMALL:
         return f"Wiener: {many} behind a {linear}"
     return f"{linear} in feedback with {many} of states and inputs (nonlinear LFR)"
 

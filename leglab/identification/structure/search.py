@@ -44,7 +44,8 @@ _OVERLAP = 4  # stretches that contain a sample
 _TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
 _GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
 _WORTH = 0.997  # a feature that leaves more of the RMS error of the fit ends a path
-# A path ends after _PATIENCE features in a row that leave more than this share of the score.
+# A path ends after _PATIENCE features in a row that leave more than this share of the score; the
+# last of them are not taken.
 _PATIENCE, _PROGRESS = 3, 0.99
 MOST_TERMS, FEW_TERMS = 20, 5
 MOST_CURVES = 4  # of a state-space model
@@ -366,7 +367,7 @@ class Held:
 
 
 def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float, ...]]:
-    """Errors up to the best number of features, and the score of each number that was tried."""
+    """Errors up to the smallest number of features that is nearly the best, and scores of all."""
     table: list[Table] = []
     scores: list[float] = []
     best, since = np.inf, 0
@@ -377,7 +378,8 @@ def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float,
         best = min(best, scores[-1])
         if len(table) > most or since >= _PATIENCE:
             break
-    return table[: int(np.argmin(scores)) + 1], tuple(scores)
+    size = next(k for k, score in enumerate(scores) if score * _PROGRESS <= min(scores))
+    return table[: size + 1], tuple(scores)
 
 
 def delays(problem: Problem) -> tuple[int, ...]:
