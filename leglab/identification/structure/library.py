@@ -132,7 +132,7 @@ def _state_space(structure: StateSpace, curves: Sequence[Curve]) -> str:
             for h, (a, b) in zip(heights, parts, strict=True)
         ]
         part, whole = np.sum(sums, axis=0)
-        return float(part / whole)
+        return float(part / whole) if whole > 0 else 0.0
 
     if share((c.v[:n], c.v) for c in curves) < _SMALL:
         return f"Hammerstein: {many} of inputs before a {linear}"
