@@ -294,10 +294,21 @@ def searched(problem: Problem, plan: Plan) -> Candidate:
     whole = begun(None)
     for _ in range(len(table) - 1):
         whole.grow()
-    fits = [whole.fit]
-    if plan.kind == STATES:  # of several minima, to which fits without a block may have come
-        fits += [refitted(problem, f, plan.strength, plan.budget) for f in grown[len(table) - 1]]
-    return Candidate(plan, min(fits, key=lambda f: f.error), table[-1], tried)
+    best = whole.fit
+    if plan.kind == STATES:
+        best = _best_minimum(problem, plan, best, grown[len(table) - 1])
+    return Candidate(plan, best, table[-1], tried)
+
+
+def _best_minimum(problem: Problem, plan: Plan, first: Fit, others: Sequence[Fit]) -> Fit:
+    """The first fit, unless one that begins at another is likelier by more than a nat.
+
+    The strength of the prior says how many samples tell as much as one independent error.
+    """
+    fits = [refitted(problem, one, plan.strength, plan.budget) for one in others]
+    best = min(fits, key=lambda one: one.error)
+    gained = 2 * np.log(first.error / max(best.error, LEAST_SHARE))
+    return best if gained * problem.count / plan.strength > 1 else first
 
 
 def _counts(plan: Plan) -> tuple[int, ...]:

@@ -19,6 +19,7 @@ from leglab._native.structure import StateRuns
 from leglab.identification.spline_state_space import StateSpace
 from leglab.identification.structure.fit import (
     ITERATIONS,
+    LEAST_SHARE,
     Array,
     Fit,
     Problem,
@@ -267,7 +268,8 @@ class StatePath:
         To first order, as `promises` of the search.
         """
         structure, width = self._model.structure, len(form)
-        products, gradient = sums.products / sums.error, sums.gradient / sums.error
+        scale = max(sums.error, LEAST_SHARE)
+        products, gradient = sums.products / scale, sums.gradient / scale
         hessian = products[:width, :width] + form
         cross = products[width:, :width]
         inner = solve(hessian, np.column_stack([cross.T, gradient[:width]]))
