@@ -13,7 +13,17 @@ import numpy as np
 
 from leglab import RunSettings, data
 from leglab.base.recording import Recording
-from leglab.identification import BsnnArx, Rls, SplineNarx, SplineNarxSettings, save
+from leglab.identification import (
+    BsnnArx,
+    Identifier,
+    Rls,
+    SplineNarx,
+    SplineNarxSettings,
+    SplineStateSpace,
+    SplineStateSpaceSettings,
+    StateSpace,
+    save,
+)
 from leglab.identification.basis import Basis
 from leglab.identification.features import Constant, Lags, Signal, Spline
 from tests.fuzz.targets import CORPUS
@@ -48,6 +58,7 @@ PLANT = SplineNarxSettings(
     ),
     rls=Rls(forgetting="variable", forgetting_factor=0.98, restore_interval=2),
 )
+STATES = SplineStateSpaceSettings(structure=StateSpace(states=2, delays=(1,), curves=1, splines=4))
 
 
 def place(name: str) -> Path:
@@ -84,7 +95,13 @@ def main() -> None:
     folder.rmdir()
     settings = json.dumps(asdict(RunSettings(scenario="nominal")))
     place("run_json/settings").write_text(f'{{"settings": {settings}}}')
-    for name, model in (("paper", BsnnArx(PAPER)), ("narx", SplineNarx(PLANT))):
+    models: dict[str, Identifier] = {
+        "paper": BsnnArx(PAPER),
+        "narx": SplineNarx(PLANT),
+        "states": SplineStateSpace(STATES),
+    }
+    models["states"].parameters = np.linspace(-0.3, 0.3, STATES.structure.count)
+    for name, model in models.items():
         model.run(np.linspace(0.0, 0.8, 9), np.linspace(0.5, -0.5, 9))
         save(model, place(f"identifier/{name}"))
     place("model/valve").write_text(slides(valve("v")))

@@ -102,7 +102,7 @@ class StateSpace {
 
   // From S = d x(t) / d theta, (states, width), to that of x(t + 1), in place; psi = d y(t) / d theta.
   void propagate(const T* theta, T* sensitivity, T* psi) {
-    const int n = s_.states, m = s_.signals();
+    const int n = s_.states;
     for (int i = 0; i < n * width_; ++i) former_[i] = sensitivity[i];
     for (int p = 0; p < width_; ++p) psi[p] = T(0);
     for (int i = 0; i < n; ++i) add_scaled(psi, former_ + i * width_, output_[i], width_);

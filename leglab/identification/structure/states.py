@@ -48,11 +48,11 @@ class Segments(NamedTuple):
 
     Attributes:
         of: The stretches.
-        runs: Core simulations of their records, for one structure.
+        runs: Their simulations in the core, for one structure, and where they begin in these.
     """
 
     of: tuple[Stretch, ...]
-    runs: tuple[StateRuns, ...]
+    runs: tuple[tuple[StateRuns, int], ...]
 
     def sums(self, theta: Array, count: int, *, sensitivities: bool, further: int = 0) -> "Sums":
         """Sums over all segments for parameters and starts, (count + segments * n,).
@@ -65,10 +65,8 @@ class Segments(NamedTuple):
         products, gradient = np.zeros((width + further,) * 2), np.zeros(width + further)
         for k, stretch in enumerate(self.of):
             own = slice(count + k * n, count + (k + 1) * n)
-            runs = self.runs[stretch.record]
-            found = runs.sums(
-                theta[:count], theta[own], stretch.start, stretch.length, sensitivities
-            )
+            runs, start = self.runs[k]
+            found = runs.sums(theta[:count], theta[own], start, stretch.length, sensitivities)
             error, samples = error + found[0], samples + found[1]
             if sensitivities:
                 at = np.r_[:count, own, width : width + further]
@@ -81,8 +79,8 @@ class Segments(NamedTuple):
         n = (len(theta) - count) // len(self.of)
         starts = theta[count:].reshape(-1, n)
         return np.concatenate([
-            self.runs[s.record].states(theta[:count], x0, s.start, s.length)
-            for s, x0 in zip(self.of, starts, strict=True)
+            runs.states(theta[:count], x0, start, s.length)
+            for (runs, start), s, x0 in zip(self.runs, self.of, starts, strict=True)
         ])  # fmt: skip
 
 
@@ -208,9 +206,13 @@ class StatePath:
         return Fit((structure,), self._model.parameters.copy(), error)
 
     def _segments(self, structure: StateSpace, further: Array = _NONE) -> Segments:
-        settings = self._problem.model((structure,))
-        records = self._problem.records
-        return Segments(self._of, tuple(StateRuns(settings, r.u, r.y, further) for r in records))
+        settings, runs = self._problem.model((structure,)), []
+        for s in self._of:
+            record, first = self._problem.records[s.record], max(0, s.start - max(structure.delays))
+            own = slice(first, s.start + s.length)
+            core = StateRuns(settings, record.u[own], record.y[own], further)
+            runs.append((core, s.start - first))
+        return Segments(self._of, tuple(runs))
 
     def _fitted(self, model: _Model, iterations: int) -> tuple[_Model, float]:
         count = model.structure.count

@@ -2,6 +2,7 @@
 // the identification core needs neither a heap nor a hosted standard library. Never run.
 #include "identification/bsnn_arx.h"
 #include "identification/spline_narx.h"
+#include "identification/spline_state_space.h"
 
 namespace id = leglab::identification;
 
@@ -54,11 +55,25 @@ T run_spline_narx(T u, T y) {
   return model.update(&u, y);
 }
 
+template <class T>
+T run_state_space(T u, T y) {
+  static T knots[5] = {-1, T(-0.5), 0, T(0.5), 1}, extended[9];
+  id::SplineStateSpaceSettings<T> settings;
+  settings.structure.states = 2;
+  settings.structure.curves = 1;
+  settings.structure.basis = id::make_basis<T>(knots, 5, extended, true);
+  settings.delay[0] = 2;
+  id::SplineStateSpace<T> model;
+  id::Workspace workspace(memory);
+  model.layout(workspace, settings);
+  return model.update(&u, y) + model.predict_next(&u);
+}
+
 }  // namespace
 
 extern "C" double identify_double(double u, double y) {
-  return run_bsnn_arx(u, y) + run_spline_narx(u, y);
+  return run_bsnn_arx(u, y) + run_spline_narx(u, y) + run_state_space(u, y);
 }
 extern "C" float identify_float(float u, float y) {
-  return run_bsnn_arx(u, y) + run_spline_narx(u, y);
+  return run_bsnn_arx(u, y) + run_spline_narx(u, y) + run_state_space(u, y);
 }
