@@ -1,6 +1,6 @@
 """Features that a structure may take, made from the lags of its signals."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,6 +10,7 @@ from leglab.identification.basis import Basis
 from leglab.identification.features import Constant, Feature, Lags, Spline, Term
 from leglab.identification.spline_state_space import Curve, SplineStateSpace, StateSpace
 from leglab.identification.structure.fit import Array, Fit, Model, Problem
+from leglab.identification.structure.states import variances
 
 HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges stand
 SPLINES, FINE = 8, 16  # of a curve
@@ -90,8 +91,7 @@ def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Fea
     return out
 
 
-# Share of the weights of curves below which they hardly matter; signals and states reach one.
-_SMALL = 0.1
+_SMALL = 0.01  # share of a variance that hardly matters
 # Those that are tried first, and what the best one may become.
 Maker = Callable[[Problem, Orders], list[Feature]]
 KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
@@ -102,7 +102,7 @@ def kind_of(problem: Problem, fit: Fit) -> str:
     """What a field calls a model."""
     first = fit.features[0]
     if isinstance(first, StateSpace):
-        return _state_space(first, first.parts(fit.theta).curves)
+        return _state_space(first, first.parts(fit.theta).curves, variances(problem, fit))
     features = problem.lagged(fit.features).features
     output = problem.template.output.name
     bent = [f for f in features if isinstance(f, Term | Spline)]
@@ -117,26 +117,19 @@ def kind_of(problem: Problem, fit: Fit) -> str:
     return "nonlinear in the output's lags as well (NARX)"
 
 
-def _state_space(structure: StateSpace, curves: Sequence[Curve]) -> str:
+def _state_space(structure: StateSpace, curves: Sequence[Curve], spread: Array) -> str:
     linear = f"linear state space of order {structure.states}"
     if not curves:
         return linear
     many = "a static curve" if len(curves) == 1 else f"{len(curves)} static curves"
     n = structure.states
-    heights = [float(np.ptp(c.e)) for c in curves]
-
-    def share(parts: Iterable[tuple[Array, Array]]) -> float:
-        """Of the first of each pair in the second, over all curves by their heights."""
-        sums = [
-            (h * np.abs(a).sum(), h * np.abs(b).sum())
-            for h, (a, b) in zip(heights, parts, strict=True)
-        ]
-        part, whole = np.sum(sums, axis=0)
-        return float(part / whole) if whole > 0 else 0.0
-
-    if share((c.v[:n], c.v) for c in curves) < _SMALL:
+    heights = np.array([np.ptp(c.e) for c in curves])
+    # Of the curves' arguments, and of what they add to states and output, weighted by heights.
+    into = heights @ np.array([c.v**2 * spread for c in curves])
+    out = heights @ np.array([np.append(c.w, c.o) ** 2 for c in curves])
+    if into[:n].sum() < _SMALL * into.sum():
         return f"Hammerstein: {many} of inputs before a {linear}"
-    if share((c.w, np.append(c.w, c.o)) for c in curves) < _SMALL:
+    if out[:n].sum() < _SMALL * out.sum():
         return f"Wiener: {many} behind a {linear}"
     return f"{linear} in feedback with {many} of states and inputs (nonlinear LFR)"
 

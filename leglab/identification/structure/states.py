@@ -392,6 +392,18 @@ def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
     return total
 
 
+def variances(problem: Problem, fit: Fit) -> Array:
+    """Of the scaled states and inputs over all records, (n + M,)."""
+    structure = _structure(fit)
+    settings, x = problem.model((structure,)), []
+    for record in problem.records:
+        runs = StateRuns(settings, record.u, record.y, _NONE)
+        x.append(runs.states(fit.theta, np.zeros(structure.states), 0, len(record)))
+    signals = problem.template.inputs
+    inputs = [float(np.std(problem.samples[s.name])) / s.half_range for s in signals]
+    return np.append(np.concatenate(x).var(axis=0), np.square(inputs))
+
+
 def _structure(fit: Fit) -> StateSpace:
     (structure,) = fit.features
     assert isinstance(structure, StateSpace), structure
