@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leglab._native import identification as native
+from leglab._native.structure import StateRuns
 from leglab.base.errors import SettingsError
 from leglab.identification import checks
 from leglab.identification.basis import Basis
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
     import control
 
 _OBSERVED = 10  # samples a state that tell the state of a free run's start
-_SETTLED = 5000  # samples after which a stable model rests
-REACH = 2.0  # a state is held within it, as in the core (state_space.h)
+# A model rests where its scaled states move by less than this in a round of samples.
+_RESTS, _ROUND, _ROUNDS = 1e-9, 1000, 100
+REACH = 2.0  # a state is held within it, as in the core (state_space.h); for the C header
 
 
 class Curve(NamedTuple):
@@ -181,15 +183,14 @@ class SplineStateSpace(Identifier):
         """
         u = self._scaled(inputs)
         parts = self.parts(joint)
+        held = np.tile([inputs[s.name] for s in self.settings.inputs], (_ROUND, 1))
+        runs = StateRuns(self.settings, held, np.full(_ROUND, np.nan), np.zeros(0))
+        theta = np.ascontiguousarray(np.atleast_2d(self.parameters)[joint])
         x = np.zeros(len(parts.A))
-        for _ in range(_SETTLED):
-            values, _ = self._curves(parts, x, u)
-            x = parts.A @ x + parts.B @ u
-            x = np.clip(
-                x + sum((f * c.w for f, c in zip(values, parts.curves, strict=True)), 0.0),
-                -REACH,
-                REACH,
-            )
+        for _ in range(_ROUNDS):
+            before, x = x, runs.states(theta, x, 0, _ROUND)[-1]
+            if np.abs(x - before).max() < _RESTS:
+                break
         values, _ = self._curves(parts, x, u)
         y = parts.C @ x + parts.D @ u + parts.d
         y += sum(f * c.o for f, c in zip(values, parts.curves, strict=True))

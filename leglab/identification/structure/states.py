@@ -111,7 +111,8 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
         for s in whole
         for at in range(0, s.length, length)
     ]
-    keep = min(_MOST, max(1, budget // length), len(pieces))
+    mean = sum(s.length for s in pieces) / len(pieces)
+    keep = min(_MOST, max(1, int(budget / mean)), len(pieces))
     return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, keep).round().astype(int))]
 
 
