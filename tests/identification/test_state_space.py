@@ -118,7 +118,7 @@ def test_the_identifier_runs_as_its_equations_and_finds_its_state_from_outputs()
     from_rest = by_hand(STRUCTURE, model.parameters, u, np.zeros(2), before=np.zeros(2))
     assert model.free_run(u) == pytest.approx(from_rest, rel=1e-9)
     machine = by_hand(STRUCTURE, model.parameters, u, np.array([0.9, -0.8]))
-    # The observer linearises the curves: what is left of the unknown start dies out.
+    # The predictor linearises the curves; its error of the start decays.
     for run in (model.free_run(u, machine[: model.lags]), model.one_step(u, machine)):
         error = np.abs(run - machine)
         assert error[model.lags :].max() < 0.01 * np.ptp(machine)
@@ -252,6 +252,10 @@ def test_segments_are_outside_of_a_block_and_within_a_budget(inner):
     assert sum(s.length for s in parts) <= 3000
     assert parts[0].start == 0
     assert parts[-1].start + parts[-1].length == 40_000
+    short = Problem([Record(np.zeros((120, 1)), np.ones(120))] * 20, inner.template)
+    assert len(segments_of(short, 3000)) == 20
+    many = Problem([Record(np.zeros((120, 1)), np.ones(120))] * 30, inner.template)
+    assert sum(s.length for s in segments_of(many, 3000)) > 2500
 
 
 def test_learning_by_one_step_is_chosen_by_the_disturbance():

@@ -70,8 +70,7 @@ class Runs {
 };
 
 // A state-space model, the argument of a further curve or none (empty), and one record; `settings`
-// are of a SplineStateSpace. Inputs are late by their
-// delays, in the first samples as the first one.
+// are of a SplineStateSpace. Inputs are delayed; before the record they are as in its first sample.
 class StateRuns {
  public:
   StateRuns(nb::handle settings, Input u, Input y, Input further)

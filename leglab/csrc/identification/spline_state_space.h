@@ -21,7 +21,7 @@ struct SplineStateSpaceSettings {
   GuardSettings<T> guard;
   T noise = T(1e-4);          // variance of the output's error (scaled)
   T process_noise = T(0);     // variance that each state gains in a sample; 0: the free run is right
-  bool held = false;          // whether the model's own output never leaves the following (scaled)
+  bool held = false;          // whether the free run is held within the limits below (scaled)
   T lower = T(-1e30);
   T upper = T(1e30);
 };

@@ -26,7 +26,7 @@ struct StateStructure {
   int parameters() const { return linear() + curves * curve(); }
 };
 
-// Both with `width` columns: the parameters' first, then any others that only the state depends on.
+// One step and its sensitivities, which have `width` columns: those of the parameters, then others.
 template <class T>
 class StateSpace {
  public:

@@ -38,7 +38,7 @@ _GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the bes
 _ANEW = 6  # iterations of a fit without a block that starts at the fit with it
 _WORTH = 0.997  # a curve that leaves more of the RMS error of the fit ends a path
 _SHORTEST = 500  # samples of a segment where a record is too long for the budget
-_MOST = 24  # segments of a fit, each of which has a start of its own
+_MOST = 24  # segments of a fit; each adds its initial state to the parameters
 _NONE = np.zeros(0)  # no further curve
 _RIDGE = 1e-9  # smallest singular value and reach of a state
 
@@ -182,7 +182,7 @@ class StatePath:
         self.fit = self._told(best[1])
 
     def without(self, block: Stretch) -> Fit:
-        """Fits the model to what is outside of a block, from where it is."""
+        """Fits the model to the samples outside of a block; the fit begins at this model."""
         return self._elsewhere(segments_of(self._problem, self._budget, block), _ANEW)
 
     def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
