@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 Array = NDArray[float64]
 
 class StateRuns:
-    """A state-space model, the argument of a further curve or none (empty), and one record."""
+    """A state-space model, the argument of a further curve or none (empty), and segments.
 
-    def __init__(self, settings: Any, u: Array, y: Array, further: Array) -> None: ...
-    def states(self, theta: Array, x0: Array, start: int, length: int) -> Array: ...
-    def sums(
-        self, theta: Array, x0: Array, start: int, length: int, sensitivities: bool
-    ) -> tuple[float, int, Array, Array]: ...
+    Of each segment inputs, outputs, and the sample at which it begins in these. The parameters
+    theta are followed by the starts of all segments.
+    """
+
+    def __init__(
+        self, settings: Any, segments: list[tuple[Array, Array, int]], further: Array
+    ) -> None: ...
+    def states(self, theta: Array) -> Array: ...
+    def sums(self, theta: Array, sensitivities: bool) -> tuple[float, int, Array, Array]: ...
 
 class Runs:
     """A model, further features, and one record."""

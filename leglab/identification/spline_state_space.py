@@ -184,11 +184,11 @@ class SplineStateSpace(Identifier):
         u = self._scaled(inputs)
         parts = self.parts(joint)
         held = np.tile([inputs[s.name] for s in self.settings.inputs], (_ROUND, 1))
-        runs = StateRuns(self.settings, held, np.full(_ROUND, np.nan), np.zeros(0))
-        theta = np.ascontiguousarray(np.atleast_2d(self.parameters)[joint])
+        runs = StateRuns(self.settings, [(held, np.full(_ROUND, np.nan), 0)], np.zeros(0))
+        theta = np.atleast_2d(self.parameters)[joint]
         x = np.zeros(len(parts.A))
         for _ in range(_ROUNDS):
-            before, x = x, runs.states(theta, x, 0, _ROUND)[-1]
+            before, x = x, runs.states(np.append(theta, x))[-1]
             if np.abs(x - before).max() < _RESTS:
                 break
         values, _ = self._curves(parts, x, u)

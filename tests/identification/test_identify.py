@@ -148,7 +148,7 @@ def test_threads_and_an_interruption_change_no_bit(tmp_path):
 def test_an_interruption_drops_the_structures_that_wait(monkeypatch):
     begun = []
     make = search.searched
-    monkeypatch.setattr(search, "searched", lambda p, plan: begun.append(plan) or make(p, plan))
+    monkeypatch.setattr(search, "searched", lambda *of: begun.append(of[1]) or make(*of))
     u = levels(np.random.default_rng(5), 240)
 
     def keep(output, candidate):

@@ -73,12 +73,12 @@ def test_the_core_simulates_as_numpy_does_and_knows_its_sensitivities():
     y = rng.uniform(-3, 5, 40)
     y[[5, 30]] = np.nan
     v = np.array([0.4, -0.3, 0.2, 0.1])
-    runs = StateRuns(SETTINGS, u, y, v)
+    runs = StateRuns(SETTINGS, [(u, y, 0)], v)
 
     def residual(theta, x0):
         return (y - by_hand(STRUCTURE, theta, u, x0)) / Y.half_range
 
-    error, count, products, gradient = runs.sums(theta, x0, 0, 40, True)
+    error, count, products, gradient = runs.sums(np.append(theta, x0), True)
     wanted = residual(theta, x0)
     known = np.isfinite(wanted)
     assert count == 38

@@ -1,4 +1,6 @@
 // Python module leglab._native.structure: free runs from many starts, for the choice of a structure.
+#include <nanobind/stl/tuple.h>
+
 #include "bindings/identification_settings.h"
 #include "identification/free_run.h"
 #include "identification/state_run.h"
@@ -27,8 +29,7 @@ class Runs {
 
   int depth() const { return run_->depth(); }
 
-  // Sums over the stretches (start, length); see free_run.h. Products of the model's own
-  // parameters are symmetric.
+  // Sums over the stretches (start, length); see free_run.h.
   nb::tuple sums(Input theta, Index starts, Index lengths, bool sensitivities) {
     require_size(std::size_t(run_->parameters()), theta);
     require_size(starts.size(), lengths);
@@ -40,12 +41,10 @@ class Runs {
                   theta.data(), sensitivities);
       }
     }
-    const auto& found = run_->sums();
+    auto& found = run_->sums();
     const std::size_t width = std::size_t(run_->width()), own = std::size_t(run_->parameters());
-    std::vector<double> products = found.products;
-    for (std::size_t i = 0; i < own; ++i) {
-      for (std::size_t j = i + 1; j < own; ++j) products[i * own + j] = products[j * own + i];
-    }
+    std::vector<double> products(width * own);
+    found.products.write(products.data());
     return nb::make_tuple(found.error, found.count, array_of(std::move(products), {width, own}),
                           array_of(found.gradient, {width}),
                           array_of(found.squares, {found.squares.size()}));
@@ -69,67 +68,105 @@ class Runs {
   std::optional<id::FreeRun<double>> run_;
 };
 
-// A state-space model, the argument of a further curve or none (empty), and one record; `settings`
-// are of a SplineStateSpace. Inputs are delayed; before the record they are as in its first sample.
+// A state-space model, the argument of a further curve or none (empty), and segments of records;
+// `settings` are of a SplineStateSpace. Inputs are delayed; before what is known of them they are as
+// in the first sample. Parameters theta are followed by the starts of all segments.
 class StateRuns {
  public:
-  StateRuns(nb::handle settings, Input u, Input y, Input further)
+  // Of each segment inputs, outputs, and the sample at which it begins in these.
+  StateRuns(nb::handle settings, nb::list segments, Input further)
       : model_(read_settings<double>(settings, store_,
                                      static_cast<const id::SplineStateSpace<double>*>(nullptr))),
         further_(further.data(), further.data() + further.size()),
         run_(model_.structure, model_.lower, model_.upper,
              further_.empty() ? nullptr : further_.data()) {
-    const std::size_t inputs = std::size_t(model_.structure.inputs);
-    require_size(y.size() * inputs, u);
-    for (std::size_t t = 0; t < y.size(); ++t) {
-      output_.push_back(model_.output.apply(y.data()[t]));
-      for (std::size_t j = 0; j < inputs; ++j) {
-        const std::size_t late = std::size_t(model_.delay[j]);
-        inputs_.push_back(model_.input[j].apply(u.data()[(t < late ? 0 : t - late) * inputs + j]));
-      }
+    for (nb::handle one : segments) {
+      const auto [u, y, first] = nb::cast<std::tuple<Input, Input, std::size_t>>(one);
+      add(u, y, first);
     }
   }
 
-  // Error, number of samples, and the sums over one stretch from the state x0; see state_run.h.
-  nb::tuple sums(Input theta, Input x0, std::int64_t start, std::int64_t length,
-                 bool sensitivities) {
+  // Error, number of samples, and the sums over all segments; see state_run.h. The weights of a
+  // further curve come behind the starts.
+  nb::tuple sums(Input theta, bool sensitivities) {
+    const std::size_t n = std::size_t(model_.structure.states), count = parameters();
+    const std::size_t own = std::size_t(run_.width()), width = own + n * (segments_.size() - 1);
+    require_size(count + n * segments_.size(), theta);
+    std::vector<double> products(sensitivities ? width * width : 0), part(own * own);
+    std::vector<double> gradient(sensitivities ? width : 0);
+    double error = 0.0;
+    std::size_t samples = 0;
     {
       nb::gil_scoped_release release;
-      run(theta, x0, start, length, sensitivities);
+      for (std::size_t k = 0; k < segments_.size(); ++k) {
+        simulate(k, theta, sensitivities);
+        auto& found = run_.sums();
+        error += found.error;
+        samples += found.count;
+        if (!sensitivities) continue;
+        found.products.write(part.data());
+        const auto place = [&](std::size_t i) {
+          return i < count ? i : i < count + n ? i + k * n : i + (segments_.size() - 1) * n;
+        };
+        for (std::size_t i = 0; i < own; ++i) {
+          gradient[place(i)] += found.gradient[i];
+          double* row = products.data() + place(i) * width;
+          for (std::size_t j = 0; j < own; ++j) row[place(j)] += part[i * own + j];
+        }
+      }
     }
-    const auto& found = run_.sums();
-    const std::size_t width = std::size_t(run_.width());
-    std::vector<double> products = found.products;
-    for (std::size_t i = 0; i < width; ++i) {
-      for (std::size_t j = i + 1; j < width; ++j) products[i * width + j] = products[j * width + i];
-    }
-    return nb::make_tuple(found.error, found.count, array_of(std::move(products), {width, width}),
-                          array_of(found.gradient, {width}));
+    const std::size_t side = sensitivities ? width : 0;
+    return nb::make_tuple(error, samples, array_of(std::move(products), {side, side}),
+                          array_of(std::move(gradient), {side}));
   }
 
-  // States over one stretch from x0, (length, states).
-  Made states(Input theta, Input x0, std::int64_t start, std::int64_t length) {
+  // States over all segments, one behind the other, (samples, states).
+  Made states(Input theta) {
     const std::size_t n = std::size_t(model_.structure.states);
-    std::vector<double> out(std::size_t(length) * n);
-    run(theta, x0, start, length, false, out.data());
-    return array_of(std::move(out), {std::size_t(length), n});
+    require_size(parameters() + n * segments_.size(), theta);
+    std::size_t samples = 0;
+    for (const Segment& segment : segments_) samples += segment.output.size();
+    std::vector<double> out(samples * n);
+    double* at = out.data();
+    for (std::size_t k = 0; k < segments_.size(); ++k) {
+      simulate(k, theta, false, at);
+      at += segments_[k].output.size() * n;
+    }
+    return array_of(std::move(out), {samples, n});
   }
 
  private:
-  void run(Input theta, Input x0, std::int64_t start, std::int64_t length, bool sensitivities,
-           double* states = nullptr) {
-    require_size(std::size_t(model_.structure.parameters()), theta);
-    require_size(std::size_t(model_.structure.states), x0);
-    if (start < 0 || length < 1 || std::size_t(start + length) > output_.size()) {
-      throw std::out_of_range("stretch outside the record");
+  struct Segment {
+    std::vector<double> output, inputs;  // scaled, (length), (length, inputs)
+  };
+
+  std::size_t parameters() const { return std::size_t(model_.structure.parameters()); }
+
+  void add(const Input& u, const Input& y, std::size_t first) {
+    const std::size_t inputs = std::size_t(model_.structure.inputs);
+    require_size(y.size() * inputs, u);
+    Segment segment;
+    for (std::size_t t = first; t < y.size(); ++t) {
+      segment.output.push_back(model_.output.apply(y.data()[t]));
+      for (std::size_t j = 0; j < inputs; ++j) {
+        const std::size_t late = std::size_t(model_.delay[j]), at = t < late ? 0 : t - late;
+        segment.inputs.push_back(model_.input[j].apply(u.data()[at * inputs + j]));
+      }
     }
-    const double* u = inputs_.data() + start * model_.structure.inputs;
-    run_.run(u, output_.data() + start, int(length), theta.data(), x0.data(), sensitivities, states);
+    segments_.push_back(std::move(segment));
+  }
+
+  void simulate(std::size_t k, const Input& theta, bool sensitivities, double* states = nullptr) {
+    const Segment& segment = segments_[k];
+    const double* x0 = theta.data() + parameters() + k * std::size_t(model_.structure.states);
+    run_.run(segment.inputs.data(), segment.output.data(), int(segment.output.size()),
+             theta.data(), x0, sensitivities, states);
   }
 
   Store<double> store_;
   id::SplineStateSpaceSettings<double> model_;
-  std::vector<double> output_, inputs_, further_;
+  std::vector<Segment> segments_;
+  std::vector<double> further_;
   id::StateRun<double> run_;
 };
 
@@ -137,12 +174,10 @@ class StateRuns {
 
 NB_MODULE(structure, module) {
   nb::class_<StateRuns>(module, "StateRuns")
-      .def(nb::init<nb::handle, Input, Input, Input>(), nb::arg("settings"), nb::arg("u"),
-           nb::arg("y"), nb::arg("further"))
-      .def("sums", &StateRuns::sums, nb::arg("theta"), nb::arg("x0"), nb::arg("start"),
-           nb::arg("length"), nb::arg("sensitivities"))
-      .def("states", &StateRuns::states, nb::arg("theta"), nb::arg("x0"), nb::arg("start"),
-           nb::arg("length"));
+      .def(nb::init<nb::handle, nb::list, Input>(), nb::arg("settings"), nb::arg("segments"),
+           nb::arg("further"))
+      .def("sums", &StateRuns::sums, nb::arg("theta"), nb::arg("sensitivities"))
+      .def("states", &StateRuns::states, nb::arg("theta"));
   nb::class_<Runs>(module, "Runs")
       .def(nb::init<nb::handle, nb::handle, Input, Input>(), nb::arg("settings"),
            nb::arg("further"), nb::arg("u"), nb::arg("y"))

@@ -45,15 +45,23 @@ struct QuadraticBasis {
 
   template <bool Slope = false>
   LocalBasis<T> evaluate(T u) const {
-    LocalBasis<T> local = locate<Slope>(u);
-    if (offset != 0) fold<Slope>(local);
+    LocalBasis<T> local;
+    evaluate<Slope>(u, local);
     return local;
+  }
+
+  // In place: a copy of what was just written, piece by piece, would wait for it.
+  template <bool Slope = false>
+  void evaluate(T u, LocalBasis<T>& local) const {
+    locate<Slope>(u, local);
+    if (offset != 0) fold<Slope>(local);
   }
 
   // As evaluate, but `first` counts from the padding and dropped splines have value zero: no
   // branch depends on the input.
   LocalBasis<T> evaluate_padded(T u) const {
-    LocalBasis<T> local = locate<false>(u);
+    LocalBasis<T> local;
+    locate<false>(u, local);
     local.first += offset;
     for (int k = 0; k < 3; ++k) {
       const int i = local.first + k;
@@ -64,8 +72,7 @@ struct QuadraticBasis {
 
  private:
   template <bool Slope>
-  LocalBasis<T> locate(T u) const {
-    LocalBasis<T> local;
+  void locate(T u, LocalBasis<T>& local) const {
     // NaN (a diverged simulation) goes to the lower end: the interval must exist whatever u is.
     const T nearest = !(u >= lower()) ? lower() : (upper() < u ? upper() : u);
     local.clipped = nearest != u;
@@ -109,7 +116,6 @@ struct QuadraticBasis {
       for (int k = 0; k < 3; ++k) local.slope[k] = T(0);
     }
     local.first = interval - offset;
-    return local;
   }
 
   // Last interval whose left knot is not above u; the last one is closed on the right.

@@ -135,8 +135,12 @@ class Features {
   template <bool Slopes = false>
   void build(const History<T>& past, const T* weights) {
     LocalBasis<T>* local = local_;
-    int at = 0;
-    nonzero_ = clipped_ = 0;
+    int at = 0, nonzero = 0;
+    const auto set = [&](int index, T value) {
+      phi_[index] = value;
+      support_[nonzero++] = index;
+    };
+    clipped_ = 0;
     for (const Block<T>& block : structure_) {
       const QuadraticBasis<T>& basis = block.basis;
       switch (block.feature) {
@@ -146,7 +150,7 @@ class Features {
           break;
         case Feature::spline: {
           for (int i = 0; i < 3; ++i) phi_[at + local->first + i] = T(0);
-          *local = basis.template evaluate<Slopes>(past.at(block.signal, block.lag));
+          basis.template evaluate<Slopes>(past.at(block.signal, block.lag), *local);
           clipped_ += local->clipped;
           const T factor =
               block.factor_signal < 0 ? T(1) : past.at(block.factor_signal, block.factor_lag);
@@ -156,7 +160,7 @@ class Features {
         }
         case Feature::hammerstein:
           for (int k = 0; k < block.lags; ++k, ++local) {
-            *local = basis.evaluate(past.at(block.signal, block.lag + k));
+            basis.evaluate(past.at(block.signal, block.lag + k), *local);
             clipped_ += local->clipped;
             T sum = T(0);
             for (int i = 0; i < 3; ++i) sum += weights[local->first + i] * local->value[i];
@@ -177,6 +181,7 @@ class Features {
       }
       at += block.count();
     }
+    nonzero_ = nonzero;
   }
 
   // What a state read from outside cannot be; nullptr where it is sound.
@@ -248,11 +253,6 @@ class Features {
   }
 
  private:
-  void set(int index, T value) {
-    phi_[index] = value;
-    support_[nonzero_++] = index;
-  }
-
   Structure<T> structure_;
   int nonzero_ = 0;
   int clipped_ = 0;

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "identification/features.h"
-#include "identification/wide.h"
+#include "identification/products.h"
 
 namespace leglab::identification {
 
@@ -22,7 +22,7 @@ struct Record {
 // sensitivity that they would have (theta zero). `width` counts both, the model's first.
 template <class T>
 struct Sums {
-  std::vector<T> products;  // (width, parameters): sum of psi_i psi_j
+  Products<T> products;     // (width, parameters): sum of psi_i psi_j
   std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
   std::vector<T> squares;   // lower triangles of sum of psi_i psi_j within each further block
   T error = T(0);           // sum of squared errors
@@ -45,17 +45,18 @@ class FreeRun {
     std::size_t triangles = 0;
     for (const Block<T>& block : further_) triangles += triangle(block.count());
     sums_.squares.resize(triangles);
-    sums_.products.resize(std::size_t(width_) * std::size_t(parameters_));
+    sums_.products = Products<T>(width_, parameters_);
     sums_.gradient.resize(std::size_t(width_));
   }
 
   int depth() const { return depth_; }
   int width() const { return width_; }
   int parameters() const { return parameters_; }
-  const Sums<T>& sums() const { return sums_; }
+  Sums<T>& sums() { return sums_; }
 
   void clear() {
-    for (auto* part : {&sums_.products, &sums_.gradient, &sums_.squares}) {
+    sums_.products.clear();
+    for (auto* part : {&sums_.gradient, &sums_.squares}) {
       for (T& value : *part) value = T(0);
     }
     sums_.error = T(0);
@@ -106,15 +107,16 @@ class FreeRun {
     psi_ = workspace.take<T>(width_ * (depth_ + 1));
   }
 
-  // Output of the model at this sample; fills row(0), its sensitivities:
+  // Output of the model at this sample; fills its sensitivities:
   // psi(t) = phi(t) + sum_k d y(t) / d y(t - k) psi(t - k), zero where the output is held.
   T step(const T* theta, bool sensitivities) {
-    features_.template build<true>(past_, nullptr);
+    if (sensitivities) features_.template build<true>(past_, nullptr);
+    else features_.build(past_, nullptr);
     const T free = features_.predict(theta);
     const T own = clamp(free, lower_, upper_);
     if (!sensitivities) return own;
     newest_ = newest_ == 0 ? depth_ : newest_ - 1;
-    T* psi = row(0);
+    T* psi = psi_ + newest_ * width_;
     if (own != free) {
       for (int i = 0; i < width_; ++i) psi[i] = T(0);
       return own;
@@ -125,21 +127,18 @@ class FreeRun {
       further_features_.build(past_, nullptr);
       for (int i = parameters_; i < width_; ++i) psi[i] = further_features_.phi()[i - parameters_];
     }
-    for (int k = 1; k <= depth_; ++k) {
-      if (slope_[k] == T(0)) continue;
-      add_scaled(psi, row(k), slope_[k], width_);
-    }
-    for (int i = 0; i < width_; ++i) {  // an unstable model: its sensitivities tell nothing
-      if (!(magnitude(psi[i]) < T(1e12))) psi[i] = T(0);
-    }
+    // The ring's rows after this one, then those before it.
+    const int after = depth_ - newest_;
+    add_rows(psi, psi + width_, slope_ + 1, after, width_);
+    add_rows(psi, psi_, slope_ + 1 + after, newest_, width_);
+    drop_beyond(T(1e12), psi, width_);  // an unstable model: its sensitivities tell nothing
     return own;
   }
 
   void add(T error) {
-    const T* psi = row(0);
+    const T* psi = psi_ + newest_ * width_;
     add_scaled(sums_.gradient.data(), psi, error, width_);
-    // Of the model's own parameters the lower triangle: the other is the same.
-    add_products(sums_.products.data(), psi, width_, parameters_);
+    sums_.products.add(psi);
     const T* own = psi + parameters_;
     T* squares = sums_.squares.data();
     for (const Block<T>& block : further_) {
@@ -150,9 +149,6 @@ class FreeRun {
       own += count;
     }
   }
-
-  // Sensitivities `lag` samples ago.
-  T* row(int lag) { return psi_ + ((newest_ + lag) % (depth_ + 1)) * width_; }
 
   Structure<T> model_, further_;
   T lower_, upper_;

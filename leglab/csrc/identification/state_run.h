@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "identification/products.h"
 #include "identification/state_space.h"
 
 namespace leglab::identification {
@@ -13,7 +14,7 @@ namespace leglab::identification {
 // what it adds to each state, then to the output. The curve itself is zero.
 template <class T>
 struct StateSums {
-  std::vector<T> products;  // (width, width), the lower triangle: sum of psi_i psi_j
+  Products<T> products;     // (width, width): sum of psi_i psi_j
   std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
   T error = T(0);           // sum of squared errors
   std::size_t count = 0;    // of samples
@@ -33,12 +34,12 @@ class StateRun {
     block_.resize(measuring.used() / sizeof(Line) + 1);
     Workspace workspace(block_[0].bytes);
     lay_out(workspace, structure);
-    sums_.products.resize(std::size_t(width_) * std::size_t(width_));
+    sums_.products = Products<T>(width_, width_);
     sums_.gradient.resize(std::size_t(width_));
   }
 
   int width() const { return width_; }
-  const StateSums<T>& sums() const { return sums_; }
+  StateSums<T>& sums() { return sums_; }
 
   // Simulates `length` samples of inputs (length, inputs) from the state x0; y may have gaps (NaN).
   // Writes the states, (length, states), where they are given.
@@ -50,41 +51,32 @@ class StateRun {
     for (int i = 0; i < n; ++i) x_[i] = x0[i];
     for (int i = 0; i < n * width_; ++i) sensitivity_[i] = T(0);
     for (int i = 0; i < n; ++i) sensitivity_[i * width_ + s.parameters() + i] = T(1);
-    int waiting = 0;  // sensitivities whose products are to be added
     for (int t = 0; t < length; ++t) {
       for (int i = 0; states != nullptr && i < n; ++i) states[t * n + i] = x_[i];
       const T free = model_.evaluate(theta, x_, u + t * s.inputs);
       const T own = clamp(free, lower_, upper_);
-      T* psi = psi_ + waiting * width_;
       if (sensitivities) {
         model_.linearise(theta);
-        model_.propagate(theta, sensitivity_, psi);
-        if (further_ != nullptr) add_further(x_, u + t * s.inputs, psi);
+        model_.propagate(theta, sensitivity_, psi_);
+        if (further_ != nullptr) add_further(x_, u + t * s.inputs, psi_);
       }
       const T error = y[t] - own;
       if (is_finite(error)) {
         sums_.error += error * error;
         ++sums_.count;
         if (sensitivities && own == free) {
-          add_scaled(sums_.gradient.data(), psi, error, width_);
-          if (++waiting == rows) {
-            add_four_products(sums_.products.data(), psi_, width_);
-            waiting = 0;
-          }
+          add_scaled(sums_.gradient.data(), psi_, error, width_);
+          sums_.products.add(psi_);
         }
       }
       for (int i = 0; i < n; ++i) x_[i] = model_.next()[i];
     }
-    for (int i = waiting * width_; waiting > 0 && i < rows * width_; ++i) psi_[i] = T(0);
-    if (waiting > 0) add_four_products(sums_.products.data(), psi_, width_);
   }
 
  private:
   struct alignas(Workspace::alignment) Line {
     std::byte bytes[Workspace::alignment];
   };
-
-  static constexpr int rows = 4;
 
   // What the weights of the further curve do at this sample.
   void add_further(const T* x, const T* u, T* psi) {
@@ -101,9 +93,8 @@ class StateRun {
   }
 
   void clear() {
-    for (auto* part : {&sums_.products, &sums_.gradient}) {
-      for (T& value : *part) value = T(0);
-    }
+    sums_.products.clear();
+    for (T& value : sums_.gradient) value = T(0);
     sums_.error = T(0);
     sums_.count = 0;
   }
@@ -112,7 +103,7 @@ class StateRun {
     model_.layout(workspace, structure, width_);
     x_ = workspace.take<T>(structure.states);
     sensitivity_ = workspace.take<T>(structure.states * width_);
-    psi_ = workspace.take<T>(rows * width_);
+    psi_ = workspace.take<T>(width_);
   }
 
   int width_ = 0;
@@ -122,7 +113,7 @@ class StateRun {
   StateSpace<T> model_;
   T* x_ = nullptr;
   T* sensitivity_ = nullptr;
-  T* psi_ = nullptr;  // of some samples
+  T* psi_ = nullptr;
   StateSums<T> sums_;
 };
 

@@ -67,7 +67,7 @@ class StateSpace {
       const T* w = curve + m;
       const T* e = w + n + 1;
       LocalBasis<T>& local = local_[k];
-      local = s_.basis.template evaluate<true>(dot(curve, signals_, m));
+      s_.basis.template evaluate<true>(dot(curve, signals_, m), local);
       value_[k] = dot(e + local.first, local.value, 3);
       slope_[k] = dot(e + local.first, local.slope, 3);
       for (int i = 0; i < n; ++i) next_[i] += w[i] * value_[k];
@@ -104,20 +104,12 @@ class StateSpace {
   void propagate(const T* theta, T* sensitivity, T* psi) {
     const int n = s_.states;
     for (int i = 0; i < n * width_; ++i) former_[i] = sensitivity[i];
-    for (int p = 0; p < width_; ++p) psi[p] = T(0);
-    for (int i = 0; i < n; ++i) add_scaled(psi, former_ + i * width_, output_[i], width_);
-    for (int i = 0; i < n; ++i) {
-      T* row = sensitivity + i * width_;
-      for (int p = 0; p < width_; ++p) row[p] = T(0);
-      for (int j = 0; j < n; ++j) add_scaled(row, former_ + j * width_, jacobian_[i * n + j], width_);
-    }
     for (int i = 0; i <= n; ++i) {
-      if (i < n && held_[i]) continue;
       T* row = i < n ? sensitivity + i * width_ : psi;
-      direct(theta, i, row);
-      for (int p = 0; p < width_; ++p) {  // an unstable model: its sensitivities tell nothing
-        if (!(magnitude(row[p]) < T(1e12))) row[p] = T(0);
-      }
+      for (int p = 0; p < width_; ++p) row[p] = T(0);
+      if (i == n || !held_[i]) direct(theta, i, row);
+      add_rows(row, former_, i < n ? jacobian_ + i * n : output_, n, width_);
+      drop_beyond(T(1e12), row, width_);  // an unstable model: its sensitivities tell nothing
     }
   }
 

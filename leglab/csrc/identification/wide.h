@@ -17,29 +17,59 @@ LEGLAB_WIDE inline void add_scaled(double* __restrict to, const double* __restri
   for (int i = 0; i < count; ++i) to[i] += factor * from[i];
 }
 
-// The same in other arithmetic.
-template <class T>
-void add_scaled(T* __restrict to, const T* __restrict from, T factor, int count) {
-  for (int i = 0; i < count; ++i) to[i] += factor * from[i];
-}
-
-// to[i, j] += factors[i] * factors[j], of which the first square is a lower triangle.
-LEGLAB_WIDE inline void add_products(double* __restrict to, const double* __restrict factors,
-                                     int rows, int columns) {
-  for (int i = 0; i < rows; ++i, to += columns) {
-    const int last = i < columns ? i + 1 : columns;
-    const double factor = factors[i];
-    for (int j = 0; j < last; ++j) to[j] += factor * factors[j];
+// to += sum_k factors[k] * from[k], of rows of `count`.
+LEGLAB_WIDE inline void add_rows(double* __restrict to, const double* __restrict from,
+                                 const double* factors, int rows, int count) {
+  for (int k = 0; k < rows; ++k, from += count) {
+    const double factor = factors[k];
+    if (factor == 0.0) continue;
+    for (int i = 0; i < count; ++i) to[i] += factor * from[i];
   }
 }
 
-// to[i, j] += sum_k rows[k, i] * rows[k, j] of four rows, lower triangle of a square of `width`.
-LEGLAB_WIDE inline void add_four_products(double* __restrict to, const double* __restrict rows,
-                                          int width) {
-  const double *a = rows, *b = a + width, *c = b + width, *d = c + width;
-  for (int i = 0; i < width; ++i, to += width) {
-    const double p = a[i], q = b[i], r = c[i], s = d[i];
-    for (int j = 0; j <= i; ++j) to[j] += (p * a[j] + q * b[j]) + (r * c[j] + s * d[j]);
+// Zero for what is not within a bound, or not a number.
+LEGLAB_WIDE inline void drop_beyond(double bound, double* values, int count) {
+  for (int i = 0; i < count; ++i) {
+    values[i] = values[i] < bound && values[i] > -bound ? values[i] : 0.0;
+  }
+}
+
+// The same in other arithmetic.
+template <class T>
+void add_rows(T* to, const T* from, const T* factors, int rows, int count) {
+  for (int i = 0; i < rows * count; ++i) to[i % count] += factors[i / count] * from[i];
+}
+template <class T>
+void drop_beyond(T bound, T* values, int count) {
+  for (int i = 0; i < count; ++i) {
+    if (!(values[i] < bound && values[i] > -bound)) values[i] = T(0);
+  }
+}
+
+constexpr int lanes = 8;  // a line of memory
+using Lanes [[gnu::vector_size(lanes * sizeof(double)), gnu::aligned(8), gnu::may_alias]] = double;
+
+// to[i, j] += sum_k from[k, i] * from[k, j] of `count` rows of `width`, for i < width and j < columns
+// in the tiles that hold a j <= i. Widths are multiples of `lanes`.
+LEGLAB_WIDE inline void add_products(double* to, const double* from, int count, int width,
+                                     int columns) {
+  for (int i = 0; i < width; i += 4) {
+    for (int j = 0; j < columns && j < i + 4; j += lanes) {
+      Lanes* a = reinterpret_cast<Lanes*>(to + i * columns + j);
+      Lanes* b = reinterpret_cast<Lanes*>(to + (i + 1) * columns + j);
+      Lanes* c = reinterpret_cast<Lanes*>(to + (i + 2) * columns + j);
+      Lanes* d = reinterpret_cast<Lanes*>(to + (i + 3) * columns + j);
+      Lanes p = *a, q = *b, r = *c, s = *d;
+      const double* row = from;
+      for (int k = 0; k < count; ++k, row += width) {
+        const Lanes own = *reinterpret_cast<const Lanes*>(row + j);
+        p += row[i] * own;
+        q += row[i + 1] * own;
+        r += row[i + 2] * own;
+        s += row[i + 3] * own;
+      }
+      *a = p, *b = q, *c = r, *d = s;
+    }
   }
 }
 

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from leglab._native.structure import Runs
 from leglab.identification.features import Feature, Spline
@@ -204,6 +203,7 @@ class Fit:
     error: float
 
 
+@cache
 def roughness(splines: int) -> Array:
     """Prior of a curve's weights: each is zero within one, second differences more closely."""
     second = np.diff(np.eye(splines), 2, axis=0)
@@ -212,11 +212,14 @@ def roughness(splines: int) -> Array:
 
 def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Array:
     """Quadratic form of a prior of strength one, (n, n): each parameter is zero within one."""
-    parts = [
-        roughness(block.count) if isinstance(feature, Spline) else np.eye(block.count)
-        for feature, block in zip(features, blocks, strict=True)
-    ]
-    return np.asarray(block_diag(*parts), float)
+    out = np.eye(sum(block.count for block in blocks))
+    at = 0
+    for feature, block in zip(features, blocks, strict=True):
+        own = slice(at, at + block.count)
+        if isinstance(feature, Spline):
+            out[own, own] = roughness(block.count)
+        at = own.stop
+    return out
 
 
 def solve(matrix: Array, right: Array) -> Array:

@@ -75,6 +75,10 @@ CONSTANT = "constant"
 SIMPLE = (*LINEAR, CONSTANT)
 
 
+Table = tuple[tuple[float, ...], ...]
+Each = Callable[..., Iterable]  # `map`, or one that has threads
+
+
 @dataclass(frozen=True)
 class Plan:
     """A structure that is searched.
@@ -271,24 +275,28 @@ def promises(
     return np.where(np.isfinite(gains), gains, 0.0)
 
 
-def searched(problem: Problem, plan: Plan) -> Candidate:
-    """Carries out a plan: paths in step with each block held out, then one on all records."""
+def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
+    """Carries out a plan: paths in step with each block held out, then one on all records.
+
+    Args:
+        problem: Records and signals.
+        plan: The plan.
+        each: Applies a function to the blocks, as `map` does.
+    """
     if plan.sketch and plan.kind == STATES:
-        return _sketched(problem, plan)
+        return _sketched(problem, plan, each)
     depth, begun = _beginning(problem, plan)
     held = Held(problem, depth, _counts(plan))
-    paths = [[begun(block) for block in part] for part in held.blocks]
-    flat = [path for part in paths for path in part]
+    flat = list(each(begun, held.all))
     grown: list[list[Fit]] = []  # fits without each block, by size
 
     def sizes() -> Iterator[Table]:
         while True:
             grown.append([path.fit for path in flat])
-            yield held.errors([[path.fit for path in part] for part in paths])
+            yield held.errors(grown[-1])
             if all(path.ended for path in flat):
                 return
-            for path in flat:
-                path.grow()
+            list(each(lambda path: path.grow(), flat))
 
     table, tried = _table(sizes(), plan.most)
     whole = begun(None)
@@ -339,7 +347,7 @@ def _beginning(
     return depth, begun
 
 
-def _sketched(problem: Problem, plan: Plan) -> Candidate:
+def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
     """A path on all records, fitted anew at each size with each block held out.
 
     The fits without a block begin at that with it and take a tenth of the time. They still know a
@@ -351,14 +359,11 @@ def _sketched(problem: Problem, plan: Plan) -> Candidate:
 
     def sizes() -> Iterator[Table]:
         while not path.ended:
-            yield held.errors([[path.without(block) for block in part] for part in held.blocks])
+            yield held.errors(list(each(path.without, held.all)))
             path.grow()
 
     table, tried = _table(sizes(), plan.most)
     return Candidate(plan, path.fit, table[-1], tried)
-
-
-Table = tuple[tuple[float, ...], ...]
 
 
 class Held:
@@ -366,15 +371,18 @@ class Held:
 
     def __init__(self, problem: Problem, depth: int, counts: tuple[int, ...] = BLOCKS) -> None:
         self._problem = problem
-        self.blocks = [blocks(problem, depth, count) for count in counts]
-        self._firsts = [[lead_in(problem, block, depth) for block in part] for part in self.blocks]
+        parts = [blocks(problem, depth, count) for count in counts]
+        self.all = [block for part in parts for block in part]
+        self._firsts = [lead_in(problem, block, depth) for block in self.all]
+        self._ends = np.cumsum([len(part) for part in parts])
 
-    def errors(self, fits: Sequence[Sequence[Fit]]) -> Table:
+    def errors(self, fits: Sequence[Fit]) -> Table:
         """Mean square of the error over each block, of the model that was fitted without it."""
-        return tuple(
-            tuple(self._problem.error_of(*one) for one in zip(*row, strict=True))
-            for row in zip(fits, self.blocks, self._firsts, strict=True)
-        )
+        found = [
+            self._problem.error_of(*one) for one in zip(fits, self.all, self._firsts, strict=True)
+        ]
+        starts = [0, *self._ends[:-1]]
+        return tuple(tuple(found[a:b]) for a, b in zip(starts, self._ends, strict=True))
 
 
 def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float, ...]]:
@@ -542,9 +550,10 @@ def search(
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
         done = []
-        pool = ThreadPoolExecutor(jobs)
+        # Blocks have threads of their own: the last structure of a stage is not left to one.
+        pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
         try:
-            results = pool.map(lambda p: known.get(p) or searched(problem, p), wanted)
+            results = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), wanted)
             for number, candidate in enumerate(results, 1):
                 if candidate.plan not in known and keep is not None:
                     keep(candidate)
@@ -552,7 +561,9 @@ def search(
                     progress(number, len(wanted), stage)
                 done.append(candidate)
         finally:
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            inner.shutdown(cancel_futures=True)
+            pool.shutdown()
         return done
 
     linear = made("linear models", plans_linear(problem, delays(problem)))

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from leglab._native.structure import StateRuns
 from leglab.identification.spline_state_space import StateSpace
@@ -43,49 +42,11 @@ _NONE = np.zeros(0)  # no further curve
 _RIDGE = 1e-9  # smallest singular value and reach of a state
 
 
-class Segments(NamedTuple):
-    """What a fit simulates: stretches of records, each from a start that is fitted as well.
-
-    Attributes:
-        of: The stretches.
-        runs: Their simulations in the core, for one structure, and where they begin in these.
-    """
-
-    of: tuple[Stretch, ...]
-    runs: tuple[tuple[StateRuns, int], ...]
-
-    def sums(self, theta: Array, count: int, *, sensitivities: bool, further: int = 0) -> "Sums":
-        """Sums over all segments for parameters and starts, (count + segments * n,).
-
-        Those of the `further` weights of a further curve are the last.
-        """
-        n = (len(theta) - count) // len(self.of)
-        width = len(theta)
-        error, samples = 0.0, 0
-        products, gradient = np.zeros((width + further,) * 2), np.zeros(width + further)
-        for k, stretch in enumerate(self.of):
-            own = slice(count + k * n, count + (k + 1) * n)
-            runs, start = self.runs[k]
-            found = runs.sums(theta[:count], theta[own], start, stretch.length, sensitivities)
-            error, samples = error + found[0], samples + found[1]
-            if sensitivities:
-                at = np.r_[:count, own, width : width + further]
-                products[np.ix_(at, at)] += found[2]
-                gradient[at] += found[3]
-        return Sums(error, samples, products, gradient)
-
-    def states(self, theta: Array, count: int) -> Array:
-        """States of all segments, (N, n)."""
-        n = (len(theta) - count) // len(self.of)
-        starts = theta[count:].reshape(-1, n)
-        return np.concatenate([
-            runs.states(theta[:count], x0, start, s.length)
-            for (runs, start), s, x0 in zip(self.runs, self.of, starts, strict=True)
-        ])  # fmt: skip
-
-
 class Sums(NamedTuple):
-    """Sums over segments, in scaled units; see csrc/identification/state_run.h."""
+    """Sums over segments, in scaled units; see csrc/identification/state_run.h.
+
+    Of parameters, then of the starts of all segments, then of the weights of a further curve.
+    """
 
     error: float
     samples: int
@@ -114,6 +75,18 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
     mean = sum(s.length for s in pieces) / len(pieces)
     keep = min(_MOST, max(1, int(budget / mean)), len(pieces))
     return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, keep).round().astype(int))]
+
+
+def runs_of(
+    problem: Problem, structure: StateSpace, of: Sequence[Stretch], further: Array = _NONE
+) -> StateRuns:
+    """Simulations of segments in the core, for one structure and the argument of another curve."""
+    segments = []
+    for s in of:
+        record, first = problem.records[s.record], max(0, s.start - max(structure.delays))
+        own = slice(first, s.start + s.length)
+        segments.append((record.u[own], record.y[own], s.start - first))
+    return StateRuns(problem.model((structure,)), segments, further)
 
 
 @dataclass(frozen=True)
@@ -188,7 +161,7 @@ class StatePath:
     def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
         """Fits the model to other segments, each from the state that the model has there."""
         structure = self._model.structure
-        x = self._segments(structure).states(self._model.theta, structure.count)
+        x = self._runs(structure).states(self._model.theta)
         ends = np.cumsum([s.length for s in self._of])
         starts = np.zeros((len(of), structure.states))
         for k, there in enumerate(of):
@@ -206,21 +179,14 @@ class StatePath:
         structure = replace(self._model.structure, noise=variance)
         return Fit((structure,), self._model.parameters.copy(), error)
 
-    def _segments(self, structure: StateSpace, further: Array = _NONE) -> Segments:
-        settings, runs = self._problem.model((structure,)), []
-        for s in self._of:
-            record, first = self._problem.records[s.record], max(0, s.start - max(structure.delays))
-            own = slice(first, s.start + s.length)
-            core = StateRuns(settings, record.u[own], record.y[own], further)
-            runs.append((core, s.start - first))
-        return Segments(self._of, tuple(runs))
+    def _runs(self, structure: StateSpace, further: Array = _NONE) -> StateRuns:
+        return runs_of(self._problem, structure, self._of, further)
 
     def _fitted(self, model: _Model, iterations: int) -> tuple[_Model, float]:
-        count = model.structure.count
-        segments = self._segments(model.structure)
+        runs = self._runs(model.structure)
 
         def sums(theta: Array, sensitivities: bool) -> Sums:
-            return segments.sums(theta, count, sensitivities=sensitivities)
+            return Sums(*runs.sums(theta, sensitivities))
 
         form = self._strength / self._problem.count * self._prior(model)
         centre = model.theta.copy()
@@ -231,12 +197,14 @@ class StatePath:
         return replace(model, theta=theta), error
 
     def _prior(self, model: _Model) -> Array:
-        starts = len(model.theta) - model.structure.count
-        return np.asarray(block_diag(prior_of(model.structure), _LINEAR * np.eye(starts)), float)
+        count = model.structure.count
+        out = np.diag(np.full(len(model.theta), _LINEAR))
+        out[:count, :count] = prior_of(model.structure)
+        return out
 
     def _scaled(self, structure: StateSpace, theta: Array) -> Array:
         """The same linear model with states whose largest value is one."""
-        x = self._segments(structure).states(theta, structure.count)
+        x = self._runs(structure).states(theta)
         reach = np.maximum(np.abs(x).max(axis=0), _RIDGE)
         parts = structure.parts(theta)
         return np.concatenate([
@@ -256,8 +224,7 @@ class StatePath:
         form = self._strength / self._problem.count * self._prior(self._model)
         found: list[tuple[float, Array]] = []
         for v in self._directions():
-            further = (now.states + 1) * now.splines
-            sums = self._segments(now, v).sums(at, now.count, sensitivities=True, further=further)
+            sums = Sums(*self._runs(now, v).sums(at, True))
             for k, (gain, splines) in enumerate(self._gains(sums, form)):
                 target = np.eye(now.states + 1)[k]
                 curve = np.concatenate([v, target, splines])
@@ -290,7 +257,7 @@ class StatePath:
         """
         structure = self._model.structure
         parts = structure.parts(self._model.parameters)
-        x = self._segments(structure).states(self._model.theta, structure.count)
+        x = self._runs(structure).states(self._model.theta)
         z = np.column_stack([x, self._inputs(structure)])
         _, spread, axes = np.linalg.svd(z - z.mean(axis=0), full_matrices=False)
         spread = np.maximum(spread / np.sqrt(len(z)), 1e-3 * spread[0] / np.sqrt(len(z)))
@@ -384,25 +351,26 @@ def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
     In squares of the output's error, (count, count); psi = d y / d theta, scaled.
     """
     structure = _structure(fit)
-    settings = problem.model((structure,))
     total = strength * fit.error**2 * problem.variance * prior_of(structure)
-    for record in problem.records:
-        runs = StateRuns(settings, record.u, record.y, _NONE)
-        found = runs.sums(fit.theta, np.zeros(structure.states), 0, len(record), True)
-        total += found[2][: structure.count, : structure.count]
+    for whole in _whole(problem):
+        runs = runs_of(problem, structure, [whole])
+        found = Sums(*runs.sums(np.append(fit.theta, np.zeros(structure.states)), True))
+        total += found.products[: structure.count, : structure.count]
     return total
 
 
 def variances(problem: Problem, fit: Fit) -> Array:
     """Of the scaled states and inputs over all records, (n + M,)."""
-    structure = _structure(fit)
-    settings, x = problem.model((structure,)), []
-    for record in problem.records:
-        runs = StateRuns(settings, record.u, record.y, _NONE)
-        x.append(runs.states(fit.theta, np.zeros(structure.states), 0, len(record)))
+    structure, records = _structure(fit), _whole(problem)
+    rest = np.zeros(structure.states * len(records))
+    x = runs_of(problem, structure, records).states(np.append(fit.theta, rest))
     signals = problem.template.inputs
     inputs = [float(np.std(problem.samples[s.name])) / s.half_range for s in signals]
-    return np.append(np.concatenate(x).var(axis=0), np.square(inputs))
+    return np.append(x.var(axis=0), np.square(inputs))
+
+
+def _whole(problem: Problem) -> list[Stretch]:
+    return [Stretch(k, 0, len(record)) for k, record in enumerate(problem.records)]
 
 
 def _structure(fit: Fit) -> StateSpace:
