@@ -46,7 +46,10 @@ Element = Annotated[
     str | None,
     typer.Option(help="Joint to which it happens alone; `leglab list` says which scenarios can."),
 ]
-Reference = Annotated[str | None, typer.Option(help="Reference; default: the scenario's.")]
+Reference = Annotated[
+    str | None,
+    typer.Option(help="Reference, or a file with positions of joints; default: the scenario's."),
+]
 Tolerance = Annotated[
     float,
     typer.Option(
@@ -136,9 +139,17 @@ _EFFECTS = (
 )  # fmt: skip
 _LISTED = {
     "effects": _EFFECTS,
-    "references": ("multisine", "random_stride", "sine_sweep", "squat", "step", "walking_stride"),
+    "references": (
+        "file",
+        "multisine",
+        "random_stride",
+        "sine_sweep",
+        "squat",
+        "step",
+        "walking_stride",
+    ),
     "formats": ("parquet", "csv", "mcap", "matlab", "sysid"),
-}
+}  # fmt: skip
 
 
 def given_for(kind: type, context: typer.Context) -> dict[str, Any]:

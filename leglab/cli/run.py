@@ -71,6 +71,7 @@ def run(
     else:
         terminal.print_table(terminal.metrics_table(result.record))
         notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
+        notes += terminal.reference_lines(result.configuration.settings, result.joints)
         told = [event.told() for event in result.record.events]
         told += [trend.told() for trend in result.record.health]
         for line in [*told, *notes]:

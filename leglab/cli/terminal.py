@@ -345,6 +345,24 @@ def comparison_table(summary: dict[str, Any]) -> Table:
     return table
 
 
+def reference_lines(settings: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
+    """A line on which joints follow which columns of a file, else none.
+
+    Args:
+        settings: Of the run, from the content of `run.json`.
+        joints: Of the machine.
+    """
+    from leglab.references.from_file import NAME, played
+
+    if settings["reference"] != NAME:
+        return []
+    file = settings["reference_config"]["file"]
+    found = played(file, joints)[1]
+    moved = ", ".join(f"{joint} follows {column.stem!r}" for joint, column in found.items())
+    still = ", ".join(joint for joint in joints if joint not in found)
+    return [f"{Path(file).name}: {moved}" + (f"; at rest: {still}" if still else "")]
+
+
 def timing_lines(asked: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
     """A line where the loop's timing was rounded up to whole steps of the model, else none.
 

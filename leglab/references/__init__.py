@@ -7,12 +7,15 @@ standing upright.
 
 from leglab.references.base import (
     Joint,
+    Motion,
     Reference,
     Samples,
     make_reference,
     reference_names,
     register_reference,
+    rest_pose,
 )
+from leglab.references.from_file import FromFile
 from leglab.references.gait import GAIT
 from leglab.references.multisine import Multisine
 from leglab.references.random_stride import RandomStride
@@ -27,7 +30,9 @@ LEG_REFERENCES = ("random_stride", "squat", "walking_stride")
 __all__ = [
     "GAIT",
     "LEG_REFERENCES",
+    "FromFile",
     "Joint",
+    "Motion",
     "Multisine",
     "RandomStride",
     "Reference",
@@ -39,4 +44,5 @@ __all__ = [
     "make_reference",
     "reference_names",
     "register_reference",
+    "rest_pose",
 ]

@@ -20,6 +20,7 @@ from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
 from leglab.control.contract import CONTROLLERS
+from leglab.data import SUFFIXES
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import (
     NATIVE_FIELDS,
@@ -41,6 +42,8 @@ from leglab.references import (
     make_reference,
 )
 from leglab.references.base import REFERENCES
+from leglab.references.from_file import NAME as FILE
+from leglab.references.from_file import digest_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +60,8 @@ class RunSettings:
         ramp_duration: How long the change takes [s].
         element: Joint whose cylinder, spring and encoder change alone; None for all that the
             scenario changes.
-        reference: Name of the reference; None for the scenario's own.
+        reference: Name of the reference, or a file with positions of joints; None for the
+            scenario's own.
         reference_config: Settings of the reference, over those of the scenario.
         controller_config: Settings of the controller.
         sensors: Settings of sensors and timing.
@@ -88,6 +92,13 @@ class RunSettings:
     timestep: float | None = None
     tolerance: float = 0.0
     vary: bool = False
+
+    def __post_init__(self) -> None:
+        name = self.reference or ""
+        if Path(name).suffix.lower() in SUFFIXES:
+            found = {"file": os.path.abspath(name), "digest": digest_of(name)}
+            object.__setattr__(self, "reference", FILE)
+            object.__setattr__(self, "reference_config", {**self.reference_config, **found})
 
 
 def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None) -> Scenario:

@@ -17,7 +17,7 @@ from leglab.runs.folder import default_folder
 from tests.helpers.pages import ROOT, agrees, blocks, steps
 from tests.tables import pages
 
-NAMES = ("controller", "effect", "from_your_tool", "model", "scenario")
+NAMES = ("controller", "effect", "from_your_tool", "model", "reference", "scenario")
 HOW_TO = [f"docs/guides/{name}.md" for name in NAMES]
 PAGES = (
     "docs/start/first_hour.md",

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,9 @@ from leglab.references.gait import GAIT
 
 LEG = tuple(Joint(name=name, rest=0.05) for name in GAIT)
 BENCH = (Joint(name="knee", rest=0.9, lower=0.0, upper=1.8),)
+WALK = Path(__file__).with_name("walk.csv")
 SMOOTH = {
+    "file": {"file": str(WALK)},
     "walking_stride": {},
     "random_stride": {"seed": 5},
     "squat": {},
@@ -304,3 +308,62 @@ def test_multisine_stays_within_range_speed_and_acceleration_and_reaches_one_of_
     np.testing.assert_allclose(
         shifted.sample(times).position, motion.sample(times + 0.75).position, atol=1e-12
     )
+
+
+def test_a_file_is_played_in_its_units_and_repeats_where_it_closes():
+    played = {"file": str(WALK), "lead": 0.5}
+    once = make_reference("file", LEG, played)
+    knee = list(GAIT).index("knee")
+    # To the first sample in 0.5 s, then the clock of the file starts: it loses half of its lead.
+    assert once.sample(np.array([0.5])).position[0, knee] == pytest.approx(np.radians(20))
+    assert once.sample(np.array([1.75])).position[0, knee] == pytest.approx(
+        np.radians(60), abs=1e-3
+    )
+    end = once.sample(np.array([3.0, 99.0]))
+    assert end.position[:, knee] == pytest.approx(np.radians([20, 20]))
+    assert not end.velocity.any()
+    assert (once.sample(np.array([1.3])).position[0, list(GAIT).index("hip_yaw")]) == 0.05
+    around = make_reference("file", LEG, {**played, "repeat": True})
+    assert around.period == pytest.approx(2.0)
+    times = np.linspace(1.5, 4, 100)
+    for one, two in zip(around.sample(times), around.sample(times + 2.0), strict=True):
+        np.testing.assert_allclose(one, two, atol=1e-9)
+    direct = make_reference("file", LEG, {"file": str(WALK), "lead": 0}).sample(np.array([1.3]))
+    assert direct.position[0, knee] == pytest.approx(
+        np.radians(40 - 20 * np.cos(1.3 * np.pi) + 2 * np.sin(5.2 * np.pi)), abs=1e-3
+    )
+
+
+def test_smoothing_takes_noise_out_of_a_file(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(0, 4, 0.005)
+    wave = 0.9 + 0.3 * np.sin(2 * np.pi * t)
+    rows = [f"{a},{b}" for a, b in zip(t, wave + 1e-3 * rng.normal(size=len(t)), strict=True)]
+    noisy = tmp_path / "noisy.csv"
+    noisy.write_text("time,knee\n" + "\n".join(rows))
+    at = np.arange(0.5, 3.5, 0.001)
+    wanted = -0.3 * (2 * np.pi) ** 2 * np.sin(2 * np.pi * at)
+
+    def error(**config):
+        found = make_reference("file", BENCH, {"file": str(noisy), "lead": 0, **config})
+        return np.std(found.sample(at).acceleration[:, 0] - wanted)
+
+    assert error(smooth=True) < 0.1 * np.std(wanted) < 5 * np.std(wanted) < error()
+
+
+def test_a_file_that_cannot_be_played_is_refused(tmp_path):
+    def refused(content, **config):
+        file = tmp_path / "motion.csv"
+        file.write_text(content)
+        with pytest.raises(LeglabError) as caught:
+            make_reference("file", BENCH, {"file": str(file), **config})
+        return str(caught.value)
+
+    rows = "\n".join(f"{t},{t / 10}" for t in range(6))
+    assert "knee_position" in refused(f"time,kne\n{rows}")
+    assert "bar" in refused(f"time,knee [bar]\n{rows}")
+    assert "repeat" in refused(f"time,knee\n{rows}", repeat=True)
+    assert "changed" in refused(f"time,knee\n{rows}", digest="0")
+    assert "3 s" in refused(f"time,knee\n{rows}".replace("3,0.3", "3,"))
+    assert "5 or more" in refused("time,knee\n0,0.1\n1,0.2")
+    with pytest.raises(LeglabError, match="--reference FILE"):
+        make_reference("file", BENCH)
