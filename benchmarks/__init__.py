@@ -1,1 +1,8 @@
 """How fast and how right leglab is: scripts that measure, and what they share."""
+
+from importlib.util import find_spec
+
+if find_spec("joblib") is None:
+    raise ImportError(
+        "benchmarks needs the clone's environment: make .venv/installed, then source .venv/bin/activate"
+    )

@@ -1,8 +1,10 @@
 """The errors that users see as a line, not as a traceback."""
 
 import difflib
+import inspect
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
@@ -78,8 +80,33 @@ class FileError(LeglabError):
     """A file or folder is not there, cannot be read or written, or has another format."""
 
 
-def origin(error: BaseException, file: str | None = None) -> str:
-    """Returns file and line where an error arose: the last line in `file`, else the last of all."""
+@contextmanager
+def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None) -> Iterator[None]:
+    """Turns an exception of anybody's code into an error with its file and line.
+
+    Args:
+        what: Whose code runs, for instance "controller 'pd'".
+        code: Its class or function.
+        kind: Of the error; None for `SettingsError`.
+
+    Raises:
+        LeglabError: The code raised an exception, or asked to exit.
+    """
+    try:
+        yield
+    except LeglabError:
+        raise
+    except (Exception, SystemExit) as error:
+        told = f"{what} failed: {type(error).__name__}: {error} ({origin(error, code)})"
+        raise (kind or SettingsError)(told) from error
+
+
+def origin(error: BaseException, code: object = None) -> str:
+    """Returns file and line of an error: the last line in the file of `code`, else of all."""
+    try:
+        file = inspect.getsourcefile(code)  # type: ignore[arg-type]
+    except TypeError:  # an object that has no source
+        file = None
     frames = traceback.extract_tb(error.__traceback__)
     at = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])
     return f"{Path(at.filename).name}, line {at.lineno}"

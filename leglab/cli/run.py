@@ -76,6 +76,9 @@ def run(
         told += [trend.told() for trend in result.record.health]
         for line in [*told, *notes]:
             terminal.output.print(line, soft_wrap=True, markup=False)
+        period = result.configuration.settings["sensors"]["control_period"]
+        for line in terminal.slow_lines(result.record, period):
+            terminal.complain(line, "warning")
         terminal.tell(f"written to {folder}")
     failure = result.record.failure or ("interrupted when the run was over" if late else "")
     if failure:
@@ -101,7 +104,13 @@ def compare(
     vary: options.Vary = False,
     jobs: options.Jobs = -1,
     scheduler: options.Scheduler = None,
-    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("runs/compare"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Output folder, to which more seeds and controllers may come; default "
+            "runs/compare-SCENARIOS-MODEL and what else is not as by default."
+        ),
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Repeat runs that are there.")
     ] = False,
@@ -115,10 +124,11 @@ def compare(
     settings, code and model are not repeated: an interrupted comparison goes on where it was. A run
     that fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
     """
-    from leglab.report.comparison.words import failures
+    from leglab.report.comparison.words import failures, untold
     from leglab.report.figures import save_comparison_figure
     from leglab.runs.comparison import RUNS, SUMMARY, Comparison, run_all
     from leglab.runs.comparison import compare as summarise
+    from leglab.runs.folder import default_folder
 
     options.check_jobs(jobs)
     given = options.given_for(Comparison, context)
@@ -126,6 +136,7 @@ def compare(
     comparison = Comparison(**given)
     runs = comparison.runs()
     there: list[int] = []
+    out = out or default_folder(runs[0], "compare", *comparison.scenarios, Path(model).stem)
 
     every = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
 
@@ -154,6 +165,8 @@ def compare(
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
+        for line in untold(summary):
+            terminal.tell(line)
         kept = f"{there[0]} of {len(runs)} runs were there; " if there[0] else ""
         terminal.tell(f"{kept}written to {out}")
     for line in failures(summary):

@@ -296,7 +296,8 @@ def _is_number(text: str) -> bool:
 
 def metrics_table(metrics: "RunMetrics") -> Table:
     """Tracking error of one run by joint and phase."""
-    from leglab.report.page.outcome import milli, outcome
+    from leglab.report.page.outcome import milli, outcome, sentence
+    from leglab.runs.clock import NOTHING_CHANGES
 
     unit = metrics.error_unit()
     joints = [name for name in metrics.phases[0].rms_rad if name != "all"]
@@ -308,7 +309,7 @@ def metrics_table(metrics: "RunMetrics") -> Table:
         errors = ((1e3 * p.rms_rad[name], 1e3 * p.peak_rad[name]) for p in metrics.phases)
         own = unit if name == "all" else metrics.error_unit(name)
         label = Text(name if own == unit else f"{name} [{own}]")
-        table.add_row(label, *(f"{rms:.1f} / {peak:.1f}" for rms, peak in errors))
+        table.add_row(label, *(f"{_short(rms)} / {_short(peak)}" for rms, peak in errors))
     found = metrics.adaptation
     if found.before_rad and found.end_rad:
         table.caption = (
@@ -318,7 +319,34 @@ def metrics_table(metrics: "RunMetrics") -> Table:
             f"{outcome(found, unit)}"
         )
         table.caption_justify = "left"
+    elif found.reason != NOTHING_CHANGES:
+        table.caption, table.caption_justify = sentence(found, unit), "left"
     return table
+
+
+_LATE = 0.01  # of the commands, from which on it is told: an operating system delays a few
+
+
+def _short(value: float) -> str:
+    """A number with one decimal, or two digits where that would leave fewer."""
+    return f"{value:.1f}" if abs(value) >= 1 or value == 0 else f"{value:.2g}"
+
+
+def slow_lines(metrics: "RunMetrics", period: float) -> list[str]:
+    """A line where the controller took longer than its period, else none.
+
+    Args:
+        metrics: Of the run.
+        period: Control period [s].
+    """
+    times = metrics.command_time_s
+    if times is None or times.late < _LATE:
+        return []
+    return [
+        f"{times.late:.0%} of the commands of {metrics.controller!r} take longer than the control "
+        f"period of {1e3 * period:g} ms: {1e3 * times.median:.2g} ms in the median, "
+        f"{1e3 * times.worst:.2g} ms at worst"
+    ]
 
 
 def comparison_table(summary: dict[str, Any]) -> Table:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from leglab.base.errors import ModelError, SettingsError, SimulationError
+from leglab.base.errors import ModelError, SettingsError, SimulationError, plugged_in
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 
@@ -303,7 +303,8 @@ def make_controller(
     """
     factory, settings = CONTROLLERS.configured(name, config)
     bare = CONTROLLERS.get(name).configuration is Configuration
-    made: Controller = factory(setup) if bare else factory(setup, settings)  # type: ignore[call-arg]
+    with plugged_in(f"controller {name!r}", factory):
+        made: Controller = factory(setup) if bare else factory(setup, settings)  # type: ignore[call-arg]
     return made
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leglab.base.errors import SettingsError
+from leglab.base.errors import SettingsError, plugged_in
 from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 
@@ -72,9 +72,43 @@ class Reference:
         if times.ndim != 1:
             told = f"times of a reference have shape {times.shape}, allowed is "
             raise SettingsError(told, given=times.shape, allowed="(n,)")
-        samples = self.motion(times)
+        with plugged_in(f"reference {self.name!r}", self.motion):
+            samples = Samples(*self.motion(times))
+        self._check_form(times, samples)
         self._check(times, samples)
         return samples
+
+    def check_velocity(self) -> None:
+        """Refuses a velocity that is not the derivative of the position: feed-forward uses it.
+
+        Raises:
+            SettingsError: Names the joint.
+        """
+        times = np.linspace(0.0, 2.0 * self.period, _TRIED)
+        before, now, after = (self.motion(times + shift) for shift in (-_NEAR, 0.0, _NEAR))
+        moves = (after.position - before.position) / (2.0 * _NEAR)
+        slack = _SLACK * np.abs(now.velocity).max(axis=0, initial=_SLOW)
+        wrong = np.mean(np.abs(moves - now.velocity) > slack, axis=0)  # a step may jump
+        for joint, share in zip(self.joints, wrong, strict=True):
+            if share > _SLACK:
+                raise SettingsError(
+                    f"reference {self.name!r}: the velocity of joint {joint.name!r} is not the "
+                    f"derivative of its position at {share:.0%} of {_TRIED} times"
+                )
+
+    def _check_form(self, times: np.ndarray, samples: Samples) -> None:
+        wanted = (times.size, len(self.joints))
+        for name, values in zip(Samples._fields, samples, strict=True):
+            if np.shape(values) != wanted:
+                told = f"reference {self.name!r}: {name} has shape {np.shape(values)}, allowed is "
+                raise SettingsError(told, given=np.shape(values), allowed=f"{wanted}")
+            bad = np.argwhere(~np.isfinite(values))
+            if bad.size:
+                row, column = bad[0]
+                raise SettingsError(
+                    f"reference {self.name!r}: {name} of joint {self.joints[column].name!r} is "
+                    f"{values[row, column]:g} at {times[row]:.4g} s"
+                )
 
     def _check(self, times: np.ndarray, samples: Samples) -> None:
         lower = np.array([joint.lower for joint in self.joints])
@@ -97,6 +131,11 @@ class Reference:
                 raise SettingsError(told, given=value, allowed=limits[unit])
 
 
+# Times at which velocities are compared with central differences over so much [s], the share of the
+# largest speed by which they may differ, that of the times at which they may do so, and the
+# smallest largest speed [rad/s].
+_TRIED, _NEAR, _SLACK, _SLOW = 500, 1e-5, 0.1, 1e-3
+
 # Makes the motion of some joints and says its period [s].
 Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
 
@@ -105,7 +144,7 @@ REFERENCES: FactoryRegistry[Builder] = FactoryRegistry("reference")
 
 
 def register_reference(
-    name: str, *, summary: str, configuration: type[Configuration]
+    name: str, *, summary: str, configuration: type[Configuration] = Configuration
 ) -> Callable[[Builder], Builder]:
     """Registers the decorated builder under a name.
 
@@ -139,8 +178,13 @@ def make_reference(
     build, settings = REFERENCES.configured(name, config, **seeded)
     if not joints:
         raise SettingsError(f"reference {name!r} needs at least one joint")
-    motion, period = build(tuple(joints), settings)
-    return Reference(name=name, joints=tuple(joints), period=period, motion=motion)
+    with plugged_in(f"reference {name!r}", build):
+        motion, period = build(tuple(joints), settings)
+    made = Reference(name=name, joints=tuple(joints), period=period, motion=motion)
+    with plugged_in(f"reference {name!r}", motion):
+        made.sample(np.zeros(2))
+        made.check_velocity()
+    return made
 
 
 def reference_names() -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from leglab.runs.metrics import by_joint, joint_rms, settling_time, sliding_rms
 from leglab.runs.record import AdaptationMetrics
 
 # Errors before the change and at the end are taken over the whole strides in this share of the run.
+NOTHING_CHANGES = "nothing changes"  # a reason why nothing is undone
 QUARTER = 0.25
 
 # Share of the damage that is undone at `t90_s`.
@@ -73,12 +74,12 @@ def adaptation(
         figures["end_rad"] = error_of(error, scenario.duration - span, math.inf)
     if failure:
         figures["reason"] = f"the run stopped early: {failure}"
+    elif not scenario.changes:
+        figures["reason"] = NOTHING_CHANGES
     elif not span:
         figures["reason"] = (
             f"a quarter of the run, {quarter:g} s, is less than a stride, {stride:g} s"
         )
-    elif not scenario.changes:
-        figures["reason"] = "nothing changes"
     elif change < span:
         figures["reason"] = f"the change at {change:g} s leaves less than {span:g} s before it"
     elif done > scenario.duration - span:

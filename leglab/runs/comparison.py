@@ -426,6 +426,7 @@ def _summary(cell: dict[int, dict], first: dict[int, dict]) -> dict[str, Any]:
         "excess_error_area_rad_s": estimate(m["excess_error_area_rad_s"] for m in whole.values()),
         "runs": len(cell),
         "failures": [m["failure"] for m in cell.values() if not m["completed"]],
+        "untold": [entry["reason"] for entry in found if entry["reason"]],
     }
 
 

@@ -41,13 +41,18 @@ from leglab.runs.view import draw
 _MOST_TOLD = 3
 
 
-def default_folder(settings: RunSettings) -> Path:
-    """Returns where a run goes that was not told where: a name for what decides the run.
+def default_folder(settings: RunSettings, *names: str) -> Path:
+    """Returns the folder of a run, named after what decides the run.
 
     `runs/SCENARIO-CONTROLLER-MODEL-SEED`, and whatever else is not as it is by default.
+
+    Args:
+        settings: Of the run.
+        names: In place of scenario, controller, model and seed, of what has several runs.
     """
     told = ("scenario", "controller", "model", "seed")
     parts = [settings.scenario, settings.controller, Path(settings.model).stem, str(settings.seed)]
+    parts = list(names or parts)
     for field in fields(settings):
         value = getattr(settings, field.name)
         if field.name in told or value == field.default or isinstance(value, Mapping):

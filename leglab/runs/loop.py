@@ -1,6 +1,5 @@
 """The closed loop: machine, sensors, controller and a scenario's changes, one period a step."""
 
-import inspect
 import math
 import time
 from collections.abc import Callable
@@ -30,6 +29,7 @@ from leglab.machine.changes import Schedule
 from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
 from leglab.references import Samples
+from leglab.runs.call_times import CallTimes
 from leglab.runs.fault_simulation import fault_bank
 from leglab.runs.history import Ending, History, Rows, Whole
 from leglab.runs.inversion import exact_commands, valve_slopes
@@ -112,6 +112,7 @@ class Loop:
         count: Periods of the scenario's duration.
         wanted: Samples of the reference, of the kept periods and `ahead` more.
         present: The period that `observe` began last; number -1 before the first.
+        call_times: Of the controller's `command` since `reset`.
         watch: Called with the number of each period, after its command and before it passes.
 
     Raises:
@@ -188,7 +189,8 @@ class Loop:
         )
         # A loop has some tens of microseconds a period: what can be looked up once is.
         self._measure, self._send, self.advance = machine.measure, machine.send, machine.advance
-        self._next = 0
+        self._next, self._clock = 0, time.perf_counter_ns
+        self.call_times = CallTimes(self.period)
         self._sample_reference(0, self._kept + self._ahead)
         nothing = np.zeros(len(self.simulation.joints))
         first = Measurement(0.0, nothing, nothing)
@@ -210,20 +212,31 @@ class Loop:
             try:
                 if number == 0:
                     controller.reset(measurement)
+                began = self._clock()
                 wish = controller.command(measurement, point)
+                self.call_times.add(self._clock() - began)
             except LeglabError:
                 raise
-            except Exception as error:  # Anybody's code: what was recorded until here is kept.
-                place = origin(error, inspect.getsourcefile(type(controller)))
-                raise SimulationError(
-                    f"controller {self.settings.controller!r} failed at {measurement.time:.6g} s: "
-                    f"{type(error).__name__}: {error} ({place})",
-                    given=self.settings.controller,
-                ) from error
+            except (Exception, SystemExit) as error:
+                raise self.failed("", error) from error
         period = self.present
         period.number, period.measurement = number, measurement
         period.reference, period.command = point, wish
         return period
+
+    def failed(self, method: str, error: BaseException) -> SimulationError:
+        """The error that an exception in anybody's code ends a run with; what was recorded stays.
+
+        Args:
+            method: Of the controller, for instance "diagnostics: "; "" for `command`.
+            error: The exception.
+        """
+        name, now = self.settings.controller, self.simulation.data.time
+        return SimulationError(
+            f"controller {name!r} failed at {now:.6g} s: {method}{type(error).__name__}: {error} "
+            f"({origin(error, type(self.controller))})",
+            given=name,
+        )
 
     def act(self, action: np.ndarray | None = None) -> None:
         """Sends the valve commands of the period, clipped to [-1, 1].
@@ -493,9 +506,12 @@ class _Records:
             take(row)
         if self._schedule.others:
             self._others[row] = self._schedule.values
-        reports: dict[str, np.ndarray] = self._diagnostics()
-        if self._copier is None or not self._copier.take(reports, row):
-            self._keep(reports, row)
+        try:
+            reports: dict[str, np.ndarray] = self._diagnostics()
+            if self._copier is None or not self._copier.take(reports, row):
+                self._keep(reports, row)
+        except (Exception, SystemExit) as error:
+            raise self._loop.failed("diagnostics: ", error) from error
         self.rows = row + 1
 
     def _keep(self, reports: dict[str, np.ndarray], row: int) -> None:
@@ -504,6 +520,9 @@ class _Records:
         for key, value in reports.items():
             if key not in kept:
                 kept[key] = np.full(self._command.shape, np.nan)
+            if np.shape(value) not in ((), kept[key].shape[1:]):
+                told = f"{key!r} has shape {np.shape(value)}, allowed is (joints,)"
+                raise ValueError(f"{told} = {kept[key].shape[1:]}")
             kept[key][row] = value
         if row == 0:
             try:

@@ -114,6 +114,10 @@ def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None)
     if settings.seed < 0:
         told = f"seed {settings.seed} is negative; allowed: "
         raise SettingsError(told, given=settings.seed, allowed="0 or more")
+    if preparation is not None and settings.element is not None:
+        joints = preparation.nominal.joints
+        if settings.element not in joints:
+            raise SettingsError.unknown("joint", settings.element, joints).at("element")
     scenario = get_scenario(
         settings.scenario,
         duration=settings.duration,

@@ -70,6 +70,14 @@ class AdaptationMetrics(BaseModel):
     reason: str | None = None  #: Why `recovered` and `t90_s` cannot be told
 
 
+class CommandTime(BaseModel):
+    """How long the controller's `command` took, in `metrics.json`."""
+
+    median: FiniteFloat  #: [s]
+    worst: FiniteFloat  #: [s]
+    late: FiniteFloat  #: Share of the control periods that it took longer than
+
+
 class RunMetrics(BaseModel):
     """Content of `metrics.json`."""
 
@@ -81,6 +89,8 @@ class RunMetrics(BaseModel):
     #: Size of the fault, in the scenario's own unit; None without one.
     severity: FiniteFloat | None = None
     real_time_factor: FiniteFloat | None = None  #: Simulated time over the loop's wall time
+    #: None without a controller, and of runs by versions that did not measure it.
+    command_time_s: CommandTime | None = None
     completed: bool  #: Whether the run came to its end
     failure: str | None = None  #: Why it ended early
     phases: Annotated[list[PhaseMetrics], Field(min_length=1)]  #: Errors and costs by phase

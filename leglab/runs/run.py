@@ -247,11 +247,13 @@ def _metrics(
             part = (time >= row["start"]) & (time <= row["end"])
             row["model_error"] = dict(zip(joints, joint_rms(values[part]).tolist(), strict=True))
     slides = [joint for joint in joints if loop.simulation.slides[joint]]
+    times = loop.call_times.told()
     return {
         **({"slides": slides} if slides else {}),
         "duration": length,
         "severity": scenario.severity,
         "real_time_factor": float(length / max(ending.wall_time, 1e-9)),
+        "command_time_s": None if times is None else vars(times),
         "completed": not ending.failure,
         "failure": ending.failure or None,
         "phases": errors,

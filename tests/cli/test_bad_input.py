@@ -118,6 +118,108 @@ def test_a_controller_that_breaks_loses_nothing_recorded(capsys, monkeypatch, co
     assert phase["end"] == pytest.approx(0.5, abs=0.01)
 
 
+SLOW = """
+import time
+from leglab import register_controller
+from leglab.controllers.pd import Pd, PdConfiguration
+
+@register_controller("slow", summary="x", configuration=PdConfiguration)
+class Slow(Pd):
+    def command(self, measurement, reference):
+        time.sleep(0.004)
+        return super().command(measurement, reference)
+"""
+
+
+def test_a_controller_that_is_slower_than_its_period_is_told(folder):
+    (folder / "slow.py").write_text(SLOW)
+    options = ("--load", "slow.py", "--controller", "slow", "--duration", "0.2")
+    done = process(*RUN, *options, stdout=subprocess.PIPE)
+    assert "warning: 100% of the commands of 'slow' take longer than the control period of" in (
+        done.stderr
+    )
+    times = json.loads((folder / "new" / "metrics.json").read_text())["command_time_s"]
+    assert 0.9 * 0.004 < times["median"] <= times["worst"]
+
+
+PLUG_IN = """
+import sys
+import numpy as np
+from leglab import register_controller
+from leglab.references import Samples, register_reference, rest_pose
+
+class Base:
+    def __init__(self, setup): self.n = len(setup.joints)
+    def reset(self, measurement): pass
+    def command(self, measurement, reference): return np.zeros(self.n)
+
+@register_controller("begins_wrong", summary="x")
+class BeginsWrong(Base):
+    def __init__(self, setup): {}["gains"]
+
+@register_controller("reports_wrong", summary="x")
+class ReportsWrong(Base):
+    def diagnostics(self): return {"gain": np.zeros(7)}
+
+@register_controller("leaves", summary="x")
+class Leaves(Base):
+    def command(self, measurement, reference): sys.exit(3)
+
+def moving(form):
+    def build(joints, config):
+        rest = rest_pose(joints)
+        return lambda t: form(t[:, None] * np.ones_like(rest), rest), 1.0
+    return build
+
+def register(name, form):
+    register_reference(name, summary="x")(moving(form))
+
+register("one_row", lambda t, rest: Samples(*(np.tile(rest, (1, 1)) for _ in range(3))))
+register("no_number", lambda t, rest: Samples(rest + np.where(t > 0.1, np.nan, 0), 0 * t, 0 * t))
+register("wrong_speed", lambda t, rest: Samples(rest + 0.1 * np.sin(t), np.sin(t), -np.sin(t)))
+register("fails", lambda t, rest: 1 / 0)
+"""
+
+
+MISTAKES = {
+    ("--controller", "begins_wrong"): "failed: KeyError: 'gains' (plug_in.py, line 14)",
+    ("--controller", "reports_wrong"): "'gain' has shape (7,), allowed is (joints,) = (1,)",
+    ("--controller", "leaves"): "failed at 0 s: SystemExit: 3 (plug_in.py, line 22)",
+    ("--reference", "one_row"): "position has shape (1, 1), allowed is (",
+    ("--reference", "no_number"): "position of joint 'knee' is nan at 0.102 s",
+    (
+        "--reference",
+        "wrong_speed",
+    ): "velocity of joint 'knee' is not the derivative of its position",
+    ("--reference", "fails"): "failed: ZeroDivisionError: division by zero (plug_in.py, line ",
+}
+EACH = """
+import sys
+from leglab.cli import main
+for option, name in {names}:
+    sys.argv = ["leglab", *{run}, "--load", "plug_in.py", option, name]
+    try:
+        main()
+    except SystemExit as end:
+        print(end.code, flush=True)
+"""
+
+
+def test_a_mistake_in_a_plug_in_is_told_with_its_place(folder):
+    (folder / "plug_in.py").write_text(PLUG_IN)
+    # A process of its own: what is registered stays.
+    script = EACH.format(names=list(MISTAKES), run=RUN)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["2"] * len(MISTAKES)
+    lines = done.stderr.splitlines()
+    assert len(lines) == len(MISTAKES)
+    for line, ((option, name), told) in zip(lines, MISTAKES.items(), strict=True):
+        assert f"{option.removeprefix('--')} {name!r}" in line
+        assert told in line
+
+
 def test_a_broken_file_does_not_end_the_index(folder, capsys):
     write_folder(folder / "good")
     for name, text in {

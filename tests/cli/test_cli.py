@@ -45,6 +45,9 @@ def test_run_writes_everything(tmp_path, capsys):
     assert metrics["seed"] == 7
     assert metrics["duration"] == pytest.approx(4.0)
     assert metrics["real_time_factor"] > 0
+    times = metrics["command_time_s"]
+    assert 0 < times["median"] <= times["worst"]
+    assert times["late"] < 0.01
     assert [phase["name"] for phase in metrics["phases"]] == ["before", "after"]
     for name in ("rms_rad", "peak_rad", "p95_rad", "effort", "valve_activity_per_s", "energy_j"):
         assert set(metrics["phases"][0][name]) == {"knee", "all"}

@@ -96,7 +96,10 @@ def _sections(summary: dict[str, Any]) -> list[Section]:
     scatter = "Intervals are of the mean over seeds, by Student's t: single runs differ."
     if summary["seeds"] < 2:
         scatter = "One seed says nothing about the scatter: there are no intervals."
-    failed = tuple(f"{line.rstrip('.')}." for line in words.failures(summary))
+    failed, missing = (
+        tuple(f"{line.rstrip('.')}." for line in lines)
+        for lines in (words.failures(summary), words.untold(summary))
+    )
     return [
         Section(title="What was compared", lines=told),
         Section(
@@ -105,6 +108,7 @@ def _sections(summary: dict[str, Any]) -> list[Section]:
             names=tuple(f"{name}:" for name in summary["scenarios"]),
         ),
         Section(title="What failed", lines=failed),
+        Section(title="What is missing", lines=missing),
         Section(title="What this does not show", lines=("These are simulations.", scatter)),
     ]
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from leglab.report.page.wording import listed
+from leglab.runs.clock import NOTHING_CHANGES
 
 HEAD = ("before", "after", "ratio", "end", "undone, %", "90 % undone, s")
 # More controllers than this make no sentence.
@@ -54,6 +55,21 @@ def failures(summary: dict[str, Any]) -> list[str]:
                 runs = f"{count} of {cell['runs']} runs"
                 lines.append(f"{scenario}, {controller}: {runs} failed: {reason}")
     return lines
+
+
+def untold(summary: dict[str, Any]) -> list[str]:
+    """Why figures of the change are missing, a line a scenario and reason."""
+    who: dict[tuple[str, str], list[str]] = {}
+    for scenario, controllers in summary["results"].items():
+        for controller, cell in controllers.items():
+            for reason, count in Counter(cell.get("untold", ())).items():
+                runs = controller if count == cell["runs"] else f"{controller} ({count} runs)"
+                who.setdefault((scenario, reason), []).append(runs)
+    return [
+        f"{scenario}, {listed(tuple(names))}: what was undone cannot be told: {reason}"
+        for (scenario, reason), names in who.items()
+        if reason != NOTHING_CHANGES
+    ]
 
 
 def seeds(summary: dict[str, Any]) -> str:
