@@ -4,5 +4,6 @@ from importlib.util import find_spec
 
 if find_spec("joblib") is None:
     raise ImportError(
-        "benchmarks needs the clone's environment: make .venv/installed, then source .venv/bin/activate"
+        "benchmarks needs the environment of the clone: make .venv/installed, then "
+        "source .venv/bin/activate"
     )

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Self
 
 
+_MOST_LISTED = 40  # names in a message
+
+
 class LeglabError(ValueError):
     """Bad input: the message names what is wrong, where, and what is allowed.
 
@@ -43,12 +46,19 @@ class LeglabError(ValueError):
         Args:
             kind: What the name stands for, for instance "scenario".
             name: The name that was asked for.
-            known: The names that exist; all are listed, the closest one is suggested.
+            known: The names that exist; the closest one is suggested, and all are listed, or those
+                that are close where there are many.
         """
-        choices = sorted(known)
+        choices = sorted(set(known))
         close = difflib.get_close_matches(str(name), choices, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
-        message = f"unknown {kind} {name!r}: choose one of {', '.join(choices)}{hint}"
+        listed = f"choose one of {', '.join(choices)}"
+        if len(choices) > _MOST_LISTED:
+            near = difflib.get_close_matches(str(name), choices, n=5, cutoff=0.3)
+            listed = f"none of {len(choices)} names" + (
+                f", near are {', '.join(near)}" * bool(near)
+            )
+        message = f"unknown {kind} {name!r}: {listed}{hint}"
         return cls(message, given=name, allowed=choices)
 
     def at(self, place: object) -> Self:

@@ -7,10 +7,12 @@ import typer
 
 from leglab.base.errors import SettingsError
 from leglab.base.registry import Registry
-from leglab.base.settings import documented_settings
+from leglab.base.settings import Configuration, documented_settings
 from leglab.causes.table import CAUSES
 from leglab.cli.options import names_of
 from leglab.cli.terminal import output, plain_table, print_json, print_wide, tell
+
+_SENSORS = "sensors"
 
 if TYPE_CHECKING:
     from leglab.base.scenario import Healthy
@@ -28,13 +30,15 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
     Raises:
         LeglabError: Nothing has this name, or there is no such model.
     """
-    known, found = {*names_of("effects")}, {}
+    known, found = {_SENSORS, *names_of("effects")}, {}
     for kind, registry in registries().items():
         known.update(registry.names())
         if name in registry.names():
             found[kind] = _DETAILS[kind](kind, name, registry.get(name), model)
     if name in names_of("effects"):
         found["effect"] = _effect(name, model)
+    if name == _SENSORS:
+        found["settings"] = _sensors()
     if not found:
         raise SettingsError.unknown("name", name, known)
     if as_json:
@@ -108,8 +112,22 @@ def _scenario(_: str, name: str, entry: Any, model: str) -> dict[str, Any]:
     return {**told, "effects": effects, "rows": changes}
 
 
+def _sensors() -> dict[str, Any]:
+    from leglab.machine.sensors import SensorConfiguration
+
+    options = ["--set sensors.SETTING=VALUE"]
+    rows = _setting_rows(SensorConfiguration)
+    return {"summary": "Sensors and timing of every run", "options": options, "rows": rows}
+
+
 def _settings(section: str, _: str, entry: Any, model: str) -> dict[str, Any]:
-    rows = [
+    rows = _setting_rows(entry.configuration)
+    told = f"--set {section}.SETTING=VALUE" if rows else "no settings"
+    return {"summary": entry.summary, "options": [told], "rows": rows}
+
+
+def _setting_rows(configuration: type[Configuration]) -> list[dict[str, str]]:
+    return [
         {
             "setting": setting.name,
             "default": setting.default,
@@ -117,10 +135,8 @@ def _settings(section: str, _: str, entry: Any, model: str) -> dict[str, Any]:
             "unit": setting.unit,
             "meaning": setting.meaning,
         }
-        for setting in documented_settings(entry.configuration)
+        for setting in documented_settings(configuration)
     ]
-    told = f"--set {section}.SETTING=VALUE" if rows else "no settings"
-    return {"summary": entry.summary, "options": [told], "rows": rows}
 
 
 def _model(_: str, name: str, entry: Any, __: str) -> dict[str, Any]:

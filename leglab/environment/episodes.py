@@ -82,7 +82,21 @@ class Episodes:
                     "units: give a function that returns both"
                 )
             self._draw = lambda random: {name: draw(random) for name, draw in draws.items()}
+            for name, value in randomize.items():
+                self._try_ends(name, value)
         self.random = np.random.RandomState(base.settings.seed)
+
+    def _try_ends(self, name: str, value: Any) -> None:
+        """Refuses what a later episode would refuse."""
+        for end in (value,) if isinstance(value, str) else value:
+            drawn = {name: int(end) if name == "seed" else end}
+            try:
+                if name == "onset":
+                    replace(self.base, onset=end).scenario()
+                else:
+                    replace(self.base, settings=replace(self.base.settings, **drawn)).scenario()
+            except SettingsError as error:
+                raise error.at(f"randomize {name!r}") from None
 
     def reseed(self, seed: int) -> None:
         """Starts the sequence of episodes of another seed."""

@@ -22,9 +22,10 @@ from leglab.runs.folder import read_metrics
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
 # Title and first heading lie there; what follows are scripts and data.
 _HEAD_LENGTH = 200_000
-_UNIT = "mrad, of slides mm"
+_UNIT = "mrad or mm"
 _NUMBERS = ("seed", *(f"RMS {name} [{_UNIT}]" for name in ("before", "after", "end")))
 _HEAD = ("where", "kind", "scenario", "controller", "model", *_NUMBERS, "outcome", "written, UTC")
+_PAGE = '<meta name="generator" content="leglab report"'
 _OURS = '<meta name="generator" content="leglab index"'
 
 
@@ -135,7 +136,7 @@ def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator
     if "run.json" in files or "metrics.json" in files or place.name.endswith(".partial"):
         mark = next((f for f in _RUN_FILES if f in files), ".")
         yield entry("run", mark, ("report.html", "tracking.png", *_RUN_FILES), _run)
-    elif "report.html" in files:
+    elif "report.html" in files and _PAGE in _head(place / "report.html"):
         yield entry("report", "report.html", ("report.html",), _headline)
 
 
@@ -201,11 +202,15 @@ def _content(path: Path) -> Any:
         return None
 
 
-def _headline(place: Path, _: set[str]) -> dict[str, Any]:
+def _head(page: Path) -> str:
     with suppress(LeglabError):
-        head = read_bytes(place / "report.html", _HEAD_LENGTH).decode(errors="replace")
-        if found := re.search(r"<h1[^>]*>([^<]*)</h1>", head):
-            return {"told": html.unescape(found.group(1)).strip()}
+        return read_bytes(page, _HEAD_LENGTH).decode(errors="replace")
+    return ""
+
+
+def _headline(place: Path, _: set[str]) -> dict[str, Any]:
+    if found := re.search(r"<h1[^>]*>([^<]*)</h1>", _head(place / "report.html")):
+        return {"told": html.unescape(found.group(1)).strip()}
     return {}
 
 

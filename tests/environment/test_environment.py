@@ -445,6 +445,7 @@ def test_every_scenario_is_registered():
         ({"reward": "speed"}, "unknown reward 'speed': choose one of smooth_tracking, tracking"),
         ({"randomize": {"wear": (0, 1)}}, "unknown random quantity of an episode 'wear'"),
         ({"randomize": {"severity": 3.0}}, "3.0 is no range"),
+        ({"randomize": {"severity": (0.5, 20)}}, "randomize 'severity': .*severity 0.5 is outside"),
         ({"randomize": {"severity": (9.0, 3.0)}}, "is no range"),
         pytest.param(
             {"randomize": lambda random: {"wear": 1}}, "unknown random quantity", id="callable"

@@ -215,7 +215,10 @@ def _undone(
     if found.t90_s is None or found.stride_s is None or not changes:
         return None
     over = min(change.start for change in changes) + found.t90_s + found.stride_s
-    return over, t90(found)
+    if found.t90_s == 0.0:
+        return over, t90(found)
+    # The curve's window ends at each time, that of the figure begins there.
+    return over, f"strides from {found.t90_s:.2f} s after the change on: 90 % undone"
 
 
 def details(tracks: list[Track]) -> list[str]:
