@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-
 _MOST_LISTED = 40  # names in a message
 
 

@@ -26,7 +26,8 @@ def list_names(
     name: Annotated[
         str | None,
         typer.Argument(
-            help='Scenario, controller, reference, model, effect, "sensors" or "causes"; default: all.'
+            help='Scenario, controller, reference, model, effect, "sensors" or "causes"; '
+            "default: all."
         ),
     ] = None,
     model: Annotated[

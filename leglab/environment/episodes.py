@@ -89,10 +89,10 @@ class Episodes:
     def _try_ends(self, name: str, value: Any) -> None:
         """Refuses what a later episode would refuse."""
         for end in (value,) if isinstance(value, str) else value:
-            drawn = {name: int(end) if name == "seed" else end}
+            drawn: dict[str, Any] = {name: int(end) if name == "seed" else end}
             try:
                 if name == "onset":
-                    replace(self.base, onset=end).scenario()
+                    replace(self.base, onset=float(end)).scenario()
                 else:
                     replace(self.base, settings=replace(self.base.settings, **drawn)).scenario()
             except SettingsError as error:

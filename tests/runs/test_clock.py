@@ -298,7 +298,7 @@ def test_all_places_tell_the_same_figures(tmp_path, capsys):
     assert [listed.before, listed.after, listed.end] == pytest.approx([1e3 * e for e in errors])
     assert f"90 % undone after {t90} s" in listed.told
     over, told = load_track(folder).undone
-    assert told == f"90 % undone after {t90} s"
+    assert told == f"strides from {t90} s after the change on: 90 % undone"
     change = runs[0].configuration.changes[0].start
     assert over == pytest.approx(change + wanted["t90_s"] + wanted["stride_s"])
 

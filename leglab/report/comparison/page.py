@@ -149,7 +149,7 @@ def _intervals(
 
     groups: dict[str, list[dict[str, Any]]] = {}
     for scenario, color, controller, middle, half in found:
-        told = number(middle) + (f" ± {number(half, 2)}" if half else "")
+        told = words.with_half(middle, half) if half else number(middle)
         ends = [middle - half, middle, middle + half]
         places = dict(zip(("low", "middle", "high"), map(place, ends), strict=True))
         look = {"name": controller, "color": color % len(SERIES), "value": f"{told} {unit}"}

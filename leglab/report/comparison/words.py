@@ -1,5 +1,6 @@
 """A comparison in words and numbers, for the terminal and the page alike."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -136,8 +137,20 @@ def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
     # Rounding leaves no negative zero.
     text = f"{round(unit * estimate['mean'], digits) + 0.0:.{digits}f}"
     if estimate["half_width"] is not None:
-        text += f" ± {unit * estimate['half_width']:.{digits}f}"
+        text += f" ± {_half(unit * estimate['half_width'], digits)}"
     return text
+
+
+def with_half(middle: float, half: float) -> str:
+    """A mean and half of its interval, in the decimals of its first four digits."""
+    size = max(abs(middle), half)
+    decimals = max(0, 3 - math.floor(math.log10(size))) if size else 0
+    return f"{round(middle, decimals) + 0.0:.{decimals}f} ± {_half(half, decimals)}"
+
+
+def _half(half: float, decimals: int) -> str:
+    least = 10.0**-decimals
+    return f"{half:.{decimals}f}" if half == 0 or half >= least / 2 else f"<{least:g}"
 
 
 def _undone(cell: dict[str, Any]) -> str:
