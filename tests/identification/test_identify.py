@@ -13,7 +13,7 @@ from leglab import Recording, RecordingError, SettingsError, identify
 from leglab.cli.app import main
 from leglab.data import write
 from leglab.identification import load
-from leglab.identification.structure import search
+from leglab.identification.structure import plans, search
 from leglab.identification.structure.fit import Fit
 from leglab.identification.structure.identified import rms
 from leglab.identification.structure.journal import Journal
@@ -161,24 +161,24 @@ def test_an_interruption_drops_the_structures_that_wait(monkeypatch):
 
 def test_a_nonlinear_structure_must_win_between_the_data_and_beyond_them():
     def candidate(kind, eighths, thirds, parameters=10):
-        plan = search.Plan(kind, search.Orders(1, 1, (0,)), 60)
+        plan = plans.Plan(kind, plans.Orders(1, 1, (0,)), 60)
         fit = Fit((), np.zeros(parameters), 0.1)
-        return search.Candidate(plan, fit, (eighths, thirds), ())
+        return plans.Candidate(plan, fit, (eighths, thirds), ())
 
     flat = candidate("constant", (1.0, 1.0, 1.0), (1.0, 1.0))
     line = candidate("linear", (0.5, 0.4, 0.6), (0.5, 0.5))
     beyond = candidate("terms", (0.1, 0.1, 0.1), (0.6, 0.5))
     lucky = candidate("terms", (0.1, 0.5, 0.7), (0.4, 0.4))
     sure = candidate("curves", (0.4, 0.3, 0.5), (0.4, 0.4))
-    assert search.chosen_first([flat, line], [beyond, lucky, sure])[0] == sure
-    assert search.chosen_first([flat, line], [beyond, lucky])[0] == line
+    assert plans.chosen_first([flat, line], [beyond, lucky, sure])[0] == sure
+    assert plans.chosen_first([flat, line], [beyond, lucky])[0] == line
     chance = candidate("linear", (0.9, 1.05, 0.99), (0.9, 0.9))
-    assert search.chosen_first([flat, chance], [])[0] == flat
+    assert plans.chosen_first([flat, chance], [])[0] == flat
     # A larger model of another family has to win in both block sizes, a smaller one need not.
     states = candidate("states", (0.3, 0.2, 0.4), (0.41, 0.4), 20)
-    assert search.chosen_first([flat, line], [sure, states])[0] == sure
+    assert plans.chosen_first([flat, line], [sure, states])[0] == sure
     small = replace(states, fit=Fit((), np.zeros(9), 0.1))
-    assert search.chosen_first([flat, line], [sure, small])[0] == small
+    assert plans.chosen_first([flat, line], [sure, small])[0] == small
 
 
 def test_garbage_is_named_and_left_out():

@@ -21,7 +21,7 @@ from leglab.identification import (
 )
 from leglab.identification.c_header import c_header
 from leglab.identification.settings import Rls
-from leglab.identification.structure import search
+from leglab.identification.structure import blocks, plans, search
 from leglab.identification.structure.fit import Problem, Record, Stretch
 from leglab.identification.structure.identified import disturbed_model, rms
 from leglab.identification.structure.library import Orders
@@ -220,7 +220,7 @@ def template_of(u, y):
 
 
 def test_a_bend_between_two_filters_is_fitted_to_the_noise(inner):
-    plan = search.Plan(search.STATES, Orders(3, 0, (0,)), 0, 100.0, 1, 3000)
+    plan = plans.Plan(plans.STATES, Orders(3, 0, (0,)), 0, 100.0, 1, 3000)
     found = search.searched(inner, plan)
     (structure,) = found.fit.features
     assert structure.curves == 1
@@ -232,7 +232,7 @@ def test_a_bend_between_two_filters_is_fitted_to_the_noise(inner):
     assert found.path[0] > 5 * found.path[1]
     assert found.fit.error * inner.deviation == pytest.approx(0.003, rel=0.15)
     # The block that is held out is in no fit: another output there changes nothing.
-    block = search.blocks(inner, 30, 8)[3]
+    block = blocks.blocks(inner, 30, 8)[3]
     changed = inner.records[0].y.copy()
     changed[block.start : block.start + block.length] += 1.0
     other = Problem([Record(inner.records[0].u, changed)], inner.template)

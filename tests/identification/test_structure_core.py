@@ -14,9 +14,10 @@ from leglab.identification import (
     SplineNarxSettings,
     Term,
 )
-from leglab.identification.structure import search
+from leglab.identification.structure import blocks
 from leglab.identification.structure.fit import (
     Fit,
+    Further,
     Problem,
     Record,
     Simulator,
@@ -25,7 +26,7 @@ from leglab.identification.structure.fit import (
     one_step,
     one_step_stretches,
 )
-from leglab.identification.structure.search import Further, promises
+from leglab.identification.structure.lags import promises
 
 Y, U = Signal(name="y", lower=-2.0, upper=2.0), Signal(name="u", lower=-1.0, upper=3.0)
 TERMS = (
@@ -184,11 +185,11 @@ def test_no_fit_sees_the_block_that_is_held_out(problem):
     records = [Record(rng.normal(size=(n, 1)), rng.normal(size=n)) for n in (300, 200)]
     own = Problem(records, problem.template)
     depth = 4
-    for count in search.BLOCKS:
-        held = search.blocks(own, depth, count)
+    for count in blocks.BLOCKS:
+        held = blocks.blocks(own, depth, count)
         assert sum(block.length for block in held) == 500 - 2 * depth
         for block in held:
-            used = search.stretches(own, depth, 60, 10**6, block)
+            used = blocks.stretches(own, depth, 60, 10**6, block)
             used += one_step_stretches(own, depth, block)
             seen = [(s.start - depth, s.start + s.length) for s in used if s.record == block.record]
             assert len(used) > 100

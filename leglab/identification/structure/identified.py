@@ -12,7 +12,8 @@ from leglab.identification.features import Constant, Signal
 from leglab.identification.settings import Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
 from leglab.identification.spline_state_space import SplineStateSpace
-from leglab.identification.structure import library, search
+from leglab.identification.structure import library, plans, search
+from leglab.identification.structure.blocks import stretches
 from leglab.identification.structure.fit import (
     Array,
     Model,
@@ -25,7 +26,7 @@ from leglab.identification.structure.fit import (
     startable,
     whole_runs,
 )
-from leglab.identification.structure.search import Candidate
+from leglab.identification.structure.plans import Candidate, Plan
 from leglab.identification.structure.signals import Signals, signals_of
 from leglab.identification.structure.states import information_of, refitted
 
@@ -99,12 +100,12 @@ class Identified:
     @property
     def linear(self) -> Candidate:
         """The best linear structure."""
-        return next(c for c in self.candidates if c.plan.kind in search.LINEAR)
+        return next(c for c in self.candidates if c.plan.kind in plans.LINEAR)
 
     @property
     def constant(self) -> Candidate:
         """The constant that every model has to beat."""
-        return next(c for c in self.candidates if c.plan.kind == search.CONSTANT)
+        return next(c for c in self.candidates if c.plan.kind == plans.CONSTANT)
 
     @property
     def kind(self) -> str:
@@ -116,7 +117,7 @@ class Identified:
     @property
     def better_than_mean(self) -> bool:
         """Whether the free run over unseen blocks beats a constant."""
-        return self.chosen.plan.kind != search.CONSTANT
+        return self.chosen.plan.kind != plans.CONSTANT
 
     def at_rest(self, signal: str, values: Array) -> Array:
         """Output where a signal has one value and the others their means, (n,).
@@ -250,7 +251,7 @@ def identify(
     period: float | None = None,
     jobs: int = 1,
     progress: search.Progress | None = None,
-    kept: Mapping[str, Mapping[search.Plan, Candidate]] | None = None,
+    kept: Mapping[str, Mapping[Plan, Candidate]] | None = None,
     keep: Callable[[str, Candidate], None] | None = None,
 ) -> dict[str, Identified]:
     """Chooses delays, lags and features from recordings, and fits them.
@@ -311,11 +312,11 @@ def _identified(
     """Fits the chosen structure to all records."""
     best = found[0]
     plan, features = best.plan, best.fit.features
-    if plan.kind == search.STATES:
-        best = replace(best, fit=refitted(problem, best.fit, plan.strength, search.LAST))
+    if plan.kind == plans.STATES:
+        best = replace(best, fit=refitted(problem, best.fit, plan.strength, plans.LAST))
     elif plan.kind != "one step":
         lags = problem.model(features).lags
-        own = search.stretches(problem, lags, plan.length, search.LAST)
+        own = stretches(problem, lags, plan.length, plans.LAST)
         last = fit(problem, problem.lagged(features).features, best.fit.theta, own, plan.strength)
         best = replace(best, fit=last)
     output, tests = learned.outputs[k], tested.records[k] if tested else ()

@@ -9,7 +9,7 @@ import numpy as np
 from leglab.identification.storage import decode, encode
 from leglab.identification.structure.fit import Fit
 from leglab.identification.structure.library import Orders
-from leglab.identification.structure.search import Candidate, Plan
+from leglab.identification.structure.plans import Candidate, Plan
 
 
 class Journal:

@@ -21,8 +21,8 @@ from leglab.identification.spline_state_space import (
 from leglab.identification.storage import save
 from leglab.identification.structure import library
 from leglab.identification.structure.identified import Errors, Identified
+from leglab.identification.structure.plans import CONSTANT, LINEAR
 from leglab.identification.structure.residuals import ResidualTest, residual_tests
-from leglab.identification.structure.search import CONSTANT, LINEAR
 from leglab.report.figures import png
 from leglab.report.identification import figures
 from leglab.report.page import shell

@@ -1,0 +1,107 @@
+"""Models of lags that grow by one feature after the other, fitted to the free run."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leglab.identification.structure.fit import (
+    LEAST_SHARE,
+    Array,
+    Features,
+    Fit,
+    Further,
+    Problem,
+    Simulator,
+    Stretch,
+    fit,
+    prior,
+    solve,
+)
+
+_TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
+_GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
+_WORTH = 0.997  # a feature that leaves more of the RMS error of the fit ends a path
+
+
+class LagPath:
+    """Models that grow by the feature that promises to explain most of the free run's error."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        start: Fit,
+        further: Further,
+        own: list[Stretch],
+        strength: float,
+    ) -> None:
+        self._problem, self._further, self._stretches = problem, further, own
+        self._strength = strength
+        self.fit, self.ended = start, False
+
+    def grow(self) -> None:
+        """Takes one more feature, or ends where none is worth it."""
+        self.ended = self.ended or not self._further.features
+        if self.ended:
+            return
+        gains = promises(self._problem, self.fit, self._further, self._stretches, self._strength)
+        best: tuple[Fit, int] | None = None
+        for k in np.argsort(-gains, kind="stable")[:_TRIED]:
+            theta = np.append(self.fit.theta, np.zeros(self._further.blocks[k].count))
+            features = (*self.fit.features, self._further.features[k])
+            tried = self._fitted(features, theta, _GLANCE)
+            if best is None or tried.error < best[0].error:
+                best = tried, int(k)
+        if best is not None:
+            best = self._fitted(best[0].features, best[0].theta, _STEPS), best[1]
+        if best is None or best[0].error > _WORTH * self.fit.error:
+            self.ended = True
+            return
+        self.fit, taken = best
+        self._further = self._further.without(taken)
+
+    def _fitted(self, features: Features, theta: Array, iterations: int) -> Fit:
+        own = self._problem.lagged(features).features
+        return fit(self._problem, own, theta, self._stretches, self._strength, iterations)
+
+
+def promises(
+    problem: Problem, now: Fit, further: Further, own: Sequence[Stretch], strength: float
+) -> Array:
+    """Computes the share of the squared error that each feature explains in addition to the model.
+
+    To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
+    the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
+    """
+    settings = problem.lagged(now.features)
+    simulator = Simulator(settings, problem.records, further.blocks)
+    found = simulator.sums(now.theta, own, sensitivities=True)
+    scale = max(found.error, LEAST_SHARE)
+    p = len(now.theta)
+    share = strength / problem.count
+    form = share * prior(settings.features, settings.blocks)
+    hessian = found.products[:p] / scale + form
+    downhill = found.gradient[:p] / scale - form @ now.theta
+    cross = found.products[p:] / scale
+    inner = solve(hessian, np.column_stack([cross.T, downhill]))
+    left = found.gradient[p:] / scale - cross @ inner[:, -1]
+    sizes = np.array([block.count for block in further.blocks])
+    ends, corners = np.cumsum(sizes), np.cumsum(sizes * (sizes + 1) // 2)
+    beside = np.einsum("ij,ji->i", cross, inner[:, :-1])  # diagonal of D'J (J'J)^-1 J'D
+    gains = np.zeros(len(sizes))
+    single = sizes == 1
+    at = ends[single] - 1
+    gram = found.squares[corners[single] - 1] / scale + share - beside[at]
+    # Rounding may leave less than the prior.
+    gains[single] = left[at] ** 2 / np.maximum(gram, share)
+    for k in np.flatnonzero(~single):
+        n = sizes[k]
+        rows = slice(ends[k] - n, ends[k])
+        block = np.zeros((n, n))
+        block[np.tril_indices(n)] = (
+            found.squares[corners[k] - n * (n + 1) // 2 : corners[k]] / scale
+        )
+        block += np.tril(block, -1).T
+        block += share * prior(further.features[k : k + 1], further.blocks[k : k + 1])
+        block -= cross[rows] @ inner[:, :-1][:, rows]
+        gains[k] = left[rows] @ solve(block, left[rows])
+    return np.where(np.isfinite(gains), gains, 0.0)
