@@ -37,7 +37,9 @@ _GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the bes
 _ANEW = 6  # iterations of a fit without a block that starts at the fit with it
 _WORTH = 0.997  # a curve that leaves more of the RMS error of the fit ends a path
 _SHORTEST = 500  # samples of a segment where a record is too long for the budget
-_MOST = 24  # segments of a fit; each adds its initial state to the parameters
+# Segments of a fit, of each of which the initial state is fitted as well: one for so many samples of
+# the budget, and at most.
+_FOR_A_START, _MOST = 125, 200
 _NONE = np.zeros(0)  # no further curve
 _RIDGE = 1e-9  # smallest singular value and reach of a state
 
@@ -63,17 +65,17 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
             ends = [(0, without.start), (without.start + without.length, len(record))]
         # Simulation needs no measured outputs; what has hardly any teaches nothing.
         whole += [Stretch(k, a, b - a) for a, b in ends if np.isfinite(record.y[a:b]).sum() > 1]
-    total = sum(s.length for s in whole)
-    if total <= budget and len(whole) <= _MOST:
+    total, most = sum(s.length for s in whole), min(_MOST, budget // _FOR_A_START)
+    if total <= budget and len(whole) <= most:
         return whole
-    length = max(_SHORTEST, min(budget, total) // _MOST)
+    length = max(_SHORTEST, min(budget, total) // most)
     pieces = [
         Stretch(s.record, s.start + at, min(length, s.length - at))
         for s in whole
         for at in range(0, s.length, length)
     ]
     mean = sum(s.length for s in pieces) / len(pieces)
-    keep = min(_MOST, max(1, int(budget / mean)), len(pieces))
+    keep = min(most, max(1, int(budget / mean)), len(pieces))
     return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, keep).round().astype(int))]
 
 
