@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-_MOST_LISTED = 40  # names in a message
+_MOST_LISTED = 60  # names in a message
 
 
 class LeglabError(ValueError):

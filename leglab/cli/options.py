@@ -181,11 +181,8 @@ def settings_of(context: typer.Context) -> "RunSettings":
         sources |= {"ramp_duration": sources["ramp"], "scenario": None}
         told = {n: v for n, v in values.items() if getattr(sources[n], "name", "") == "COMMANDLINE"}
         values = run_settings.read_settings(file)
-        for section in ("controller", "reference"):
-            # Settings of another one than that of the file are not the file's.
-            if section in told and told[section] != values.get(section):
-                values.pop(run_settings.SECTIONS[section], None)
-        values |= told
+        for line in run_settings.replace_names(values, told):
+            complain(f"{file}: {line}", "warning")
         if file.suffix == ".json" and "model" not in told and (note := model_note(file)):
             complain(note, "warning")
     values = run_settings.with_entries(values, context.params.get("set_") or ())

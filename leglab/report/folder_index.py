@@ -25,7 +25,7 @@ _HEAD_LENGTH = 200_000
 _UNIT = "mrad or mm"
 _NUMBERS = ("seed", *(f"RMS {name} [{_UNIT}]" for name in ("before", "after", "end")))
 _HEAD = ("where", "kind", "scenario", "controller", "model", *_NUMBERS, "outcome", "written, UTC")
-_PAGE = '<meta name="generator" content="leglab report"'
+_PAGE = re.compile(r'<meta name="generator" content="leglab \w')
 _OURS = '<meta name="generator" content="leglab index"'
 
 
@@ -136,7 +136,7 @@ def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator
     if "run.json" in files or "metrics.json" in files or place.name.endswith(".partial"):
         mark = next((f for f in _RUN_FILES if f in files), ".")
         yield entry("run", mark, ("report.html", "tracking.png", *_RUN_FILES), _run)
-    elif "report.html" in files and _PAGE in _head(place / "report.html"):
+    elif "report.html" in files and _PAGE.search(_head(place / "report.html")):
         yield entry("report", "report.html", ("report.html",), _headline)
 
 

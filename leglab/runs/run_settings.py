@@ -12,6 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 from leglab.base.errors import SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import first_problem
+from leglab.control.contract import CONTROLLERS
+from leglab.data import SUFFIXES as DATA_FILES
+from leglab.references.base import REFERENCES
 from leglab.runs.folder import model_of
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
@@ -43,6 +46,38 @@ def read_settings(path: Path) -> dict[str, Any]:
     else:
         found = _without_tables(read_toml(path), str(path))
     return checked(found, str(path))
+
+
+def replace_names(values: dict[str, Any], given: Mapping[str, Any]) -> list[str]:
+    """Puts given settings over those of a file.
+
+    Settings of the file's controller or reference hold for the given one where that has them.
+
+    Args:
+        values: Settings of the file, which are changed.
+        given: Settings that hold over them.
+
+    Returns:
+        A line for each setting that is left out.
+
+    Raises:
+        SettingsError: There is no such controller or reference.
+    """
+    lines = []
+    for section, registry in (("controller", CONTROLLERS), ("reference", REFERENCES)):
+        before, after = values.get(section), given.get(section)
+        if after in (None, before) or Path(str(after)).suffix in DATA_FILES:
+            continue
+        known = registry.get(str(after)).configuration.model_fields
+        config = values.get(SECTIONS[section], {})
+        lines += [
+            f"the setting {name!r} of {section} {before!r} is left out, {after!r} has none"
+            for name in config
+            if name not in known
+        ]
+        values[SECTIONS[section]] = {name: config[name] for name in config if name in known}
+    values.update(given)
+    return lines
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -114,6 +114,14 @@ def test_options_hold_over_the_file_and_entries_over_both(tmp_path):
     assert settings["reference_config"] == {"amplitude": 0.2, "end_frequency": 2}
 
 
+def test_another_controller_takes_those_settings_of_the_file_that_it_has(tmp_path, capsys):
+    file, out = tmp_path / "config.toml", tmp_path / "out"
+    file.write_text(TOML)
+    main(["run", str(file), "--controller", "pd", "--out", str(out), "--no-figures"])
+    assert json.loads((out / "run.json").read_text())["settings"]["controller_config"] == {}
+    assert "the setting 'memory' of controller 'bsnn_arx' is left out" in capsys.readouterr().err
+
+
 def test_entries_are_toml_values_or_text_and_may_be_nested():
     base = {"scenario": "nominal", "controller_config": {"monitor": {"block": 5}}}
     found = with_entries(

@@ -37,8 +37,8 @@ _GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the bes
 _ANEW = 6  # iterations of a fit without a block that starts at the fit with it
 _WORTH = 0.997  # a curve that leaves more of the RMS error of the fit ends a path
 _SHORTEST = 500  # samples of a segment where a record is too long for the budget
-# Segments of a fit, of each of which the initial state is fitted as well: one for so many samples of
-# the budget, and at most.
+# Segments of a fit, of each of which the initial state is fitted as well: one for this many samples
+# of the budget, and at most.
 _FOR_A_START, _MOST = 125, 200
 _NONE = np.zeros(0)  # no further curve
 _RIDGE = 1e-9  # smallest singular value and reach of a state
