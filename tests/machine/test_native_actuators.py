@@ -524,7 +524,7 @@ def test_a_slide_with_the_default_timestep_runs_and_its_errors_are_told_in_mm(tm
         assert "mrad" not in text
     assert "angle [rad]" not in page
     write_index(tmp_path, tmp_path / "index.html")
-    assert "mrad, of slides mm" in (tmp_path / "index.html").read_text()
+    assert "mrad or mm" in (tmp_path / "index.html").read_text()
 
 
 def test_the_inertia_with_the_others_free_is_smaller_than_held(tmp_path):
