@@ -1,7 +1,7 @@
-"""Controllers, one a file, by name.
+"""Controllers, one per file, registered by name.
 
-Importing this package makes all of them known to `leglab.control`; a new file here is found by
-itself.
+Importing this package registers all of them with `leglab.control`; a new file in this folder is
+imported too.
 """
 
 from functools import partial

@@ -1,4 +1,4 @@
-"""The field's model-based way: adaptive robust control by backstepping, with measured pressures.
+"""Model-based baseline: adaptive robust control by backstepping, with measured pressures.
 
 Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633, for the structure: position error,
 load force, valve flow, with leakage as adapted parameter and lumped disturbances in the force and
@@ -62,7 +62,7 @@ class BacksteppingConfiguration(Configuration):
     configuration=BacksteppingConfiguration,
 )
 class AdaptiveBackstepping:
-    """Spool from the inverted flow equation at the reference, corrected by estimated errors.
+    """Spool command by the inverted flow equation at the reference, corrected by error feedback.
 
     Attributes:
         adaptation: The adapted physical parameters.
@@ -100,7 +100,7 @@ class AdaptiveBackstepping:
         self._motion = ReferenceMotion(
             len(setup.joints), period, lead=lead, position_delay=latency, velocity_delay=latency
         )
-        # Periods from the force that a command is for back to the one that is measured now.
+        # Age of the force measured now, relative to the force that a command is for, in periods.
         self._age = (lead + latency) / period
         self._bristles = Bristles(data)
         self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
@@ -127,12 +127,12 @@ class AdaptiveBackstepping:
     def freeze(self) -> None:
         """Stops adapting leakage, valve and friction until the next `reset`.
 
-        The estimates of the lumped disturbances go on: they are part of the feedback.
+        The estimation of the lumped disturbances continues: it is part of the feedback.
         """
         self._adapt = False
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         model, law = self._model, self._law
         position, pressure, supply = self._read(measurement)
         if self._adapt:
@@ -161,7 +161,7 @@ class AdaptiveBackstepping:
         command = spool - null
         self._sent = np.minimum(np.maximum(command, -self._limit), self._limit)
         if (self._sent != command).any():
-            # The observer hears of what the valve can do, so that nothing winds up.
+            # Anti-windup: the observer takes the speed that the limited command gives.
             reached = model.rate_of(self._sent + null, chambers, lap) - known
             wish = np.where(self._sent != command, reached / chambers.stiffness, wish)
         law.observer.sent(wish)
@@ -169,7 +169,7 @@ class AdaptiveBackstepping:
         return self._sent
 
     def _read(self, measurement: Measurement) -> tuple[np.ndarray, np.ndarray, float]:
-        """Positions, pressures (2, joints) and supply pressure; the last ones for what is lost."""
+        """Returns positions, pressures (2, joints), supply pressure; replaces missing readings."""
         readings = _stacked(measurement)
         if not np.isfinite(readings).all():
             readings = np.where(np.isfinite(readings), readings, self._readings)
@@ -183,9 +183,9 @@ class AdaptiveBackstepping:
     def _forces_for(
         self, motion: np.ndarray, lever: np.ndarray, speed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Load force for the reference when the command acts, its rate, and the one measured now.
+        """Computes model load force and its rate when the command acts, and force at measurement.
 
-        `motion` is that reference, (4, joints), with levers and piston speeds there, (joints,).
+        `motion` is that reference, (4, joints), with its levers and piston speeds, (joints,).
         """
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._period)
@@ -193,7 +193,7 @@ class AdaptiveBackstepping:
         last = self._forces[0] if self._forces else force
         whole = int(self._age)
         self._forces = [force, *self._forces[: whole + 1]]
-        # The difference is half a period old; another half of its change makes up for that.
+        # The difference lags by half a period; half of its last change compensates the lag.
         before, self._rate = self._rate, (force - last) / self._period
         rate = 1.5 * self._rate - 0.5 * before
         newer = self._forces[min(whole, len(self._forces) - 1)]
@@ -203,11 +203,11 @@ class AdaptiveBackstepping:
     def _expected_pressure(
         self, force: np.ndarray, supply: float, piston: np.ndarray
     ) -> np.ndarray:
-        """Pressures when the command acts [Pa], (2, joints).
+        """Computes the pressures expected when the command acts [Pa], (2, joints).
 
         The common mode w_B p_A + w_A p_B, which no motion of the piston changes, is measured; the
-        load force is the wanted one. With the measured one the inverse of the flow equation would
-        take away the damping that valve and leakage give the oil spring, and late at that.
+        load force is the wanted one. With the measured load force the inverted flow equation would
+        cancel, with a delay, the damping of the oil spring by valve and leakage.
         """
         model = self._model
         chambers = model.chambers(self._pressure, supply, piston)
@@ -220,7 +220,7 @@ class AdaptiveBackstepping:
         return np.minimum(np.maximum(expected, 0.0), supply)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feedback [m/s], lumped disturbances, adapted leakage, lap, null and friction."""
+        """Returns feedback [m/s], lumped disturbances, adapted leakage, lap, null and friction."""
         viscous, coulomb = self.adaptation.force.values[:2]
         return {
             "feedback": self._feedback,
@@ -233,7 +233,7 @@ class AdaptiveBackstepping:
 
 
 def _stacked(measurement: Measurement) -> np.ndarray:
-    """Positions and both pressures, (3, joints)."""
+    """Returns positions and both pressures, (3, joints)."""
     if measurement.pressure_a is None or measurement.pressure_b is None:
         raise ModelError(f"controller {_NAME!r} needs measured pressures, there are none")
     return np.stack([measurement.position, measurement.pressure_a, measurement.pressure_b])

@@ -1,4 +1,4 @@
-"""Active disturbance rejection: the calibrated valve map, and an observer of all that it leaves."""
+"""Active disturbance rejection: the calibrated valve map, and an observer of its errors."""
 
 import numpy as np
 from pydantic import Field
@@ -31,10 +31,10 @@ class AdrcConfiguration(Configuration):
 class Adrc:
     """u = map(r, r') + (omega_c e + f)/b_0, with error e and disturbance f from the observer.
 
-    Behind a native actuator, which gives a force, of second order: see `DisturbanceRejection`.
+    Behind a native actuator, which sets a force, the law is of order 2: see `DisturbanceRejection`.
 
-    The reference is taken when the command acts on average, and held against a measurement at the
-    time it was taken.
+    The map takes the reference at the mean time at which the command acts; the error compares a
+    measurement with the reference at the time of the measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: AdrcConfiguration) -> None:
@@ -61,7 +61,7 @@ class Adrc:
         self._motion.clear()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         motion, seen = self._motion.take(reference)
         self._feedforward = self._map(motion[0], motion[1])
         self._feedback = self._law(seen.position - measurement.position)
@@ -71,7 +71,7 @@ class Adrc:
         return command
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Both parts of the command, and the estimated disturbance, each (joints,)."""
+        """Returns both parts of the command, and the estimated disturbance, each (joints,)."""
         return {
             "feedforward": self._feedforward,
             "feedback": self._feedback,

@@ -1,4 +1,4 @@
-"""Linear adaptive feed-forward beside PD: what learning gives without splines."""
+"""Linear adaptive feed-forward added to PD: the baseline of learning without splines."""
 
 from pydantic import Field
 
@@ -27,6 +27,6 @@ class ArxConfiguration(AdaptiveConfiguration):
     configuration=ArxConfiguration,
 )
 class Arx(AdaptiveController):
-    """As `bsnn_arx` with a map that is linear in the motion."""
+    """`bsnn_arx` with a map that is linear in the motion."""
 
     name = "arx"

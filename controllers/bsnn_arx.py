@@ -1,4 +1,4 @@
-"""The deployed adaptive feed-forward beside PD: the machine's inverse map, learned as it moves."""
+"""The deployed adaptive feed-forward, added to PD: the inverse map, learned in operation."""
 
 import numpy as np
 
@@ -21,14 +21,14 @@ class AdaptiveConfiguration(LearningConfiguration, PdConfiguration):
     configuration=AdaptiveConfiguration,
 )
 class AdaptiveController:
-    """u = map(r, r', r'', r''') + PD on the reference as old as the measurement it is held against.
+    """u = map(r, r', r'', r''') + PD, whose reference is delayed like its measurements.
 
-    The map starts as the nominal valve map and learns from what the machine did with the commands
-    it was sent. See `leglab.control.feedforward`.
+    The map starts as the nominal valve map and learns from the commands that were sent and the
+    motion that followed. See `leglab.control.feedforward`.
     """
 
     name = "bsnn_arx"
-    valve_states = False  # whether it looks for states of the valves
+    valve_states = False  # whether maps with a valve state are used
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._feedback = Pd(setup, config)
@@ -63,15 +63,15 @@ class AdaptiveController:
         self.adaptation.reset()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         self.look(measurement.time)
         return self.adaptation.step(measurement, reference)
 
     def look(self, time: float) -> None:
-        """Does what is due before the period at this time [s]: nothing, where all is the core's."""
+        """Runs before the control period at this time [s]; empty where the C++ core does all."""
 
     def sent(self, command: np.ndarray) -> None:
-        """Takes the commands (joints,) that were sent in place of the last ones."""
+        """Records the commands (joints,) that were sent in place of the last ones."""
         self.adaptation.sent(command)
 
     def freeze(self) -> None:
@@ -79,5 +79,5 @@ class AdaptiveController:
         self.adaptation.freeze()
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feed-forward, feedback, error of the model, and 1 where the nominal map stands in."""
+        """Returns feed-forward, feedback, model error, and 1 where the nominal map is used."""
         return self.adaptation.report

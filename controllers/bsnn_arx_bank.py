@@ -1,4 +1,4 @@
-"""The adaptive feed-forward with a bank of faults: names what broke first, then learns the rest."""
+"""Adaptive feed-forward with a bank of faults: names the fault first, then learns the rest."""
 
 import math
 from collections import deque
@@ -19,15 +19,15 @@ from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
 from leglab.control.feedforward.thresholds import AFTER, STRIDE
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
-# Blocks of samples by which a map that joins is first held against the one that learned them: few,
-# for the machine has just changed.
+# Blocks of samples on which a new contender is first compared with the learner: few, since the
+# machine has just changed.
 _BLOCKS = 4
 
-# Odds of a valve's state that nothing names against a map that learns without knowing of any.
+# Prior odds of a valve state that no fault proposed, against the map that learns without one.
 _UNNAMED = 0.03
 
-# States tried without a name, in addition to plays; columns as of `AdaptiveFeedforward.valves`.
-# A lap of 2 % is the plugin's default, and a third more command is a side with 3/4 of its flow.
+# Valve states tried without a named fault, in addition to plays, with the columns of
+# `AdaptiveFeedforward.valves`. 0.02 is the plugin's default lap; 1/3 offsets 3/4 of a side's flow.
 _STATES = np.array(
     [
         (0.02, 0.0, 0.0, 0.0, 0.0),
@@ -40,12 +40,12 @@ _STATES = np.array(
 
 
 class _Proposed(NamedTuple):
-    """The maps of a proposed fault."""
+    """Contenders of a proposed fault."""
 
-    number: int  # of the contender that has its shift
-    state: int | None  # of the one that has its state of the valves
-    parameters: np.ndarray  # of the first one, as proposed last, (joints, parameters)
-    shift: np.ndarray  # from the map before the change to these
+    number: int  # index of the contender with the fault's parameter shift
+    state: int | None  # index of the contender with the fault's valve state
+    parameters: np.ndarray  # of contender `number`, as last proposed, (joints, parameters)
+    shift: np.ndarray  # of `parameters` from the map before the change
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -76,7 +76,7 @@ class BankConfiguration(AdaptiveConfiguration):
     configuration=BankConfiguration,
 )
 class BankController(AdaptiveController):
-    """As `bsnn_arx`; on a change maps of the likely faults are used as far as they predict.
+    """`bsnn_arx` that, after a change, weights maps of the likely faults by how well they predict.
 
     See `leglab.control.feedforward.fault_monitor` and `csrc/feedforward/contenders.h`.
     """
@@ -98,7 +98,7 @@ class BankController(AdaptiveController):
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
-        # Part of a share that is of the latest block, in a mean over a stride.
+        # Weight of the latest block in the running mean of the shares over a stride.
         self._latest = min(1.0, period * config.monitor.block / (pace * STRIDE))
         self._config = config
         self._states = np.zeros((len(config.plays) + len(_STATES), 5))
@@ -109,12 +109,12 @@ class BankController(AdaptiveController):
 
     @property
     def events(self) -> list[FaultEvent]:
-        """Changes since `reset`, and what was said of them."""
+        """Changes detected since `reset`, with their names."""
         return self.monitor.events
 
     @property
     def trends(self) -> list[FaultTrend]:
-        """Slow wear that was followed since `reset`."""
+        """Slow wear reported since `reset`."""
         return self.health.trends
 
     def reset(self, measurement: Measurement) -> None:
@@ -136,7 +136,7 @@ class BankController(AdaptiveController):
         self._stopped = True
 
     def look(self, time: float) -> None:
-        """Sees whether the machine has changed, once there are enough samples."""
+        """Runs the monitors and updates the contenders, once a block of samples is complete."""
         if self.adaptation.kept_count() < self._config.monitor.block or self._stopped:
             return
         learner = self.adaptation.learner
@@ -157,9 +157,9 @@ class BankController(AdaptiveController):
             self._propose(proposal)
 
     def _end(self, time: float) -> None:
-        """Ends a contest some time after its case: the best map may have more to learn.
+        """Ends the contest of maps some time after its case, as the best map may still learn.
 
-        The best one has the largest share in the mean over a stride: in parts of it others may.
+        The best one has the largest mean share over a stride: in parts of it others may lead.
         """
         if not self.adaptation.contenders:
             self._shares = np.zeros(1)
@@ -183,7 +183,7 @@ class BankController(AdaptiveController):
             self._tried, self._closed = False, None
 
     def _propose(self, proposal: ProposedMap) -> None:
-        """Lets maps learn beside the others, or moves those that the fault has already."""
+        """Adds the contenders of a fault, or revises those that it has already."""
         adaptation, error = self.adaptation, self._error(proposal.parameters)
         before, valves = self.monitor.before, None
         if proposal.valves is not None:
@@ -199,13 +199,13 @@ class BankController(AdaptiveController):
                 self._join(before, proposal.odds, error, proposal.gain, valves)
             return
         shares = adaptation.shares()[1:]
-        # One that predicts badly is not asked again.
+        # A contender that is out, since it predicted badly, is not revised.
         if shares[number] > 0.0:
             moved = proposal.parameters - last.parameters
             now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
             adaptation.revise(number, moved, self._error(now))
         if state is not None:
-            # With another size it is another map: one that predicted badly begins anew.
+            # Another size is another valve state: a contender that is out restarts at `before`.
             now = adaptation.contenders[state].parameters.reshape(before.shape)
             moved = (shares[state] == 0.0) * (before - now)
             adaptation.revise(state, moved, error, valves)
@@ -218,11 +218,11 @@ class BankController(AdaptiveController):
         gain: np.ndarray | None = None,
         valves: np.ndarray | None = None,
     ) -> None:
-        """Lets a map learn beside the others; arguments as of `ProposedMap` and `propose`."""
+        """Adds a contender; arguments as in `ProposedMap` and `AdaptiveFeedforward.propose`."""
         learner = self.adaptation.learner.copy()
         learner.parameters = parameters.reshape(learner.parameters.shape)
         for joint in range(len(parameters)):
-            # An alarm of the learner's own would open what a name has just closed.
+            # An alarm of the learner's change detector would raise the gain that is set below.
             learner.hold_alarm(joint)
             share = 1.0 if gain is None else float(gain[joint])
             if np.isfinite(share):
@@ -231,14 +231,14 @@ class BankController(AdaptiveController):
         self.adaptation.propose(learner, odds, error, valves)
 
     def _error(self, parameters: np.ndarray) -> float:
-        """Mean squared error of a map on the latest samples over that of the learned one."""
+        """Computes the mean squared error of a map on the latest samples, over the learner's."""
         samples = np.concatenate(self._recent)
         regressor, found = samples[..., :-3], samples[..., -3]
         error = np.where(samples[..., -1] > 0, found - (regressor * parameters).sum(axis=2), 0.0)
         return float((error**2).sum() / max((samples[..., -2] ** 2).sum(), 1e-300))
 
     def _follow(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> None:
-        """Slow wear is followed between changes at once."""
+        """Passes samples to the health monitor, except while a change is being evaluated."""
         if self.monitor.busy:
             self.health.drop()
             return
@@ -248,5 +248,5 @@ class BankController(AdaptiveController):
         self.health.take(time, samples, parameters)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """As `bsnn_arx`, number, size and confidence of a named fault, and of slow wear."""
+        """Returns those of `bsnn_arx`, and the reports of the fault and the health monitor."""
         return self._report

@@ -1,8 +1,8 @@
-"""The paper's BSNN-ARX model, as it is, as adaptive feed-forward beside PD.
+"""The paper's BSNN-ARX model, unchanged, as adaptive feed-forward added to PD.
 
 Folgheraiter's model (Algorithm 1) learns the inverse direction joint by joint: its input is the
 measured velocity, its output the valve command that produced it. Local spline rule and plain
-recursive least squares, no forgetting and no opening gains: what the paper alone gives.
+recursive least squares, without forgetting or resets of the gain: the baseline of the paper alone.
 """
 
 import numpy as np
@@ -76,7 +76,7 @@ class BsnnArxPaper:
         self._motion.clear()
         self._learner = BsnnArx(self._settings, joints=self._joints)
         self._learner.randomise(np.random.default_rng(0))
-        # The same model with a history of its own: that of the reference.
+        # A copy of the model whose regressor holds the history of the reference.
         self._driver = self._learner.copy()
         self._driver.freeze()
         self._sent = self._feedforward = np.zeros(self._joints)
@@ -86,7 +86,7 @@ class BsnnArxPaper:
         self._learner.freeze()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         self._window.push(measurement.position, self._sent)
         if self._window.full:
             command, velocity = self._window.middle()[:2]
@@ -108,5 +108,5 @@ class BsnnArxPaper:
         return scaled, np.ascontiguousarray(command)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feed-forward and feedback parts of the command, each (joints,)."""
+        """Returns feed-forward and feedback parts of the command, each (joints,)."""
         return {"feedforward": self._feedforward, **self._pd.diagnostics()}

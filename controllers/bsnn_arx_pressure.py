@@ -1,4 +1,4 @@
-"""The adaptive feed-forward with measured pressures: a cascade of two learned maps."""
+"""Adaptive feed-forward with measured pressures: a cascade of two learned maps."""
 
 from functools import partial
 from typing import Literal
@@ -41,7 +41,7 @@ class PressureConfiguration(AdaptiveConfiguration):
     configuration=PressureConfiguration,
 )
 class PressureController(AdaptiveController):
-    """As `bsnn_arx`; the valve's equation at measured pressures in place of the calibrated map.
+    """`bsnn_arx` with the valve equation at measured pressures in place of the calibrated map.
 
     See `leglab.control.feedforward.adaptive`.
     """
@@ -90,7 +90,7 @@ class PressureController(AdaptiveController):
 
 
 def data_sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
-    """Data sheets as the core reads them, by name."""
+    """Returns the data sheets by the names of the C++ core."""
     names = ["stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding"]
     names += ["supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air"]
     names += ["polytropic_index"]

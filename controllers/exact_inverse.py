@@ -1,4 +1,4 @@
-"""Valve commands that the true machine needs, known beforehand: what can be tracked at best."""
+"""Valve commands that the true machine needs, computed beforehand: a bound on tracking."""
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from leglab.controllers.pd import Pd, PdConfiguration
     configuration=PdConfiguration,
 )
 class ExactInverse:
-    """u = commands found by iterating on the very machine of the run, changes included, + PD.
+    """u = commands computed by iterating on the machine of the run, changes included, + PD.
 
-    With exact sensors the machine would follow its reference as closely as its valves let it. So
-    its tracking error is what noise, resolution and latency of the sensors and the limits of the
-    valves leave to any controller with this feedback. PD sees the reference as old as its
+    With exact sensors the machine would follow its reference as closely as its valves permit. So
+    its tracking error is the least that noise, resolution and latency of the sensors and the limits
+    of the valves permit any controller with this feedback. The reference of PD is delayed like its
     measurements.
 
     Attributes:
@@ -44,7 +44,7 @@ class ExactInverse:
         """Starts a run with the first command.
 
         Raises:
-            LeglabError: There is no machine on which commands could be found.
+            LeglabError: There is no machine for which commands could be computed.
         """
         if self.commands is None:
             if self._find is None:
@@ -55,7 +55,7 @@ class ExactInverse:
         self._row = 0
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         assert self.commands is not None
         self._feedforward = self.commands[min(self._row, len(self.commands) - 1)]
         self._row += 1
@@ -63,5 +63,5 @@ class ExactInverse:
         return self._feedforward + self._pd.correct(measurement, seen)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feed-forward and feedback parts of the command, each (joints,)."""
+        """Returns feed-forward and feedback parts of the command, each (joints,)."""
         return {"feedforward": self._feedforward, **self._pd.diagnostics()}

@@ -1,4 +1,4 @@
-"""The adaptive feed-forward with its adaptation stopped: what adapting on would have gained."""
+"""Adaptive feed-forward that stops adapting before the change: shows the gain by adaptation."""
 
 from leglab.control import ControllerSetup, register_controller
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
@@ -10,7 +10,7 @@ from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveControlle
     configuration=AdaptiveConfiguration,
 )
 class Frozen(AdaptiveController):
-    """As `bsnn_arx`; `stop_time` defaults to the first change of the scenario."""
+    """`bsnn_arx` whose `stop_time` defaults to the first change of the scenario."""
 
     name = "frozen"
 

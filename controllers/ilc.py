@@ -1,4 +1,4 @@
-"""Iterative learning: the calibrated valve map and PD, and what the last strides have taught."""
+"""Iterative learning control: the calibrated valve map, PD, and a correction learned by strides."""
 
 import math
 
@@ -37,9 +37,9 @@ class IlcConfiguration(Configuration):
 class Ilc:
     """u = map(r, r') + PD + c, c by iterative learning from stride to stride.
 
-    Where the reference does not repeat itself c is zero, and diagnostics `repeats` too. The
-    reference is taken when the command acts on average, and held against a measurement at the time
-    it was taken.
+    Where the reference does not repeat itself, c and the diagnostic `repeats` are zero. The map
+    takes the reference at the mean time at which the command acts; the error compares a measurement
+    with the reference at the time of the measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: IlcConfiguration) -> None:
@@ -82,14 +82,14 @@ class Ilc:
             self._learning.freeze()
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         motion, seen = self._motion.take(reference)
         nominal = self._map(motion[0], motion[1])
         feedback = self._pd.correct(measurement, seen)
         learning, correction = self._learning, self._nothing
         if learning is not None:
             wish = nominal + learning.correction(reference.position)
-            # What the valve cannot give is not learned either: nothing winds up.
+            # Anti-windup: the part of the command beyond the valve's range is not learned.
             correction = np.minimum(np.maximum(wish, -1.0), 1.0) - nominal
             learning.take(seen.position - measurement.position, correction)
             self._repeats = np.full_like(nominal, learning.repeats)
@@ -97,7 +97,7 @@ class Ilc:
         return self._feedforward + feedback
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feed-forward with its learned part, feedback, and 1 where the reference repeats."""
+        """Returns feed-forward, its learned part, feedback, and 1 where the reference repeats."""
         return {
             "feedforward": self._feedforward,
             "correction": self._correction,

@@ -18,10 +18,10 @@ _PRIOR = 1e3
     configuration=AdaptiveConfiguration,
 )
 class Oracle(AdaptiveController):
-    """As `bsnn_arx`, but it does not learn: least squares over recordings of both machines.
+    """`bsnn_arx` without learning online: maps fitted to recordings before and after the change.
 
-    It knows when the machine changes, and it has been on the changed machine before: nothing that
-    adapts can be expected to do better with the same map.
+    It knows when the machine changes, and has a recording of the changed machine: no controller
+    that adapts the same map can be expected to do better.
     """
 
     name = "oracle"
@@ -46,7 +46,7 @@ class Oracle(AdaptiveController):
         self._changed = False
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         if not self._changed and measurement.time >= self._change:
             self.adaptation.learner.parameters = self._maps[1]
             self._changed = True

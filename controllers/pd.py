@@ -1,4 +1,4 @@
-"""Proportional-derivative control of every joint on its own: the loop that others build upon."""
+"""Proportional-derivative control, joint by joint: the feedback of most other controllers."""
 
 import numpy as np
 from pydantic import Field
@@ -28,8 +28,8 @@ class PdConfiguration(Configuration):
 class Pd:
     """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint.
 
-    To drives with a position or velocity loop of their own it sends the reference, too: `command`
-    adds it, `correct` does not.
+    For drives with an internal position or velocity loop, `command` adds the setpoint that follows
+    the reference; `correct` does not.
 
     Attributes:
         position_gain: s K_p [1/rad], (joints,).
@@ -57,7 +57,7 @@ class Pd:
         """Starts a run; the law has no memory."""
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Commands in [-1, 1] before clipping, (joints,)."""
+        """Computes the commands before clipping to [-1, 1], (joints,)."""
         feedback = self.correct(measurement, reference)
         if self._setpoint is None:
             return feedback
@@ -70,7 +70,7 @@ class Pd:
         )
 
     def correct(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """The feedback alone, (joints,): what a controller with another feed-forward adds to it."""
+        """Computes the feedback alone, (joints,), for controllers with their own feed-forward."""
         wanted, wanted_velocity, _ = reference
         feedback = self.position_gain * (wanted - measurement.position)
         feedback += self.velocity_gain * (wanted_velocity - measurement.velocity)
@@ -78,5 +78,5 @@ class Pd:
         return feedback
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """The feedback part of the command, (joints,)."""
+        """Returns the feedback part of the command, (joints,)."""
         return {"feedback": self.feedback}

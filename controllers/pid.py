@@ -40,7 +40,7 @@ class Pid:
         self._integral = np.zeros_like(self._integral)
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         command = self._pd.command(measurement, reference) + self._integral
         step = self._step * (reference.position - measurement.position)
         # Conditional integration (Astrom and Hagglund 2006, Advanced PID Control, ch. 3.5).
@@ -50,5 +50,5 @@ class Pid:
         return command
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Proportional-derivative and integral parts of the command, each (joints,)."""
+        """Returns proportional-derivative and integral parts of the command, each (joints,)."""
         return {**self._pd.diagnostics(), "integral": self._integral}

@@ -1,7 +1,7 @@
-"""The nominal machine's steady valve map, inverted and frozen, beside PD.
+"""The nominal machine's steady valve map, inverted and constant, added to PD.
 
-The honest baseline for everything that adapts: it knows the new machine as well as a bench
-calibration can, and nothing of what happens to it later.
+The baseline for adaptive controllers: it knows the new machine as well as a bench calibration can,
+and none of its later changes.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class ValveMapTable:
         self._core = ValveMaps(vars(ValveTable.of(maps)))
 
     def __call__(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Valve commands (joints,) at joint positions [rad] and velocities [rad/s], (joints,)."""
+        """Interpolates commands (joints,) at positions [rad] and velocities [rad/s], (joints,)."""
         command = np.empty(len(position))
         self._core.command(position, velocity, command)
         return command
@@ -53,10 +53,10 @@ class StaticFeedforward:
         self._pd.reset(measurement)
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Valve commands, (joints,)."""
+        """Computes the valve commands, (joints,)."""
         self._feedforward = self._map(reference.position, reference.velocity)
         return self._feedforward + self._pd.correct(measurement, reference)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Feed-forward and feedback parts of the command, each (joints,)."""
+        """Returns feed-forward and feedback parts of the command, each (joints,)."""
         return {"feedforward": self._feedforward, "feedback": self._pd.feedback}

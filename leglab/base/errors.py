@@ -1,4 +1,4 @@
-"""The errors that users see as a line, not as a traceback."""
+"""Exceptions that are shown to users as one line instead of a traceback."""
 
 import difflib
 import inspect
@@ -14,18 +14,18 @@ _MOST_LISTED = 60  # names in a message
 class LeglabError(ValueError):
     """Bad input: the message names what is wrong, where, and what is allowed.
 
-    A subclass says of what kind the input is; this class itself is raised where the computer lacks
+    Each subclass stands for one kind of input; this class itself is raised if the computer lacks
     something, such as a package or a display.
 
     Args:
-        message: One line; where it ends with a space, `allowed` follows, names with commas.
-        given: As the attribute.
-        allowed: As the attribute.
+        message: One line; if it ends with a space, `allowed` is appended, names joined by commas.
+        given: See the attribute.
+        allowed: See the attribute.
 
     Attributes:
-        given: The name, value or path that was refused; None where there is not one alone.
-        allowed: The names to choose from as a tuple, or a text such as "0 or more"; None where
-            nothing of the kind can be told.
+        given: The rejected name, value or path; None unless there is exactly one.
+        allowed: The allowed names as a tuple, or a text such as "0 or more"; None if the allowed
+            values cannot be listed or described.
     """
 
     def __init__(
@@ -43,10 +43,10 @@ class LeglabError(ValueError):
         """Builds the error for a name that is not among the known ones.
 
         Args:
-            kind: What the name stands for, for instance "scenario".
-            name: The name that was asked for.
-            known: The names that exist; the closest one is suggested, and all are listed, or those
-                that are close where there are many.
+            kind: Kind of object that the name refers to, for instance "scenario".
+            name: The unknown name.
+            known: Existing names; the message suggests the closest one and lists all names, or
+                only similar ones if there are more than 40.
         """
         choices = sorted(set(known))
         close = difflib.get_close_matches(str(name), choices, n=1)
@@ -61,7 +61,7 @@ class LeglabError(ValueError):
         return cls(message, given=name, allowed=choices)
 
     def at(self, place: object) -> Self:
-        """Builds the same error with its place, a file or its folder, before the message."""
+        """Returns a copy of the error whose message starts with a place: a file or its folder."""
         known = str(self).startswith((f"{place}: ", f"{place}/"))
         message = str(self) if known else f"{place}: {self}"
         error = type(self)(message, given=self.given)
@@ -70,7 +70,7 @@ class LeglabError(ValueError):
 
 
 class ModelError(LeglabError):
-    """A model, its MJCF, a plugin of MuJoCo or the machine that they describe does not fit."""
+    """A model, its MJCF file, a MuJoCo plugin or the described machine is not usable."""
 
 
 class RecordingError(LeglabError):
@@ -82,24 +82,24 @@ class SettingsError(LeglabError):
 
 
 class SimulationError(LeglabError):
-    """A run fails or diverges: the message says when and which state."""
+    """A run fails or diverges; the message names the time and the state."""
 
 
 class FileError(LeglabError):
-    """A file or folder is not there, cannot be read or written, or has another format."""
+    """A file or folder does not exist, cannot be read or written, or has the wrong format."""
 
 
 @contextmanager
 def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None) -> Iterator[None]:
-    """Turns an exception of anybody's code into an error with its file and line.
+    """Converts an exception from a controller's or reference's code into an error with its line.
 
     Args:
-        what: Whose code runs, for instance "controller 'pd'".
-        code: Its class or function.
-        kind: Of the error; None for `SettingsError`.
+        what: Kind and name of what runs, for instance "controller 'pd'".
+        code: Class or function whose source file the reported line shall be in.
+        kind: Class of the error; None for `SettingsError`.
 
     Raises:
-        LeglabError: The code raised an exception, or asked to exit.
+        LeglabError: The code raised an exception or called `sys.exit`.
     """
     try:
         yield
@@ -111,10 +111,10 @@ def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None)
 
 
 def origin(error: BaseException, code: object = None) -> str:
-    """Returns file and line of an error: the last line in the file of `code`, else of all."""
+    """Returns file and line of an error: the innermost frame in the file of `code`, else of all."""
     try:
         file = inspect.getsourcefile(code)  # type: ignore[arg-type]
-    except TypeError:  # an object that has no source
+    except TypeError:  # an object without source code
         file = None
     frames = traceback.extract_tb(error.__traceback__)
     at = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])

@@ -1,4 +1,4 @@
-"""Input: regular files are read, with a clear error where they cannot be."""
+"""Reading of regular files, with one-line errors for files that cannot be read."""
 
 import json
 import math
@@ -12,13 +12,13 @@ from leglab.base.errors import FileError, LeglabError
 
 
 def read_bytes(path: str | Path, most: int = -1) -> bytes:
-    """Returns the content of a file, or the beginning of so many bytes.
+    """Returns the content of a file, or its first `most` bytes.
 
     Raises:
-        FileError: It cannot be read, or is no regular file: a pipe would be waited for.
+        FileError: The file cannot be read or is not regular; reading a pipe would block.
     """
     try:
-        # Not to wait for a pipe's other end before it is known to be one.
+        # O_NONBLOCK: opening a pipe must not block before the file type is checked.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as stream:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
@@ -33,7 +33,7 @@ def read_bytes(path: str | Path, most: int = -1) -> bytes:
 
 
 def no_file(path: str | Path) -> str:
-    """Says why a path is not the file that it should be: there is none, or it is no regular one."""
+    """Returns why a path is not a usable file: it does not exist, or is not regular."""
     there = os.path.exists(path)
     return "it is no regular file" if there else "there is no such file"
 
@@ -42,7 +42,7 @@ def read_json(path: str | Path) -> Any:
     """Returns the content of a JSON file.
 
     Raises:
-        FileError: It cannot be read, is not JSON, nested too deep, or a number is not finite.
+        FileError: The file cannot be read, is not JSON, is nested too deeply, or holds NaN or inf.
     """
     try:
         return parse_json(read_bytes(path))
@@ -56,8 +56,8 @@ def parse_json(text: str | bytes) -> Any:
     """Returns the value of a JSON text.
 
     Raises:
-        ValueError: It is not JSON, nested too deep, or a number is not finite, which Python's own
-            reader would take.
+        ValueError: The text is not JSON, is nested too deeply, or holds a number that is not
+            finite, which Python's `json` would accept.
     """
     try:
         return json.loads(text, parse_constant=_finite, parse_float=_finite)
@@ -69,7 +69,7 @@ def parse_toml(text: str | bytes) -> dict[str, Any]:
     """Returns the content of a TOML text.
 
     Raises:
-        ValueError: It is not TOML in UTF-8, nested too deep, or a number has too many digits.
+        ValueError: The text is not TOML in UTF-8, is nested too deeply, or has a too long number.
     """
     try:
         return tomllib.loads(text.decode() if isinstance(text, bytes) else text)

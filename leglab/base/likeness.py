@@ -12,14 +12,14 @@ import numpy as np
 _SHORT = 3
 # Weight of a common word (joint, motor) relative to 1 of a distinctive one.
 _PLAIN_WEIGHT = 0.1
-# Penalty per additional word: a tie-break, below every other difference of scores.
+# Penalty per additional word: a tie-break, smaller than every other score difference.
 _FURTHER = 0.01
 
 
 def words_of(name: str, known: Collection[str] = ()) -> list[str]:
     """Returns the words and numbers of a name in lower case: of `KneeQ_meas[0]` knee, q, meas, 0.
 
-    One that is made of two `known` words is two: `kneepos`.
+    A word that is composed of two `known` words is split, for instance `kneepos`.
     """
     spaced = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
     found: list[str] = []
@@ -34,12 +34,12 @@ def words_of(name: str, known: Collection[str] = ()) -> list[str]:
 def likeness_of_words(
     words: Sequence[str], names: Sequence[Sequence[str]], plain: Collection[str]
 ) -> np.ndarray:
-    """Scores words against those of each name, from 0 to 1, (names,).
+    """Scores the similarity of words to those of each name, from 0 to 1, (names,).
 
     Args:
-        words: Of a name.
-        names: Words of each.
-        plain: Words that say little. A number alone says nothing.
+        words: Words of the name to be matched.
+        names: Words of each candidate name.
+        plain: Common words, which get a low weight. A name that matches by a number only scores 0.
     """
     count = Counter(word for name in names for word in name)
     known = {word for word in words if word in count and word not in plain}
@@ -48,7 +48,7 @@ def likeness_of_words(
         weights = [(_PLAIN_WEIGHT if w in plain else 1.0) / count[w] for w in name]
         ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in name]
         if any(r for r, w in zip(ratios, name, strict=True) if not w.isdigit()):
-            # Words of other names count against this name.
+            # Words that occur only in other candidates reduce the score of this one.
             foreign = len(known - set(name)) / max(len(known), 1)
             further = _FURTHER * sum(word not in name for word in words)
             found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
@@ -57,7 +57,7 @@ def likeness_of_words(
 
 @lru_cache(maxsize=100_000)
 def _ratio(one: str, other: str) -> float:
-    """Likeness of two words: equal, one the beginning of the other, or spelled nearly alike."""
+    """Returns the similarity of two words, 0 to 1: equal, one a prefix, or similar spelling."""
     if one == other or one.isdigit() or other.isdigit():
         return float(one == other)
     if one.startswith(other) or other.startswith(one):
@@ -67,13 +67,13 @@ def _ratio(one: str, other: str) -> float:
 
 
 def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
-    """Returns the number in names, and all numbers of those that differ by nothing else."""
+    """Returns, by name, its number and the numbers of all names that differ in it alone."""
     peers: dict[str, dict[int, str]] = defaultdict(dict)
     for name in names:
         for match in re.finditer(r"\d+", name):
             peers[f"{name[: match.start()]}#{name[match.end() :]}"][int(match[0])] = name
     found: dict[str, tuple[int, tuple[int, ...]]] = {}
-    for group in sorted(peers.values(), key=len):  # the largest group says which number counts
+    for group in sorted(peers.values(), key=len):  # the largest group decides which number counts
         found |= {name: (number, tuple(sorted(group))) for number, name in group.items()}
     return found
 
@@ -81,12 +81,12 @@ def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
 def likeness_of_numbers(
     number: int, peers: Sequence[int], names: Sequence[Sequence[str]]
 ) -> np.ndarray:
-    """Scores a number against names: by the same number, else by its rank.
+    """Scores a number against names: by the equal number in a name, else by position, (names,).
 
     Args:
-        number: In a name, as of `numbered`.
-        peers: As of `numbered`; those of as many as there are names are in their order.
-        names: Words of each, (names,).
+        number: Number in a name, from `numbered`.
+        peers: From `numbered`; a position scores higher if there are as many peers as names.
+        names: Words of each candidate name, (names,).
     """
     found = np.zeros(len(names))
     own = [next((int(w) for w in words[::-1] if w.isdigit()), -1) for words in names]

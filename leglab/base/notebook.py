@@ -8,7 +8,7 @@ from leglab.base.errors import LeglabError
 
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Returns a table as HTML, all text escaped."""
+    """Returns a table as HTML with all text escaped."""
     names = "".join(f"<th>{escape(name)}</th>" for name in head)
     lines = "".join(
         f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows
@@ -20,12 +20,12 @@ def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object
 
 
 def panels(count: int, *, height: float = 2.0, share: bool = True) -> list[Any]:
-    """Returns matplotlib axes below each other in a new figure of pyplot.
+    """Returns vertically stacked matplotlib axes in a new pyplot figure.
 
     Args:
         count: Number of axes.
-        height: Of each [inch].
-        share: Whether they share the horizontal axis.
+        height: Height of each axes [inch].
+        share: Whether the axes share the horizontal axis.
     """
     import matplotlib.pyplot as plt
 

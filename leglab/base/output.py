@@ -1,7 +1,7 @@
-"""Output: a file or folder is there as a whole or not at all, and one process at a time writes it.
+"""Atomic output: a file or folder appears complete or not at all, written by one process at a time.
 
-What is being made stands under a hidden name that no other process uses, and takes its place at the
-end. What a killed process left behind goes when its place is written to again.
+Output is written under a unique hidden name and renamed to its final name at the end. Leftovers of
+a killed process are removed when the same path is written again.
 """
 
 import errno
@@ -22,21 +22,21 @@ from leglab.base.errors import FileError, LeglabError
 
 _LOCK = ".leglab.lock"
 _WORKPLACE = ".leglab-work."
-# What flock says on file systems without locks, some of clusters among them.
+# Error numbers of flock on file systems without locks, such as those of some clusters.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EBADF)
-_PATIENCE = 50  # times that the owner of a lock is asked for, in all a second
+_PATIENCE = 50  # attempts to read the owner of a lock, one second in total
 
 
 def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
-    """Writes a file as a whole or leaves it as it was; of several processes the last one wins.
+    """Writes a file completely or leaves it unchanged; if several processes write, the last wins.
 
     Args:
-        path: The file. A symbolic link stays one; its target is replaced.
-        write: Writes the content into the binary stream that it is given.
+        path: The file. A symbolic link is kept; its target is replaced.
+        write: Function that writes the content to the binary stream in its argument.
 
     Raises:
-        FileError: The folder does not exist or cannot be written to, the disk is full, or the
-            path is no regular file.
+        FileError: The folder does not exist or is not writable, the disk is full, or the path is
+            not a regular file.
     """
     path = Path(path)
     with _replaced(path) as partial, _told(path), partial.open("wb") as stream:
@@ -45,13 +45,13 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """Yields where a program is to write a file, which takes its place at the end.
+    """Yields a temporary file for a program to write, which is renamed to `path` at the end.
 
     Args:
-        path: The file; its folder is made. A symbolic link stays one; its target is replaced.
+        path: The file; its folder is created. A symbolic link is kept; its target is replaced.
 
     Yields:
-        An empty file with the same suffix.
+        Path of an empty file with the same suffix.
 
     Raises:
         FileError: Another process is writing the file, or it cannot be written or replaced.
@@ -66,16 +66,16 @@ def new_file(path: Path) -> Iterator[Path]:
 
 
 def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
-    """Refuses a folder that exists.
+    """Tests that an output folder does not exist, or holds earlier results that may be replaced.
 
     Args:
-        folder: Where results shall go.
-        mark: File by which a folder with earlier results is known.
+        folder: Output folder.
+        mark: Name of a file that identifies a folder with earlier results.
         overwrite: Whether earlier results may be replaced.
 
     Raises:
-        FileError: It exists and may not be replaced, holds something else, or is the working
-            folder or one that holds it.
+        FileError: The folder exists and may not be replaced, holds other content, or is or
+            contains the working folder.
     """
     with _told(folder):
         if not os.path.lexists(folder):
@@ -91,10 +91,10 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
 
 
 def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
-    """Refuses a folder that holds what is read: with earlier results it would be replaced.
+    """Tests that no input file lies in the output folder, which replacing would delete.
 
     Raises:
-        FileError: Names the input.
+        FileError: An input lies in the folder; the message names it.
     """
     real = os.path.realpath(folder)
     for path in inputs:
@@ -107,20 +107,20 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
 def new_folder(
     folder: Path, *, mark: str, made: Sequence[str], overwrite: bool = False
 ) -> Iterator[Path]:
-    """Yields where the content of a folder is to be made, which takes its place at the end.
+    """Yields a temporary folder for results, which is renamed to `folder` at the end.
 
     Args:
-        folder: Where results shall go; parents are made. A symbolic link stays one.
-        mark: File by which a folder with earlier results is known.
-        made: Names of all files and folders that results may have there; what else the folder
-            holds is the user's and stays.
-        overwrite: Whether earlier results may be replaced; they stay until the end.
+        folder: Output folder; parents are created. A symbolic link is kept.
+        mark: Name of a file that identifies a folder with earlier results.
+        made: Names of all files and folders that results may consist of; anything else in the
+            folder belongs to the user and is kept.
+        overwrite: Whether earlier results may be replaced; they are kept until the end.
 
     Yields:
-        An empty folder beside it.
+        Path of an empty folder with the same parent.
 
     Raises:
-        FileError: As `check_folder`, another process is writing the folder, or it cannot be
+        FileError: As `check_folder`, or another process is writing the folder, or it cannot be
             written.
     """
     real = Path(os.path.realpath(folder))
@@ -146,13 +146,13 @@ def new_folder(
 
 @contextmanager
 def claimed_folder(folder: Path) -> Iterator[Path]:
-    """Keeps other processes from writing to a folder whose files are replaced one by one.
+    """Locks a folder whose files are replaced one by one, so that no other process writes to it.
 
     Args:
-        folder: Where results go; it is made, and goes again if it stays empty.
+        folder: Output folder; it is created, and removed again if it stays empty.
 
     Yields:
-        An empty folder inside it, which goes at the end: files are made there and moved.
+        An empty temporary folder inside it, in which files are made before they are moved.
 
     Raises:
         FileError: Another process is writing to the folder, or it cannot be written to.
@@ -170,7 +170,7 @@ def claimed_folder(folder: Path) -> Iterator[Path]:
 
 
 def writer_elsewhere(folder: Path) -> str:
-    """Process of another machine that writes to a folder now: "process 123 on HOST", or nothing."""
+    """Returns the process on another machine that writes a folder ("process 123 on HOST") or ""."""
     with suppress(OSError), (folder / _LOCK).open() as lock:
         owner = lock.read().strip()
         if owner and not owner.endswith(f" on {socket.gethostname()}"):
@@ -182,7 +182,7 @@ def writer_elsewhere(folder: Path) -> str:
 
 
 def has_locks(path: Path) -> bool:
-    """Whether the file system of a file has the locks of POSIX."""
+    """Tests whether the file system of a file supports POSIX locks."""
     with suppress(FileNotFoundError), path.open() as file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -195,7 +195,7 @@ def has_locks(path: Path) -> bool:
 def piece(name: str, missing: dict[str, str]) -> Iterator[None]:
     """Records in `missing` why a part of a result could not be made, instead of raising.
 
-    A search of hours is not lost with a page or a file that comes after it.
+    So the result of hours of computing is not lost if a page or file after it fails.
     """
     try:
         yield
@@ -207,13 +207,13 @@ def piece(name: str, missing: dict[str, str]) -> Iterator[None]:
 
 
 def cannot_write(path: Path, error: OSError) -> FileError:
-    """Returns the error of a file or folder that cannot be written, with the system's reason."""
+    """Returns the error for a file or folder that cannot be written, with the system's reason."""
     return FileError(f"{path}: cannot be written: {error.strerror or error}", given=path)
 
 
 @contextmanager
 def _told(place: Path) -> Iterator[None]:
-    """Says of what the system refuses that the place cannot be written."""
+    """Converts an operating system error into the `FileError` that `place` cannot be written."""
     try:
         yield
     except OSError as error:
@@ -224,7 +224,7 @@ def _told(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _replaced(path: Path, suffix: str = "") -> Iterator[Path]:
-    """Yields an empty file beside a file, behind links, which takes its place at the end."""
+    """Yields an empty file next to the target of `path`, which it replaces at the end."""
     with _told(path):
         real = regular_file(path)
         handle, name = tempfile.mkstemp(
@@ -242,7 +242,7 @@ def _replaced(path: Path, suffix: str = "") -> Iterator[Path]:
 
 @contextmanager
 def _folder(folder: Path, place: Path) -> Iterator[None]:
-    """Makes a folder with its parents; of those that it made, the empty ones go at the end."""
+    """Creates a folder with its parents; removes those created that are empty at the end."""
     made: list[Path] = []
     with _told(place):
         above = folder
@@ -260,16 +260,16 @@ def _folder(folder: Path, place: Path) -> Iterator[None]:
 
 @contextmanager
 def _claimed(lock: Path, place: Path) -> Iterator[bool]:
-    """Holds a lock, which the system frees however the process ends; yields whether there is one.
+    """Holds a lock file, released by the system when the process ends; yields whether it is locked.
 
-    A file system without locks has none: what is written there is whole all the same.
+    On a file system without locks it yields False; output is still written atomically.
     """
     with _told(place):
         handle, alone = _acquire(lock, place)
     try:
         yield alone
     finally:
-        if alone:  # Removed while it is held: who opened it meanwhile sees that it is gone.
+        if alone:  # Removed while still locked: a process that has opened it notices the removal.
             lock.unlink(missing_ok=True)
         os.close(handle)
 
@@ -287,7 +287,7 @@ def _acquire(lock: Path, place: Path) -> tuple[int, bool]:
         except BlockingIOError as error:
             owner = os.read(handle, 200).decode(errors="replace").strip()
             os.close(handle)
-            if not owner and patience > 0:  # Its owner has yet to write who it is.
+            if not owner and patience > 0:  # The owner has not written its process number yet.
                 patience -= 1
                 time.sleep(0.02)
                 continue
@@ -306,15 +306,15 @@ def _acquire(lock: Path, place: Path) -> tuple[int, bool]:
                 os.ftruncate(handle, 0)
                 os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
                 return handle, True
-        os.close(handle)  # Its last owner removed it between the two calls.
+        os.close(handle)  # The previous owner removed the file between open and flock.
 
 
 def regular_file(path: Path) -> Path:
-    """Returns the file itself, behind links; refuses what no file may replace.
+    """Returns the path of a file with links resolved; refuses anything but a regular file.
 
     Raises:
-        FileError: It is a folder, a device, a pipe or a socket.
-        OSError: It cannot be looked at.
+        FileError: The path is a folder, a device, a pipe or a socket.
+        OSError: The file status cannot be read.
     """
     real = Path(os.path.realpath(path))
     try:
@@ -328,12 +328,12 @@ def regular_file(path: Path) -> Path:
 
 
 def _carry_over(folder: Path, new: Path, made: Collection[str]) -> None:
-    """Puts what a folder holds beside results into the new one as well: linked, else copied."""
+    """Hard-links or copies the user's own files, all but results, into the new folder."""
 
     def put(source: str, target: str) -> None:
         try:
             os.link(source, target, follow_symlinks=False)
-        except OSError:  # Not on this file system.
+        except OSError:  # no hard links on this file system
             shutil.copy2(source, target, follow_symlinks=False)
 
     for path in folder.iterdir() if folder.exists() else ():
@@ -347,7 +347,7 @@ def _carry_over(folder: Path, new: Path, made: Collection[str]) -> None:
 
 
 def _exchange(new: Path, folder: Path, earlier: Path) -> None:
-    """Puts a new folder in the place of an earlier one; `_recover` mends what a kill interrupts."""
+    """Replaces an earlier folder by a new one; `_recover` repairs an interrupted exchange."""
     if folder.exists():
         folder.rename(earlier)
     try:
@@ -360,7 +360,7 @@ def _exchange(new: Path, folder: Path, earlier: Path) -> None:
 
 
 def _recover(folder: Path, earlier: Path) -> None:
-    """Brings back what a process had moved aside that was killed before it moved the new one in."""
+    """Restores the earlier folder if a process was killed before it moved in the new one."""
     if not earlier.exists():
         return
     if folder.exists():
@@ -370,7 +370,7 @@ def _recover(folder: Path, earlier: Path) -> None:
 
 
 def remove(paths: Iterable[Path]) -> None:
-    """Removes files and folders as far as the system lets; links go, not what they lead to."""
+    """Removes files and folders, ignoring errors; removes links, not their targets."""
     for path in list(paths):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)
@@ -380,7 +380,7 @@ def remove(paths: Iterable[Path]) -> None:
 
 
 def _umask() -> int:
-    """Returns which rights new files do not get: a result is as readable as any other new file."""
+    """Returns the process umask: output gets the permissions of any other new file."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -1,9 +1,9 @@
-"""Code of others: entry points of installed packages, and files and modules that a user names.
+"""Plug-ins: entry points of installed packages, and files and modules that a user names.
 
-A package offers what it defines by entry points in the groups `leglab.controllers`,
-`leglab.scenarios`, `leglab.references`, `leglab.effects` and `leglab.models`, each called like what
-it defines. They are imported when a name of their kind is first looked up. `load` imports a file
-or module at once. Processes that work for this one get the same by `carried` and `carry`.
+A package registers plug-ins by entry points in the groups `leglab.controllers`,
+`leglab.scenarios`, `leglab.references`, `leglab.effects` and `leglab.models`; an entry point has
+the name of the object it defines. They are imported at the first look-up of a name of their kind.
+`load` imports a file or module at once. `carried` and `carry` pass plug-ins on to worker processes.
 """
 
 import contextlib
@@ -25,23 +25,23 @@ from leglab.base.input import no_file
 
 KINDS = ("controllers", "scenarios", "references", "effects", "models")
 
-# What was loaded or has registered something, in this order: absolute paths of files, and modules,
-# with whether the user named it.
+# Sources that were loaded or have registered something, in this order: absolute paths of files, and
+# names of modules, with True if the user named the source.
 _sources: dict[str, bool] = {}
 # Modules of entry points that were loaded.
 _packages: set[str] = set()
-# Why an entry point could not be loaded, by kind and name.
+# Error message of each entry point that could not be loaded, by kind and name.
 _failures: dict[tuple[str, str], str] = {}
-# Files on which results depend, with the digest of their content at the first import: later edits
-# of a file do not change the code that runs.
+# Files on which results depend, with the digest of their content at the first import, since later
+# edits of a file do not change the running code.
 _files: dict[Path, bytes] = {}
-# Code that is being imported here brings what it registers along by itself.
+# Depth of imports in progress: `note` ignores what they register, since they are recorded anyway.
 _importing = 0
 _SUFFIXES = (".py", ".xml", ".toml")
 
 
 class Carried(TypedDict):
-    """Plug-ins that a process has to load for the same names: plain types, which JSON can hold."""
+    """Plug-ins that a process has to load to know the same names; JSON-serialisable."""
 
     path: list[str]
     packages: list[str]
@@ -50,7 +50,7 @@ class Carried(TypedDict):
 
 @functools.cache
 def entry_points(kind: str) -> dict[str, importlib.metadata.EntryPoint]:
-    """Entry points of a kind by name, without importing them.
+    """Returns the entry points of a kind by name, without importing them.
 
     Args:
         kind: One of `KINDS`.
@@ -61,19 +61,19 @@ def entry_points(kind: str) -> dict[str, importlib.metadata.EntryPoint]:
 
 @functools.cache
 def _all_entry_points() -> Any:
-    """Those of all groups: looking into every installed package takes 20 ms."""
+    """Returns the entry points of all groups; cached, since the search takes 20 ms."""
     return importlib.metadata.entry_points()
 
 
 def load_entry_points(
     kind: str, known: Callable[[str], bool], register: Callable[[str, Any], None] | None = None
 ) -> None:
-    """Imports all entry points of a kind; one that fails is passed over and told by `failures`.
+    """Imports all entry points of a kind; skips one that fails, and `failures` reports it.
 
     Args:
         kind: One of `KINDS`.
-        known: Whether a name is registered.
-        register: Registers what an entry point refers to under its name, unless importing it did.
+        known: Function that tests whether a name is registered.
+        register: Registers the loaded object under its name, unless the import has done so.
     """
     for name, entry in entry_points(kind).items():
         owner = "" if entry.dist is None else f" of package {entry.dist.name!r}"
@@ -93,7 +93,7 @@ def load_entry_points(
 
 
 def _take_package(name: str) -> None:
-    """Notes that results may depend on the code of an imported module and its package."""
+    """Records an imported module and its package as code that results may depend on."""
     module = sys.modules.get(name)
     if module is not None:
         _packages.add(name)
@@ -101,19 +101,19 @@ def _take_package(name: str) -> None:
 
 
 def failures(kind: str | None = None) -> tuple[str, ...]:
-    """Why entry points could not be loaded, a line each; of all kinds without one."""
+    """Returns why entry points could not be loaded, one line each; of all kinds for None."""
     return tuple(text for (of, _), text in _failures.items() if kind in (None, of))
 
 
 def load(source: str) -> None:
-    """Imports a Python file or a module, so that what it registers is known.
+    """Imports a Python file or a module, which registers what it defines.
 
     Args:
-        source: Path of a `.py` file, or name of a module. The folder of a file is added to the end
-            of `sys.path`, so that it can import its neighbours.
+        source: Path of a `.py` file, or name of a module. The folder of a file is appended to
+            `sys.path`, so that the file can import other modules in it.
 
     Raises:
-        LeglabError: There is no such file or module, or importing it fails.
+        LeglabError: The file or module does not exist, or its import fails.
     """
     path = Path(source)
     is_file = path.suffix == ".py" or path.is_file()
@@ -133,10 +133,10 @@ def load(source: str) -> None:
 
 
 def imported(source: str) -> ModuleType:
-    """Returns a module by its name, or that of a Python file by its path.
+    """Imports and returns a module by its name, or a Python file by its path.
 
     Raises:
-        ImportError: There is none.
+        ImportError: The module does not exist.
     """
     if source.endswith(".py"):
         with _Importing():
@@ -145,14 +145,14 @@ def imported(source: str) -> ModuleType:
 
 
 def note(module_name: str) -> None:
-    """Notes that a module has registered something; those of leglab itself go without saying."""
+    """Records that a module has registered something; ignores modules of leglab itself."""
     if _importing or module_name.partition(".")[0] == "leglab":
         return
     module = sys.modules.get(module_name)
     file = getattr(module, "__file__", None)
     if module is None or file is None or not Path(file).is_file():
         return  # a notebook or a prompt: no other process can import it
-    # What runs as a script is no module that could be imported.
+    # A script runs as `__main__`, which other processes cannot import by name: record its path.
     _sources.setdefault(
         str(Path(file).resolve()) if module_name == "__main__" else module_name, False
     )
@@ -160,19 +160,19 @@ def note(module_name: str) -> None:
 
 
 def carried() -> Carried:
-    """Returns what another process gives to `carry`."""
+    """Returns the plug-ins of this process, as another process passes them to `carry`."""
     return {"path": list(sys.path), "packages": sorted(_packages), "sources": dict(_sources)}
 
 
 def carry(luggage: Carried) -> None:
-    """Loads what another process has loaded.
+    """Loads the plug-ins that another process has loaded.
 
     Raises:
-        LeglabError: As `load`, of what the user named.
+        LeglabError: A source that the user named cannot be loaded, as in `load`.
     """
     sys.path.extend(place for place in luggage["path"] if place not in sys.path)
     for name in luggage["packages"]:
-        # One that is not here, or fails, shows in the digest of the code.
+        # A package that is missing or fails here changes the code digest, which is compared.
         with contextlib.suppress(Exception), _Importing():
             importlib.import_module(name)
             _take_package(name)
@@ -182,13 +182,13 @@ def carry(luggage: Carried) -> None:
         try:
             load(source)
         except LeglabError:
-            # What merely happened to register something may have nothing to do with the work.
+            # A source that the user did not name may be irrelevant to the work.
             if named:
                 raise
 
 
 def code_digest() -> str:
-    """Returns a digest of all loaded files and of modules that they import from their folder."""
+    """Returns a digest of all loaded files and the modules they import from their folder."""
     digest = hashlib.sha256()
     for file in sorted(_files):
         digest.update(_files[file])
@@ -206,7 +206,7 @@ class _Importing:
 
 
 def _import_file(path: Path) -> ModuleType:
-    """Imports a file under its own name, or under another one where that is taken."""
+    """Imports a file under its stem as module name, or a generated name if the stem is taken."""
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
     name = path.stem
@@ -231,20 +231,20 @@ def _import_file(path: Path) -> ModuleType:
 
 
 def _is_file(module: Any, path: Path) -> bool:
-    """Whether a module, or the specification of one, is this file."""
+    """Tests whether a module or module specification refers to this file."""
     file = getattr(module, "__file__", None) or getattr(module, "origin", None)
     return file is not None and Path(file).resolve() == path
 
 
 def _take_files(module: ModuleType) -> None:
-    """Notes that results may depend on the files of a module."""
+    """Records the files of a module as code that results may depend on."""
     for file in _package_files(module):
         if file not in _files:
             _files[file] = hashlib.sha256(file.read_bytes()).digest()
 
 
 def _package_files(module: ModuleType) -> Iterable[Path]:
-    """The file of a module; all code and data of its package where it belongs to one."""
+    """Yields the file of a module, or all code and data files of its package if it has one."""
     file = getattr(module, "__file__", None)
     if file is None:
         return
@@ -253,7 +253,7 @@ def _package_files(module: ModuleType) -> Iterable[Path]:
     if not (top / "__init__.py").exists():
         yield path
         if top.name not in ("site-packages", "dist-packages"):
-            # By its text, which is the same in every process, whatever else that has imported.
+            # Imports are found by parsing the source, so that every process gets the same files.
             finder = ModuleFinder([str(top)])
             finder.run_script(str(path))
             found = (getattr(one, "__file__", None) for one in finder.modules.values())
@@ -265,7 +265,7 @@ def _package_files(module: ModuleType) -> Iterable[Path]:
 
 
 def _line(error: BaseException) -> str:
-    """An error in one line, with the place in the user's code where it can be told."""
+    """Returns an error in one line, with file and line in the plug-in's code if known."""
     text = " ".join(str(error).split())
     if isinstance(error, LeglabError):
         return text

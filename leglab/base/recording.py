@@ -1,12 +1,12 @@
-"""A recording: what was measured or simulated, sample by sample.
+"""Recordings: measured or simulated time series.
 
 Columns are named after the MJCF element they belong to: `<joint>_position` [rad or m],
 `<joint>_velocity`, `<actuator>_command` in [-1, 1], `<joint>_pressure_a` and `<joint>_pressure_b`
-[Pa], `supply_pressure` [Pa], `oil_temperature` [°C]; a run of ours adds `<joint>_reference`,
-`<joint>_reference_velocity` and `<joint>_reference_acceleration`, and what no sensor sees:
+[Pa], `supply_pressure` [Pa], `oil_temperature` [°C]. A simulated run adds `<joint>_reference`,
+`<joint>_reference_velocity`, `<joint>_reference_acceleration` and quantities without a sensor:
 `<joint>_truth` [rad or m], `<joint>_oil_temperature` [°C], `<joint>_seal_clearance` [1, new is 1].
-The command of a native actuator is the control of its model, in its own unit; `<joint>_effort` is
-what it gives the joint [N m or N].
+The command of a native MuJoCo actuator is its `ctrl` input, in that actuator's unit;
+`<joint>_effort` is its torque or force on the joint [N m or N].
 """
 
 import json
@@ -22,16 +22,16 @@ from leglab.base.errors import RecordingError
 from leglab.base.notebook import data_frame, html_table, panels
 from leglab.base.units import error_unit, own_units, unit_of
 
-# Metadata of a run: the native actuator of a joint, and the middle and half range of its control.
+# Metadata of a run: native actuator of each joint, with centre and half range of its control input.
 DRIVES = "drives"
 # Metadata of a run: {"timestep": s, "integrator": MuJoCo's name} of the simulation that made it.
 SIMULATION = "simulation"
-# MuJoCo's integrators that move positions by the new velocity.
+# Semi-implicit integrators of MuJoCo: the position is updated with the new velocity.
 _SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
-# Columns that a recording names in one line, and that its table in a notebook shows.
+# Maximum number of columns named in the one-line representation, and in the notebook table.
 _MOST_NAMES, _MOST_ROWS = 4, 40
-# Time stamps count as uniform while no interval leaves the median by more than this share: well
-# above the rounding of a time column in milliseconds, well below a lost sample.
+# Maximum relative deviation of an interval from the median for uniform time stamps: well above the
+# rounding of a time column in milliseconds, well below a lost sample.
 _UNIFORM_TOLERANCE = 1e-3
 
 
@@ -89,12 +89,12 @@ class Recording:
         return self.columns[name]
 
     def __iter__(self) -> Iterator[tuple[float, ...]]:
-        """Yields the samples, each a named tuple of time and columns: `pandas.DataFrame` takes it.
+        """Yields each sample as a named tuple of time and columns, as `pandas.DataFrame` accepts.
 
-        `to_pandas` is faster, and has the time as index.
+        `to_pandas` is faster and uses the time as index.
         """
         names = ("time", *self.columns)
-        # A column may be called as no attribute can be: a class made by `namedtuple` would refuse.
+        # `namedtuple` would reject column names that are not valid Python identifiers.
         sample = type("Sample", (tuple,), {"_fields": names, "__slots__": ()})
         yield from map(sample, zip(*(self[name].tolist() for name in names), strict=True))
 
@@ -140,14 +140,14 @@ class Recording:
         """Draws columns over time with matplotlib.
 
         Args:
-            columns: Names; without any, positions with their references, and commands. Those of one
-                unit share a plot.
+            columns: Column names; by default positions, references and commands. Columns of the
+                same unit share a plot.
 
         Returns:
-            The axes, below each other, of a new figure of `matplotlib.pyplot`.
+            The vertically stacked axes of a new `matplotlib.pyplot` figure.
 
         Raises:
-            RecordingError: A column does not exist, or there is none to draw.
+            RecordingError: A column does not exist, or the recording has no columns.
         """
         if not columns:
             endings = ("_position", "_reference", "_command")
@@ -156,7 +156,7 @@ class Recording:
             raise RecordingError("nothing to plot: the recording has no column")
         groups: dict[str, list[str]] = {}
         for name in columns:
-            self[name]  # an unknown one is refused before a figure opens
+            self[name]  # raises for an unknown column before a figure opens
             groups.setdefault(unit_of(name, self.metadata), []).append(name)
         axes = panels(len(groups))
         for axis, (unit, names) in zip(axes, groups.items(), strict=True):
@@ -168,7 +168,7 @@ class Recording:
         return axes
 
     def to_pandas(self) -> Any:
-        """Returns a `pandas.DataFrame` of the columns in SI units, by time [s].
+        """Returns a `pandas.DataFrame` of the columns in SI units, indexed by time [s].
 
         Raises:
             LeglabError: pandas is missing.
@@ -180,15 +180,15 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last sample [s]."""
+        """Duration from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def sampling_period(self) -> float:
-        """Time between two samples [s].
+        """Sampling period [s].
 
         Raises:
-            RecordingError: There is one sample only, or the intervals differ; names the row.
+            RecordingError: There is only one sample, or the intervals differ; names the row.
         """
         if self.time.size < 2:
             raise RecordingError("a recording of one sample has no sampling period")
@@ -210,7 +210,7 @@ class Recording:
 
     @property
     def tracked(self) -> tuple[str, ...]:
-        """Joints with a position and a reference; a joint that nothing drives has no reference."""
+        """Joints with a position and a reference; passive joints have no reference."""
         return tuple(joint for joint in self.joints if f"{joint}_reference" in self)
 
     @property
@@ -220,23 +220,23 @@ class Recording:
 
     @property
     def actuators_are_valves(self) -> bool:
-        """Whether no joint is driven by a native actuator, as far as the metadata tells."""
+        """True if no joint has a native MuJoCo actuator according to the metadata."""
         return all(self._drive(joint) is None for joint in self.joints)
 
     def actuator_of(self, joint: str) -> str | None:
-        """Name of the actuator that drives a joint; None where none was recorded.
+        """Returns the name of the actuator that drives a joint; None if none was recorded.
 
-        It is in the metadata of a run with native actuators; other actuators are called as their
-        joint, or `<joint>_valve`.
+        The metadata name native actuators; other actuators have the name of their joint, or
+        `<joint>_valve`.
         """
         drive = self._drive(joint)
         names = (drive[0],) if drive else (joint, f"{joint}_valve")
         return next((name for name in names if f"{name}_command" in self), None)
 
     def command_of(self, joint: str) -> np.ndarray | None:
-        """Commands of a joint as shares [-1, 1] of what its actuator takes, (n,); None without.
+        """Returns the commands of a joint, scaled to [-1, 1], (n,); None without an actuator.
 
-        A valve's column holds them, a native actuator's the control that was sent in its own unit.
+        Valve commands are recorded in this scale; inputs of native actuators are converted to it.
         """
         actuator, drive = self.actuator_of(joint), self._drive(joint)
         if actuator is None:
@@ -246,12 +246,12 @@ class Recording:
 
     @property
     def command_lead(self) -> float | None:
-        """By how much commands act before their time [s]: half a step of MuJoCo's integrators.
+        """Time by which commands act early [s]: half a step of a semi-implicit integrator.
 
-        They give positions all of a new command's velocity in its first step, where a machine's
-        positions gain half of it: x += h v + h² a against h v + h² a / 2. MuJoCo's RK4 and a
-        machine have none. The simulation's step is in the metadata of a run of ours; None if
-        the metadata name no simulation.
+        Such an integrator moves the position by h v + h² a in the first step after a change of
+        the acceleration a, a real machine by h v + h² a / 2. MuJoCo's RK4 and a real machine have
+        no lead. The time step h is in the metadata of a simulated run; None if the metadata name
+        no simulation.
         """
         told: Any = self.metadata.get(SIMULATION)
         try:
@@ -265,7 +265,7 @@ class Recording:
         return 0.5 * min(timestep, float(np.median(np.diff(self.time))))
 
     def _drive(self, joint: str) -> tuple[str, float, float] | None:
-        """Name, middle and half range of a joint's native actuator, if the metadata tells them."""
+        """Returns name, control centre and half range of a joint's native actuator, or None."""
         drives = self.metadata.get(DRIVES)
         told: Any = drives.get(joint) if isinstance(drives, Mapping) else None
         try:
@@ -274,11 +274,11 @@ class Recording:
             return None
 
     def stack(self, elements: Iterable[str], quantity: str) -> np.ndarray:
-        """Puts one quantity of several elements side by side.
+        """Returns one quantity of several elements as the columns of an array.
 
         Args:
             elements: Joints or actuators.
-            quantity: The end of the column names, for instance "position" or "pressure_a".
+            quantity: Suffix of the column names, for instance "position" or "pressure_a".
 
         Returns:
             Samples, in the column's unit. Shape (n, len(elements)).
@@ -289,7 +289,7 @@ class Recording:
         return np.column_stack([self[f"{element}_{quantity}"] for element in elements])
 
     def select(self, names: Iterable[str]) -> "Recording":
-        """Returns a recording with these columns alone, in this order.
+        """Returns a recording with only these columns, in this order.
 
         Raises:
             RecordingError: A column does not exist.
@@ -317,11 +317,11 @@ class Recording:
         return replace(self, time=self.time[first:last], columns=columns)
 
     def error_unit(self, joints: Iterable[str] | None = None) -> str:
-        """Returns the unit in which tracking errors are told: "mrad", "mm", or "mrad or mm".
+        """Returns the unit in which tracking errors are reported: "mrad", "mm" or "mrad or mm".
 
         Args:
-            joints: Whose errors; None for all that have a position. A joint whose unit is not
-                recorded counts as a hinge.
+            joints: Names of joints; None for all with a position column. A joint whose unit is
+                not recorded counts as a hinge.
         """
         units = own_units(self.metadata)
         names = self.joints if joints is None else joints
@@ -336,7 +336,7 @@ class Recording:
         return replace(self, metadata={**self.metadata, **metadata})
 
     def _extent(self) -> str:
-        """Number of samples, duration and rate in words."""
+        """Returns number of samples, duration and sampling rate as text."""
         text = f"{len(self)} sample{'s' * (len(self) > 1)}"
         if len(self) > 1:
             rate = 1.0 / float(np.median(np.diff(self.time)))
@@ -356,7 +356,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _read_only(samples: Any, name: str) -> np.ndarray:
-    """Returns the samples as a read-only float64 array of shape (n,) that nobody else can write."""
+    """Returns the samples as a read-only float64 array (n,) that shares no writable memory."""
     array = np.asarray(samples)
     if array.ndim != 1:
         told = f"column {name!r} has shape {array.shape}, allowed is "

@@ -17,17 +17,17 @@ Entry = TypeVar("Entry")
 
 
 class Registry(Generic[Entry]):
-    """Named entries of one kind; files that define some are imported at the first look-up.
+    """Named entries of one kind; modules that define entries are imported at the first look-up.
 
-    Loading late keeps `import leglab` fast, and lets a module of the registry's package run as a
-    script without having been imported before.
+    Lazy loading keeps `import leglab` fast, and lets a module of the registry's package run as a
+    script without being imported first.
     """
 
     def __init__(self, kind: str) -> None:
         """Starts an empty registry.
 
         Args:
-            kind: What an entry is, for error messages, for instance "scenario".
+            kind: Kind of the entries for error messages, for instance "scenario".
         """
         self.kind = kind
         self._entries: dict[str, Entry] = {}
@@ -40,13 +40,13 @@ class Registry(Generic[Entry]):
         """Adds an entry.
 
         Args:
-            name: Its name.
-            entry: What `get` returns.
-            defined_by: The function, class or file that defines it. The same definition may come
-                twice (a module that runs as a script is imported under its own name as well).
+            name: Name of the entry.
+            entry: Object that `get` returns.
+            defined_by: Function, class or file that defines it. The same definition may be added
+                twice, since a module that runs as a script is also imported under its own name.
 
         Raises:
-            SettingsError: Another definition has this name already.
+            SettingsError: Another definition already has this name.
         """
         if isinstance(defined_by, Path):
             definition = str(defined_by.resolve()), ""
@@ -67,14 +67,14 @@ class Registry(Generic[Entry]):
         self._loaders.append(load)
 
     def add_plugins(self, register: Callable[[str, Any], None]) -> None:
-        """Says how to register what an entry point of this kind refers to, under its name."""
+        """Sets the function that registers a plug-in's object under its entry point's name."""
         self._register = register
 
     def get(self, name: str) -> Entry:
         """Returns the entry of this name.
 
         Raises:
-            SettingsError: There is none; the known names are listed, and plug-ins that failed.
+            SettingsError: The name is unknown; the message lists known names and failed plug-ins.
         """
         self._load()
         if name not in self._entries:
@@ -100,7 +100,7 @@ class Registry(Generic[Entry]):
 
 @dataclass(frozen=True, kw_only=True)
 class Configured(Generic[Entry]):
-    """An entry that is made from settings."""
+    """A factory with its settings class."""
 
     factory: Entry  #: Makes it
     summary: str  #: One line for listings
@@ -108,7 +108,7 @@ class Configured(Generic[Entry]):
 
 
 class FactoryRegistry(Registry[Configured[Entry]]):
-    """Factories by name, each with a summary and the model of its settings."""
+    """Registry of factories, each with a summary and the class of its settings."""
 
     def register(
         self, name: str, *, summary: str, configuration: type[Configuration]
@@ -116,9 +116,9 @@ class FactoryRegistry(Registry[Configured[Entry]]):
         """Registers the decorated factory under a name.
 
         Args:
-            name: Name that users give.
+            name: Name by which users select it.
             summary: One line for listings.
-            configuration: Its settings.
+            configuration: Class of its settings.
         """
         if not (isinstance(configuration, type) and issubclass(configuration, Configuration)):
             given = getattr(configuration, "__qualname__", repr(configuration))
@@ -143,11 +143,11 @@ class FactoryRegistry(Registry[Configured[Entry]]):
 
         Args:
             name: Name of the entry.
-            config: Its settings; what is left out has its default.
-            **defaults: Settings that hold unless `config` has them, where the factory knows them.
+            config: Its settings; a setting that is left out has its default.
+            **defaults: Values of settings not in `config`; ignored where there is no such setting.
 
         Raises:
-            SettingsError: The name or a setting is not known, or a value is not allowed.
+            SettingsError: The name or a setting is unknown, or a value is not allowed.
         """
         entry = self.get(name)
         known = {k: v for k, v in defaults.items() if k in entry.configuration.model_fields}
@@ -157,11 +157,11 @@ class FactoryRegistry(Registry[Configured[Entry]]):
 
 
 def import_modules(package: str, path: Iterable[str]) -> None:
-    """Imports every public module of a package, so that each can register what it defines.
+    """Imports every public module of a package, so that each registers its definitions.
 
     Args:
-        package: The package's name.
-        path: Its `__path__`.
+        package: Name of the package.
+        path: The `__path__` of the package.
     """
     for module in sorted(pkgutil.iter_modules(path), key=lambda module: module.name):
         if not module.name.startswith("_"):

@@ -1,4 +1,4 @@
-"""Size of errors: root mean square, and a scale that single values far off change little."""
+"""Magnitude of errors: root mean square, and a standard deviation that is robust to outliers."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ _NORMAL = 1.4826
 
 
 def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
-    """Root mean square along axes, in the unit of the values; NaN of none.
+    """Computes the root mean square along axes, in the unit of the values; NaN without values.
 
     Args:
-        values: Any shape.
-        axis: Over which the mean is taken; None for all values.
+        values: Array of any shape.
+        axis: Axes of the mean; None for all.
 
     Returns:
-        A number; with axes an array of the remaining ones.
+        A number for None, otherwise an array over the remaining axes.
     """
     values = np.asarray(values)
     if axis is None and not values.size:
@@ -26,5 +26,5 @@ def rms(values: ArrayLike, axis: int | tuple[int, ...] | None = None) -> Any:
 
 
 def deviation(errors: np.ndarray) -> float:
-    """Standard deviation about zero by the median of the absolute values; 0 of none."""
+    """Estimates the standard deviation about zero from the median absolute value; 0 if empty."""
     return _NORMAL * float(np.median(np.abs(errors))) if np.size(errors) else 0.0

@@ -1,4 +1,4 @@
-"""Scenarios: what the leg does, and what happens to the machine meanwhile."""
+"""Scenarios: the reference motion of a run and the parameter changes of the machine during it."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ from leglab.base.registry import Registry
 
 _KINDS = ("scale", "set")
 
-# Values of a parameter in a model, of the elements that a scenario changes; empty without any.
+# Returns the values of a model parameter for the elements that a scenario changes; empty if none.
 Healthy = Callable[[str], tuple[float, ...]]
 
 
@@ -22,15 +22,15 @@ class ParameterChange:
 
     Attributes:
         parameter: Name of the parameter, for instance "internal_leakage".
-        element: Which elements change: a name or a pattern such as "*" or "ankle_*", several by
-            commas; what matches one with "!" before it does not.
-        kind: "scale": the value is a factor on what the parameter was; "set": it is the new value.
+        element: Elements that change: a name or a pattern such as "*" or "ankle_*", or several,
+            separated by commas; elements that match a pattern after "!" are excluded.
+        kind: "scale": the value is a factor on the previous value; "set": it is the new value.
         value: Factor [1], or value in the parameter's own unit.
-        start: When the change begins [s].
-        ramp_duration: How long it takes [s]; 0 is a step.
-        optional: Whether a machine without the parameter takes the scenario's other changes alone.
-        fallback: Whether, on a machine without such an element, the last one changes that has the
-            parameter: its outermost body or joint.
+        start: Start time of the change [s].
+        ramp_duration: Duration of the change [s]; 0 is a step.
+        optional: Whether the change is skipped on a machine without the parameter.
+        fallback: Whether, on a machine without such an element, the last element that has the
+            parameter changes instead: the outermost body or joint.
     """
 
     parameter: str
@@ -61,21 +61,21 @@ class ParameterChange:
 
     @property
     def end(self) -> float:
-        """When the change is complete [s]."""
+        """End time of the change [s]."""
         return self.start + self.ramp_duration
 
     def applies_to(self, element: str) -> bool:
-        """Says whether an element changes."""
+        """Tests whether an element changes."""
         patterns = self.element.split(",")
         left_out = any(fnmatchcase(element, p[1:]) for p in patterns if p.startswith("!"))
         return not left_out and any(fnmatchcase(element, p) for p in patterns)
 
     def value_at(self, time: float, before: float) -> float:
-        """Returns the parameter's value.
+        """Returns the parameter's value at a time.
 
         Args:
             time: Time [s].
-            before: Its value before the change, in its own unit.
+            before: Value before the change, in the parameter's unit.
         """
         after = before * self.value if self.kind == "scale" else self.value
         if time >= self.end:
@@ -88,7 +88,7 @@ class ParameterChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Phase:
-    """A named part of a run."""
+    """A named time interval of a run."""
 
     name: str  #: "whole", or "before", "during" and "after" a change
     start: float  #: First time [s]
@@ -97,13 +97,13 @@ class Phase:
 
 @dataclass(frozen=True, kw_only=True)
 class Severity:
-    """Sizes that a scenario's change may have.
+    """Allowed magnitudes of a scenario's change.
 
     Attributes:
-        meaning: What the number says, with its unit, for instance "internal leakage ratio".
-        default: The size if none is asked for.
-        lowest: Smallest size allowed.
-        highest: Largest size allowed.
+        meaning: Meaning of the number, with its unit, for instance "internal leakage ratio".
+        default: Default magnitude.
+        lowest: Smallest allowed magnitude.
+        highest: Largest allowed magnitude.
     """
 
     meaning: str
@@ -118,9 +118,9 @@ class Options:
 
     Attributes:
         duration: Duration of the run [s].
-        severity: Size of the change, in the unit that the scenario declares; NaN without one.
-        ramp_duration: How long the change takes [s]; 0 is a step.
-        healthy: Values of the model's parameters; None without a model.
+        severity: Magnitude of the change, in the scenario's unit; NaN if it has no severity.
+        ramp_duration: Duration of the change [s]; 0 is a step.
+        healthy: Function that returns values of model parameters; None without a model.
     """
 
     duration: float
@@ -130,18 +130,18 @@ class Options:
 
     @property
     def half(self) -> float:
-        """The middle of the run [s]."""
+        """Middle of the run [s]."""
         return self.duration / 2
 
     def set(
         self, parameter: str, value: float, element: str = "*", **where: bool
     ) -> ParameterChange:
-        """A change to a new value, in the parameter's own unit, at half time.
+        """Returns a change to a new value at the middle of the run.
 
         Args:
             parameter: Name of the parameter.
-            value: New value.
-            element: Which elements change.
+            value: New value, in the parameter's unit.
+            element: Elements that change, as in `ParameterChange`.
             where: `optional` and `fallback` of the `ParameterChange`.
         """
         return ParameterChange(
@@ -157,23 +157,23 @@ class Options:
     def scale(
         self, parameter: str, factor: float, element: str = "*", **where: bool
     ) -> ParameterChange:
-        """A change by a factor at half time; arguments as of `set`."""
+        """Returns a change by a factor at the middle of the run; other arguments as in `set`."""
         return replace(self.set(parameter, factor, element, **where), kind="scale")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """A run to be made.
+    """Reference motion, duration and parameter changes of a run.
 
     Attributes:
-        name: Name it was registered by.
+        name: Name under which it is registered.
         summary: One line for listings and reports.
         duration: Duration [s].
         reference: Name of the reference trajectory, unless the user chooses another.
         reference_config: Settings of that trajectory.
-        changes: What happens to the machine, in the order in which it begins. Where two apply to
-            one parameter of one element, the second starts from what the first left.
-        severity: Size that the changes have been built with; None without one.
+        changes: Changes of the machine in the order of their start times. If two apply to the
+            same parameter of an element, the second starts from the result of the first.
+        severity: Magnitude of the changes; None if the scenario has no severity.
     """
 
     name: str
@@ -206,16 +206,16 @@ class Scenario:
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times at which a change begins or is complete [s], increasing, without repetition."""
+        """Start and end times of all changes [s], sorted, without duplicates."""
         times = {t for change in self.changes for t in (change.start, change.end)}
         return tuple(sorted(times))
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The parts of the run: "before", "during" (ramps alone) and "after", or "whole".
+        """Phases of the run: "before", "during" and "after" the changes, or "whole" without any.
 
-        "before" ends when the first change begins, "after" starts when the last is complete. A
-        part without duration is left out.
+        "before" ends at the start of the first change, "after" starts at the end of the last. A
+        phase without duration is left out, such as "during" for a single step.
         """
         if not self.changes:
             return (Phase(name="whole", start=0.0, end=self.duration),)
@@ -228,17 +228,17 @@ class Scenario:
         )
 
     def changed_from_start(self) -> "Scenario":
-        """Returns the scenario of a machine that has changed before the run begins."""
+        """Returns the scenario with all changes complete from the start of the run."""
         changes = tuple(replace(c, start=0.0, ramp_duration=0.0) for c in self.changes)
         return replace(self, changes=changes)
 
     def shifted(self, share: float) -> "Scenario":
-        """Returns the scenario with its changes at another time.
+        """Returns the scenario with its changes shifted in time.
 
         Args:
-            share: By how much, in [-1, 1] of what is possible: a tenth of the duration, less where
-                a change would leave the run; to a millisecond. A machine that is changed from the
-                start stays so.
+            share: Shift as a share in [-1, 1] of the largest one: a tenth of the duration, or less
+                if a change would leave the run. The shift is rounded to a millisecond. Changes
+                that start at time 0 are not shifted.
         """
         if not self.changes or self.breakpoints[0] == 0:
             return self
@@ -253,7 +253,7 @@ class Scenario:
             time: Time [s].
             parameter: Name of the parameter.
             element: Name of the element.
-            nominal: Value in the unchanged machine, in the parameter's own unit.
+            nominal: Value in the unchanged machine, in the parameter's unit.
         """
         value = nominal
         for change in self.changes:
@@ -262,14 +262,14 @@ class Scenario:
         return value
 
     def moving(self, previous: float, time: float) -> tuple[ParameterChange, ...]:
-        """Returns the changes that have another value at a time than at the previous one [s].
+        """Returns the changes whose value at `time` differs from that at `previous` [s].
 
-        A runner writes parameters for these alone; before the first step, `previous` is -inf.
+        A simulation writes only these parameters; before its first step `previous` is -inf.
         """
         return tuple(c for c in self.changes if c.start <= time and previous < c.end)
 
 
-# Says what happens to the machine.
+# Builds the changes of a scenario from its options.
 Builder = Callable[[Options], tuple[ParameterChange, ...]]
 
 
@@ -283,7 +283,7 @@ class _Entry(NamedTuple):
     per_joint: bool
 
     def severity_in(self, healthy: Healthy | None) -> Severity | None:
-        """Sizes that the change may have on a machine."""
+        """Returns the allowed magnitudes of the change on a machine."""
         return self.severity(healthy) if callable(self.severity) else self.severity
 
 
@@ -303,15 +303,15 @@ def register_scenario(
     """Registers the decorated builder of changes under a name.
 
     Args:
-        name: Name that users give.
+        name: Name by which users select it.
         summary: One line for listings and reports.
         duration: Default duration [s].
         reference: Default reference trajectory.
-        reference_config: Settings of that trajectory; None for its own.
-        severity: Sizes that the change can have, or a function of the model's values that makes
-            them; None where there is nothing to choose.
-        per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone; oil
-            and supply are common to all.
+        reference_config: Settings of that trajectory; None for its defaults.
+        severity: Allowed magnitudes of the change, or a function that returns them for the values
+            of a model; None if the magnitude is fixed.
+        per_joint: Whether the change can apply to the cylinder, spring or encoder of one joint
+            only; oil and supply are common to all.
     """
 
     def register(build: Builder) -> Builder:
@@ -336,16 +336,16 @@ def get_scenario(
 
     Args:
         name: One of `scenario_names()`.
-        duration: Duration [s]; None stands for the scenario's own.
-        severity: Size of the change; None stands for the scenario's own.
-        ramp_duration: How long the change takes [s]; 0 is a step.
-        element: Joint whose cylinder, spring and encoder change alone; None for all that the
-            scenario changes.
-        healthy: Values of the parameters of the machine that it is for; None for the plugins'
+        duration: Duration [s]; None for the scenario's default.
+        severity: Magnitude of the change; None for the scenario's default.
+        ramp_duration: Duration of the change [s]; 0 is a step.
+        element: The only joint whose cylinder, spring and encoder change; None for all elements
+            that the scenario changes.
+        healthy: Function that returns parameter values of the machine; None for the plugins'
             defaults, which the shipped models have.
 
     Raises:
-        SettingsError: The name is not known, or an option is not allowed for this scenario.
+        SettingsError: The name is unknown, or an option is not allowed for this scenario.
     """
     entry = SCENARIOS.get(name)
     if element is not None and not entry.per_joint:
@@ -356,7 +356,7 @@ def get_scenario(
             allowed=(name for name in SCENARIOS.names() if SCENARIOS.get(name).per_joint),
         )
     chosen = _choose_severity(name, entry.severity_in(healthy), severity)
-    scenario = Scenario(  # Refuses a bad duration before changes are built upon it.
+    scenario = Scenario(  # Rejects an invalid duration before the changes are built from it.
         name=name,
         summary=entry.summary,
         duration=entry.duration if duration is None else duration,
@@ -380,13 +380,13 @@ def get_scenario(
 
 
 def of_joint(changes: tuple[ParameterChange, ...], joint: str) -> tuple[ParameterChange, ...]:
-    """The same changes of the elements of one joint alone."""
+    """Returns the changes restricted to the elements of one joint."""
     own = joint_pattern(joint)
     return tuple(replace(change, element=own, fallback=False) for change in changes)
 
 
 def joint_pattern(joint: str) -> str:
-    """Pattern of the elements of one joint: itself, and what is called after it."""
+    """Returns the pattern of a joint's elements: its name, and names that start with it and "_"."""
     return f"{escape(joint)},{escape(joint)}_*"
 
 
@@ -396,22 +396,22 @@ def scenario_names() -> tuple[str, ...]:
 
 
 def scenario_summary(name: str) -> str:
-    """Returns the line that describes a scenario."""
+    """Returns the one-line description of a scenario."""
     return SCENARIOS.get(name).summary
 
 
 def scenario_severity(name: str, healthy: Healthy | None = None) -> Severity | None:
-    """Returns the sizes that a scenario's change may have; None where it has one alone.
+    """Returns the allowed magnitudes of a scenario's change; None if the magnitude is fixed.
 
     Args:
-        name: Of the scenario.
+        name: Name of the scenario.
         healthy: As in `get_scenario`.
     """
     return SCENARIOS.get(name).severity_in(healthy)
 
 
 def scenario_per_joint(name: str) -> bool:
-    """Says whether a scenario can happen to one joint alone."""
+    """Tests whether a scenario's change can be restricted to one joint."""
     return SCENARIOS.get(name).per_joint
 
 

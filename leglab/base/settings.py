@@ -1,4 +1,4 @@
-"""Settings given by users: named, typed, checked, and refused with one line."""
+"""Validation and documentation of users' settings; an invalid one is reported in one line."""
 
 import inspect
 import re
@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from leglab.base.errors import SettingsError
 
-# A setting and its meaning, up to the next one; a unit, but for ranges such as [-1, 1].
+# An attribute and its description in a docstring; a unit in brackets, but not a range as [-1, 1].
 _SETTING = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
 _UNIT = re.compile(r"\[([^\],]+)\]")
 
@@ -26,14 +26,14 @@ Model = TypeVar("Model", bound=Configuration)
 
 
 def first_problem(error: ValidationError) -> tuple[str, str]:
-    """Returns where a validation found its first problem, "" for the whole, and the reason."""
+    """Returns location ("" for the whole model) and reason of the first validation problem."""
     problem = _first(error)
     reason = problem["msg"].removeprefix("Value error, ")
     return ".".join(str(part) for part in problem["loc"]), reason[:1].lower() + reason[1:]
 
 
 def _first(error: ValidationError) -> Any:
-    """The first problem; an unknown key, before all, is often what is missing by its right name."""
+    """Returns the first problem, unknown keys first: a missing key is often such a misspelling."""
     problems = error.errors(include_url=False)
     unknown = (one for one in problems if one["type"] == "extra_forbidden")
     return next(unknown, problems[0])
@@ -46,15 +46,15 @@ def validate_configuration(
 
     Args:
         model: The configuration class.
-        values: Settings by name; None stands for none, so that all defaults hold.
-        owner: Whose settings they are, for messages, for instance "controller 'pd'".
+        values: Settings by name; None for all defaults.
+        owner: Owner of the settings in error messages, for instance "controller 'pd'".
 
     Returns:
         The validated configuration.
 
     Raises:
-        SettingsError: A key is unknown or missing, or a value is not allowed; one line names the
-            key, the value and what is allowed.
+        SettingsError: A key is unknown or missing, or a value is not allowed; the message is one
+            line with the key, the value and the allowed values.
     """
     try:
         return model.model_validate(dict(values or {}))
@@ -73,7 +73,7 @@ def validate_configuration(
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A setting as listings show it."""
+    """Description of a setting in listings."""
 
     name: str  #: As `--set` takes it after the section; that of a part after the part's and a dot
     default: str  #: As text; "required" without one
@@ -83,7 +83,7 @@ class Setting:
 
 
 def documented_settings(model: type[Configuration]) -> tuple[Setting, ...]:
-    """Returns all settings of a configuration, those of its parts included."""
+    """Returns all settings of a configuration, including those of nested configurations."""
     units, meanings = documented_units(model), _meanings(model)
     found: list[Setting] = []
     for name, field in model.model_fields.items():
@@ -105,13 +105,13 @@ def documented_settings(model: type[Configuration]) -> tuple[Setting, ...]:
 
 
 def documented_units(owner: type) -> dict[str, str]:
-    """Returns the units of settings, which stand in brackets in the docs of their class.
+    """Returns the units of settings, parsed from the brackets in the docstring of their class.
 
     Args:
-        owner: A class whose docstring, or those of its bases, has "Attributes:".
+        owner: A class that documents "Attributes:" in its docstring or those of its bases.
 
     Returns:
-        Units by name of the setting, without those that have none.
+        Units by name of the setting; settings without a unit are left out.
     """
     found: dict[str, str] = {}
     for name, meaning in _meanings(owner).items():
@@ -122,7 +122,7 @@ def documented_units(owner: type) -> dict[str, str]:
 
 
 def _meanings(owner: type) -> dict[str, str]:
-    """Description of each attribute from the docs of a class and its bases, on one line."""
+    """Returns each attribute's description, on one line, from docstrings of class and bases."""
     found: dict[str, str] = {}
     for base in reversed(owner.__mro__):
         if not base.__module__.startswith("pydantic"):
@@ -132,7 +132,7 @@ def _meanings(owner: type) -> dict[str, str]:
 
 
 def _allowed(field: FieldInfo) -> str:
-    """Bounds of a setting, or the words to choose from."""
+    """Returns the bounds of a setting, or its allowed words, as text."""
     if get_origin(field.annotation) is Literal:
         return ", ".join(map(str, get_args(field.annotation)))
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -141,7 +141,7 @@ def _allowed(field: FieldInfo) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A default as `--set` would take it."""
+    """Returns a default value in the syntax of `--set`."""
     if value is None:
         return "-"
     if isinstance(value, (tuple, list)):

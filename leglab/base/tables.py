@@ -1,4 +1,4 @@
-"""Tables in a terminal: in full, however narrow it is."""
+"""Terminal tables that are printed in full, however narrow the terminal is."""
 
 import io
 
@@ -6,19 +6,19 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-# What rich puts in the place of what it cuts off.
+# The character that rich inserts where it truncates text.
 _CUT = "\N{HORIZONTAL ELLIPSIS}"
 
 
 def print_whole(console: Console, table: Table, *, usual: int = 0) -> None:
-    """Prints a table of which no cell is cut and no word broken.
+    """Prints a table without truncated cells or broken words.
 
-    Where the console is too narrow for that, lines are longer than it is: the terminal goes on with
-    them below, and a file has them as they are.
+    If the console is too narrow, the lines are longer than its width: a terminal wraps them, a file
+    gets them unchanged.
 
     Args:
-        console: Where to.
-        table: What.
+        console: The output.
+        table: The table.
         usual: Width that the table may have in any case [characters].
     """
     unbound = console.options.update_width(1_000_000)
@@ -35,7 +35,7 @@ def print_whole(console: Console, table: Table, *, usual: int = 0) -> None:
 
 
 def _cuts(console: Console, table: Table, width: int) -> int:
-    """Number of signs of a cut in a table of this width; cells may have some of their own."""
+    """Counts ellipses in a table of this width; the text of cells may contain some as well."""
     trial = Console(file=io.StringIO(), width=max(width, 1), color_system=None)
     trial.print(table)
     return trial.file.getvalue().count(_CUT)  # type: ignore[attr-defined]

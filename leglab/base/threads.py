@@ -1,4 +1,4 @@
-"""Threads that one process uses."""
+"""Number of threads of one process."""
 
 import os
 from collections.abc import Iterator
@@ -8,17 +8,17 @@ from threadpoolctl import threadpool_limits
 
 
 def threads_allowed() -> int:
-    """OMP_NUM_THREADS, or one a core that the process may use where that is not set."""
+    """Returns OMP_NUM_THREADS, or if unset the number of cores that the process may use."""
     told = os.environ.get("OMP_NUM_THREADS", "")
     return int(told) if told.isdigit() and int(told) else len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Linear algebra on one thread, where many small problems are solved on several of our own.
+    """Limits BLAS to one thread, for code that solves many small problems in threads of its own.
 
-    Threads of both kinds wait for each other: two and a half times the time on two cores. Bits do
-    not depend on the machine's number of cores either.
+    Nested threading is oversubscribed: 2.5 times the run time on two cores. With one BLAS thread
+    the rounding also does not depend on the number of cores.
     """
     with threadpool_limits(limits=1, user_api="blas"):
         yield

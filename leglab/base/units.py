@@ -1,9 +1,9 @@
-"""Units of columns, for formats that can hold them and for summaries."""
+"""Units of columns, for file formats that store them and for summaries."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-# By the end of the name. A joint may hinge or slide: the name does not say.
+# Units by suffix of the column name. The name does not show whether a joint is a hinge or a slide.
 _UNITS = {
     "acceleration": "rad/s^2 or m/s^2",
     "temperature": "degC",
@@ -24,7 +24,7 @@ _UNITS = {
     "effort": "N m or N",
 }
 _EITHER = " or "
-# Of what is sent to a native actuator: the model alone knows what it stands for.
+# Unit of the control input of a native MuJoCo actuator; only the model defines its meaning.
 CONTROL_UNIT = "ctrl"
 
 
@@ -33,17 +33,17 @@ def unit_of(name: str, metadata: Mapping[str, Any]) -> str:
 
     Args:
         name: The column, or "time".
-        metadata: Of the recording; a mapping under "units" goes before the naming rules.
+        metadata: Metadata of the recording; its "units" mapping overrides the naming rules.
 
     Returns:
-        The unit, in ASCII where it is ours; "1" for a number without one, "" where nothing is
-        known.
+        The unit, in ASCII if it is from the naming rules; "1" for a dimensionless quantity, "" if
+        unknown.
     """
     return own_units(metadata).get(name) or usual_unit(name)
 
 
 def own_units(metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the units that the metadata gives, by column; anything but text is passed over."""
+    """Returns the units in the metadata by column; ignores entries that are not text."""
     units = metadata.get("units")
     if not isinstance(units, Mapping):
         return {}
@@ -51,20 +51,20 @@ def own_units(metadata: Mapping[str, Any]) -> dict[str, str]:
 
 
 def usual_unit(name: str) -> str:
-    """Returns the unit that the naming rules of recordings give a column, or ""."""
+    """Returns the unit of a column by the naming rules of recordings, or "" if unknown."""
     if name == "time":
         return "s"
     return next((unit for end, unit in _UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
 
 
 def error_unit(slides: Iterable[bool]) -> str:
-    """Returns the unit in which tracking errors are told, a thousandth of the SI unit.
+    """Returns the unit in which tracking errors are reported, a thousandth of the SI unit.
 
     Args:
-        slides: Of each joint whose error is meant, whether it slides.
+        slides: For each joint, whether it is a slide.
 
     Returns:
-        "mrad" of hinges, "mm" of slides, "mrad or mm" of both together.
+        "mrad" for hinges, "mm" for slides, "mrad or mm" for a mixture.
     """
     kinds = set(slides)
     if kinds == {True}:
@@ -73,17 +73,17 @@ def error_unit(slides: Iterable[bool]) -> str:
 
 
 def shared_unit(units: Iterable[str]) -> str:
-    """Returns the unit of errors that stand together, each of which has one of `error_unit`."""
+    """Returns the unit of errors shown together, given the unit of each from `error_unit`."""
     known = set(units)
     return known.pop() if len(known) == 1 else "mrad or mm"
 
 
 def units_of_columns(columns: Iterable[str], slides: Mapping[str, bool]) -> dict[str, str]:
-    """Returns the units that are known, by column, for a machine whose joints are known.
+    """Returns the known units by column for a machine with known joint types.
 
     Args:
-        columns: Names.
-        slides: By joint, whether it slides; the others hinge.
+        columns: Names of the columns.
+        slides: For each joint by name, whether it is a slide; the others are hinges.
     """
     units = {}
     for column in columns:

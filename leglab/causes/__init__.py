@@ -1,4 +1,4 @@
-"""One row a cause: `table.CAUSES` has all, from which everything else that names one is made.
+"""Causes of changes in a machine: `table.CAUSES` has one row per cause.
 
-Scenarios, the bank of faults, trials of effects, magnitudes of benchmarks, tables and pages.
+Scenarios, fault bank, trials of effects, benchmark magnitudes, tables and pages derive from it.
 """

@@ -1,4 +1,4 @@
-"""Changes of causes that do more than set or scale their parameters."""
+"""Functions of causes that do more than set or scale their parameters."""
 
 from leglab.base.scenario import Options, ParameterChange
 from leglab.causes.record import Cause, model_values
@@ -8,17 +8,17 @@ _GRADES = (10.0, 15.0, 22.0, 32.0, 46.0, 68.0, 100.0, 150.0, 220.0, 320.0, 460.0
 
 
 def grades(healthy: float, step: float) -> float:
-    """Oil's viscosity a number of ISO grades above the grade nearest to the healthy one."""
+    """Returns the viscosity `step` ISO grades above the grade nearest to the healthy viscosity."""
     nearest = min(range(len(_GRADES)), key=lambda i: abs(_GRADES[i] - healthy))
     return _GRADES[min(max(nearest + int(step), 0), len(_GRADES) - 1)]
 
 
 def another_grade(cause: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Both viscosities, and what depends on them at 40 °C.
+    """Changes the viscosities at 40 and 100 °C, and the friction and leakage that depend on them.
 
-    Friction and leakage of a cylinder are given for its own oil at 40 °C. Mineral oils of viscosity
-    index 100 follow nu_100 = 6.8 cSt (VG/46)^0.665: 5.3, 8.8, 11.4 and 14.9 for VG 32, 68, 100 and
-    150, against 5.4, 8.7, 11.4 and 15.0 in makers' tables.
+    Viscous friction and leakage of a cylinder refer to the healthy oil at 40 °C. Mineral oils of
+    viscosity index 100 follow nu_100 = 6.8 cSt (VG/46)^0.665: 5.3, 8.8, 11.4 and 14.9 for VG 32,
+    68, 100 and 150, against 5.4, 8.7, 11.4 and 15.0 in makers' tables.
     """
     grade = options.severity
     ratio = grade / cause.healthy_magnitude(options.healthy)
@@ -32,24 +32,24 @@ def another_grade(cause: Cause, options: Options) -> tuple[ParameterChange, ...]
 
 
 def worn_valve(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Overlap and hysteresis; an overlap that is wider is not mended."""
+    """Sets hysteresis and overlap to the severity; an overlap that is already wider stays."""
     lap = max(options.severity, *model_values("lap", options.healthy))
     return options.set("lap", lap), options.set("hysteresis", options.severity)
 
 
 def leak_of_one_chamber(cause: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Leakage of the cap side, or of the rod side where the magnitude is negative."""
+    """Adds external leakage to the cap side or, if the severity is negative, to the rod side."""
     side = cause.parameters[options.severity < 0]
     present = max(model_values(side, options.healthy))
     return (options.set(side, present + abs(options.severity)),)
 
 
 def droop(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Flow of the pump, with a quarter of the gas: the pressure swings with the demand."""
+    """Scales pump flow, and accumulator volume to a quarter: the pressure varies with demand."""
     return options.scale("pump_flow", options.severity), options.scale("accumulator_volume", 0.25)
 
 
 def leak_and_drop(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Internal leakage, and three quarters of the supply pressure."""
+    """Scales the internal leakage, and the supply pressure to three quarters."""
     leak = options.scale("internal_leakage", options.severity)
     return leak, options.scale("supply_pressure", 0.75)

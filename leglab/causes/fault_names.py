@@ -1,6 +1,6 @@
-"""Records of the faults and the slow wear that a controller names, and how they are told.
+"""Records of the faults and the slow wear that a controller reports, and their texts.
 
-A controller makes them while it runs; `metrics.json` has them as they are.
+A controller creates the records during a run; `metrics.json` holds them unchanged.
 """
 
 from typing import Annotated
@@ -9,10 +9,10 @@ from pydantic import BaseModel, Field, FiniteFloat, StringConstraints
 
 from leglab.causes.table import effect_of
 
-# Element of a fault that all cylinders have alike, or that none has for itself.
+# Element of a fault that is common to all cylinders, or belongs to no single one.
 ALL = "all"
 
-# Name of a change that no fault of a bank explains.
+# Name of a change that no fault of the bank explains.
 UNKNOWN = "unknown change"
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
@@ -50,11 +50,11 @@ class NamedFault(BaseModel):
 
     @property
     def key(self) -> tuple[str, str]:
-        """Fault and element."""
+        """Pair (fault, element), which identifies the name."""
         return self.fault, self.element
 
     def elements(self, joints: tuple[str, ...]) -> list[bool]:
-        """Of each joint, whether it is concerned."""
+        """Tests for each joint whether the fault concerns it."""
         own = self.element.split(",")
         return [self.element == ALL or joint in own for joint in joints]
 
@@ -68,7 +68,7 @@ class NamedFault(BaseModel):
         return f"{self.fault} [{effect}]" if effect else self.fault
 
     def _sized(self) -> str:
-        """Size, interval and meaning; empty where unknown."""
+        """Formats magnitude, interval and meaning; empty if the magnitude is unknown."""
         if self.size is None:
             return ""
         inside = [] if self.low is None else [f"{self.low:.3g} to {self.high:.3g}"]
@@ -76,7 +76,7 @@ class NamedFault(BaseModel):
         return f" {self.size:.3g}" + (f" ({'; '.join(inside)})" if inside else "")
 
     def _probability(self) -> str:
-        """Of the name and of its rivals."""
+        """Formats the probabilities of the fault and of its rivals."""
         text = f", {100 * self.confidence:.0f} %"
         for rival in self.rivals:
             where = "" if rival.element == self.element else f"{_place(rival.element)}: "
@@ -106,7 +106,7 @@ class FaultEvent(BaseModel):
     withdrawn: FiniteFloat | None = None
 
     def short(self) -> str:
-        """The name in force in a few words, for pictures: "knee seal wear 9.92, 100 %"."""
+        """Formats the latest name in a few words, for figures: "knee seal wear 9.92, 100 %"."""
         name = self.names[-1]
         size = "" if name.size is None else f" {name.size:.3g}, {100 * name.confidence:.0f} %"
         if name.undoes is not None:
@@ -114,7 +114,7 @@ class FaultEvent(BaseModel):
         return name._short(size)
 
     def told(self) -> str:
-        """The name in force in one line: where, what, size and confidence, since when."""
+        """Formats the latest name in one line: element, cause, magnitude, probability and times."""
         name = self.names[-1]
         line = f"{_place(name.element)}: {name._cause()}{name._sized()}"
         if name.size is not None:
@@ -148,13 +148,13 @@ class FaultTrend(NamedFault):
     remaining_high: FiniteFloat | None = None
 
     def short(self) -> str:
-        """The trend in a few words, for pictures: "knee seal wear 8.54, left 9.2 min"."""
+        """Formats the trend in a few words, for figures: "knee seal wear 8.54, left 9.2 min"."""
         size = "" if self.size is None else f" {self.size:.3g}"
         left = "" if self.remaining is None else f", left {_duration(self.remaining)}"
         return self._short(size + left)
 
     def told(self) -> str:
-        """The trend in one line: where, what, how large at last, how fast, how long it may last."""
+        """Formats the trend in one line: element, cause, latest magnitude, rate, remaining life."""
         where = _place(self.element)
         since = f"since {self.since:.0f} s, said at {self.time:.0f} s"
         if self.size is None:

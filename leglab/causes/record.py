@@ -1,4 +1,4 @@
-"""The record of a cause: its names, what it changes, and its magnitudes as steps from healthy."""
+"""Record of a cause: its names, the parameters it changes, its magnitudes as steps from healthy."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
@@ -8,26 +8,26 @@ from typing import Any, Literal
 from leglab._native.hydraulics import parameter_tables
 from leglab.base.scenario import Healthy, Options, ParameterChange, Severity
 
-# Value at a step from the healthy one.
+# Function of a healthy value and a step; returns the value at this step.
 Step = Callable[[float, float], float]
 
 
 def times(healthy: float, step: float) -> float:
-    """A factor."""
+    """Returns the healthy value multiplied by a step, which is a factor."""
     return healthy * step
 
 
 def plus(healthy: float, step: float) -> float:
-    """A difference in the unit of the magnitude."""
+    """Returns the healthy value plus a step, which is a difference in the magnitude's unit."""
     return healthy + step
 
 
 @dataclass(frozen=True)
 class Side:
-    """Magnitudes on one side of the healthy one, as steps from it, from small to large."""
+    """Magnitudes above or below the healthy one, as steps from it, from small to large."""
 
-    bank: tuple[float, ...]  #: Nodes of the curve in the bank of faults
-    #: Of the benchmarks: none is a node of the bank, and the last lies beyond the bank's last.
+    bank: tuple[float, ...]  #: Nodes of the curve in the fault bank
+    #: Steps of the benchmarks: none is a node of the bank, the last lies beyond the bank's last.
     benchmark: tuple[float, float, float]
 
 
@@ -36,11 +36,11 @@ class Trials:
     """A parameter of an effect of the diagnosis, by steps from the model's value.
 
     Attributes:
-        parameter: Of `leglab.cylinder`.
+        parameter: Parameter of `leglab.cylinder`.
         steps: Values to try.
-        step: `times`: steps, tolerance and bounds are factors of the model's value; `plus`: steps
-            are added to it, and the others are values.
-        tolerance: This and what follows as in `leglab.diagnosis.effects.EffectParameter`.
+        step: With `times`, steps, tolerance and bounds are factors of the model's value; with
+            `plus`, steps are added to it, and tolerance and bounds are absolute.
+        tolerance: See `leglab.diagnosis.effects.EffectParameter`, also for all fields below.
     """
 
     parameter: str
@@ -57,7 +57,7 @@ class Trials:
 
 @dataclass(frozen=True)
 class EffectRow:
-    """An effect of the diagnosis that shifts parameters of a cylinder; texts as of an `Effect`."""
+    """An effect of the diagnosis that changes cylinder parameters; for the texts see `Effect`."""
 
     name: str
     trials: tuple[Trials, ...]
@@ -69,7 +69,7 @@ class EffectRow:
 
 
 def set_or_scale(cause: "Cause", options: Options) -> tuple[ParameterChange, ...]:
-    """Sets the parameters to the magnitude, or scales them where it is a ratio."""
+    """Sets the parameters to the magnitude, or scales them if the magnitude is a ratio."""
     change = options.scale if cause.ratio else options.set
     value = cause.unit * options.severity
     where = {"optional": cause.optional, "fallback": cause.fallback}
@@ -78,32 +78,32 @@ def set_or_scale(cause: "Cause", options: Options) -> tuple[ParameterChange, ...
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause with its names as a scenario, while the machine runs and in a diagnosis.
+    """A cause with its names as a scenario, in a controller's online reports and in a diagnosis.
 
     Attributes:
-        name: Of its scenario, and while the machine runs.
-        summary: Line of the scenario; empty of a cause that is no scenario.
+        name: Name of the scenario and in the online reports.
+        summary: Summary line of the scenario; empty for a cause that is no scenario.
         effect: Names of its effects in a diagnosis, joined by " and "; empty for none.
-        part_of: Cause of which it is one part.
-        condition: Operating condition of which it is one direction; empty of wear.
-        parameters: What changes.
+        part_of: Cause of which this one is a part.
+        condition: Operating condition of which this is one direction; empty for wear.
+        parameters: Parameters that change.
         element: Elements that change, a name or a pattern.
         fallback: As in `ParameterChange`.
         optional: As in `ParameterChange`.
         per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone.
-        meaning: What a magnitude says, with its unit.
-        healthy: Parameter whose value in the model is the healthy magnitude; empty of a ratio to
-            the model's value, and of an amount that no model has.
-        unit: Magnitude 1 in the parameter's own unit.
-        step: How steps count from the healthy magnitude.
+        meaning: Meaning of a magnitude, with its unit.
+        healthy: Parameter whose value in the model is the healthy magnitude; empty if magnitudes
+            are ratios to the model's value, or amounts that no model has.
+        unit: Magnitude 1 in the parameter's unit.
+        step: Function that applies a step to the healthy magnitude.
         default: Step of the scenario's default.
-        allowed: Steps of the smallest and the largest magnitude of the scenario, which the bounds
-            of the plugin's parameter cut.
-        sides: Magnitudes in the bank of faults and in benchmarks; none where it is in neither.
-        changes: Makes the changes at the options' magnitude.
+        allowed: Steps of the smallest and the largest magnitude of the scenario, clipped to the
+            bounds of the plugin's parameter.
+        sides: Magnitudes in the fault bank and in benchmarks; empty if the cause is in neither.
+        changes: Function that returns the changes at the options' magnitude.
         reference_config: Settings of the scenario's reference.
         effects: Effects of the diagnosis that this row defines.
-        trials: Parameters of an effect that is a class of its own in `leglab.diagnosis.effects`.
+        trials: Parameters of an effect that has a separate class in `leglab.diagnosis.effects`.
     """
 
     name: str
@@ -131,13 +131,13 @@ class Cause:
 
     @property
     def ratio(self) -> bool:
-        """Whether a magnitude is a ratio to the model's value."""
+        """True if a magnitude is a ratio to the model's value."""
         return not self.healthy and self.step is times
 
     def healthy_magnitude(self, values: Healthy | None = None) -> float:
-        """Magnitude that changes nothing, of the model's values or else the plugins' defaults.
+        """Returns the magnitude that changes nothing, by the model's values or plugin defaults.
 
-        Where elements differ it is the one beyond which a magnitude is a fault of all.
+        If elements differ it is the most extreme value, beyond which all elements are faulty.
         """
         if not self.healthy:
             return 1.0 if self.ratio else 0.0
@@ -146,7 +146,7 @@ class Cause:
         return _rounded(value / self.unit)
 
     def magnitude(self, step: float, healthy: float) -> float:
-        """Magnitude at a step from the healthy one, within the plugin's bounds."""
+        """Returns the magnitude at a step from the healthy one, within the plugin's bounds."""
         value = _rounded(self.step(healthy, step))
         if not self.healthy:
             return value
@@ -154,12 +154,12 @@ class Cause:
         return min(max(value, lower / self.unit), upper / self.unit)
 
     def magnitudes(self, steps: tuple[float, ...], healthy: float) -> tuple[float, ...]:
-        """Magnitudes at steps, without those that a bound makes those before."""
+        """Returns the magnitudes at steps, without repeated ones that come from clipping."""
         found = [self.magnitude(step, healthy) for step in steps]
         return tuple(m for last, m in zip([healthy, *found], found, strict=False) if m != last)
 
     def severity(self, values: Healthy | None = None) -> Severity:
-        """Magnitudes that the scenario may have, of the model's values as above."""
+        """Returns default and range of the scenario's magnitude, by the model's values as above."""
         healthy = self.healthy_magnitude(values)
         steps = (self.default, *self.allowed)
         default, lowest, highest = (self.magnitude(step, healthy) for step in steps)
@@ -167,17 +167,17 @@ class Cause:
 
 
 def model_values(parameter: str, values: Healthy | None) -> tuple[float, ...]:
-    """Values of a parameter in a model; the plugin's default without one that has it."""
+    """Returns the values of a parameter in a model, or the plugin's default if it has none."""
     return (values and values(parameter)) or _plugin_row(parameter)[:1]
 
 
 def _rounded(value: float) -> float:
-    """A number to twelve digits, which is more than units and steps have."""
+    """Rounds a number to twelve digits, more than units and steps have."""
     return float(f"{value:.12g}")
 
 
 @cache
 def _plugin_row(parameter: str) -> tuple[float, float, float]:
-    """Default and bounds of a plugin's parameter, the cylinder's where several have it."""
+    """Returns default and bounds of a plugin parameter, the cylinder's if several have it."""
     rows = (row for rows, _, _ in parameter_tables().values() for row in rows)
     return next((row[2], row[3], row[4]) for row in rows if row[0] == parameter)

@@ -1,7 +1,7 @@
-"""The table of causes: a new one is a row, with a function where it changes something anew.
+"""The table of causes: a new cause is a row, plus a function in `changes` if its changes are new.
 
-Magnitudes are steps from the healthy one, which the model has (`record`). Values without a source
-here have theirs in the plugins' tables, docs/reference/parameters.md.
+Magnitudes are steps from the model's healthy value (`record`). Sources of values that name none in
+this file are in the plugins' tables, docs/reference/parameters.md.
 """
 
 from functools import partial
@@ -57,7 +57,7 @@ for _row in (
             excitation="chamber pressures well above the tank's",
         ),),
     ),
-    Cause(  # As with swollen seals.
+    Cause(  # For example swollen seals.
         "friction_rise", "three times the friction from half time on",
         effect="coulomb_friction and viscous_friction", parameters=("coulomb", "static", "viscous"),
         optional=True, per_joint=True, meaning="friction ratio", default=3.0, allowed=(0.0, 20.0),
@@ -111,7 +111,7 @@ for _row in (
             excitation="any motion; small openings show it best",
         ),),
     ),
-    Cause(  # As with a clogged pilot stage.
+    Cause(  # For example a clogged pilot stage.
         "slow_valve", "the spools follow with a sixth of their bandwidth from half time on",
         effect="valve_bandwidth", parameters=("bandwidth_hz",), per_joint=True,
         meaning="natural frequency of the spools [Hz]", healthy="bandwidth_hz", default=0.16,
@@ -119,7 +119,7 @@ for _row in (
         trials=(
             Trials("bandwidth_hz", (0.05, 0.12, 0.35), lower=0.015, upper=2.0, faults="below",
                    inverse=True),
-            # A large one is a lag of first order.
+            # A large damping ratio makes the spool a first-order lag.
             Trials("damping_ratio", (), lower=0.5, upper=8.0, role="shape"),
         ),
     ),
@@ -138,12 +138,12 @@ for _row in (
             excitation="pressures that change quickly",
         ),),
     ),
-    Cause(  # A step has a before and an after to compare; a machine takes minutes.
+    Cause(  # A step, to compare before and after; a real machine takes minutes to warm up.
         "hot_oil", "oil 40 °C hotter from half time on", effect="oil_viscosity",
         condition="oil_temperature", parameters=("oil_temperature",),
         meaning="oil temperature [°C]", healthy="oil_temperature", step=plus, default=40.0,
         allowed=(0.0, 80.0), sides=(Side((20.0, 40.0, 60.0), (30.0, 50.0, 70.0)),),
-        # From 40 °C: 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of ISO VG 46.
+        # Starting at 40 °C, the steps make 9, 3.3, 1.5, 0.65 and 0.38 times the viscosity of VG 46.
         trials=(_added("oil_temperature", (-36.0, -22.0, -8.0, 10.0, 25.0), lower=-20.0,
                        upper=110.0),),
     ),
@@ -173,7 +173,7 @@ for _row in (
         sides=(Side((0.7, 0.5, 0.35), (0.6, 0.42, 0.3)),), changes=changes.droop,
         reference_config={"period": 0.9},
     ),
-    Cause(  # At the centre of mass; 5 kg are as much again as the shank of the knee bench.
+    Cause(  # Added at the centre of mass; 5 kg double the mass of the knee bench's shank.
         "payload", "5 kg more on the shank from half time on", effect="payload",
         parameters=("added_mass",), element="shank", fallback=True, meaning="added mass [kg]",
         step=plus, default=5.0, allowed=(0.0, 50.0),
@@ -230,19 +230,19 @@ for _row in (
         step=changes.grades, default=2.0, allowed=(-99.0, 99.0), sides=(Side((), (1.0, 2.0, 4.0)),),
         changes=changes.another_grade,
     ),
-    Cause(  # The leakage asks for more flow and the supply gives less.
+    Cause(  # The leakage needs more flow while the supply gives less.
         "seal_wear_supply_drop", "seals leak ten times as much and the supply falls by a quarter",
         effect="internal_leakage and supply_pressure",
         parameters=("internal_leakage", "supply_pressure"), meaning="internal leakage ratio",
         default=10.0, allowed=(1.0, 1000.0), sides=(Side((), (5.0, 15.0, 40.0)),),
         changes=changes.leak_and_drop,
     ),
-    Cause(  # Only another sensor could tell; the tracking error counts from the true position.
+    Cause(  # Only another sensor could detect it; the tracking error refers to the true position.
         "encoder_shift", "the knee's encoder slips at half time", effect="encoder_offset",
         parameters=("encoder_offset",), element="knee", fallback=True, per_joint=True,
         meaning="slip of the encoder [rad]", step=plus, default=0.03, allowed=(-0.3, 0.3),
     ),
-    Cause(  # As on a bus with a bad connector; each reading is lost by chance, by the run's seed.
+    Cause(  # For example a bad bus connector; readings are lost at random, by the run's seed.
         "sensor_dropout", "the encoders lose a third of their readings from half time on",
         parameters=("encoder_dropout",), per_joint=True, meaning="share of lost readings",
         step=plus, default=0.3, allowed=(0.0, 0.95),
@@ -252,25 +252,25 @@ for _row in (
 
 
 def names(kind: str) -> set[str]:
-    """Names of all "scenarios" or "effects" of the table."""
+    """Returns the names of all "scenarios" or "effects" of the table, as `kind` asks."""
     if kind == "scenarios":
         return {cause.name for cause in CAUSES.values() if cause.summary}
     return {name for cause in CAUSES.values() for name in cause.effect.split(" and ") if name}
 
 
 def effect_of(live: str) -> str:
-    """Effects in a diagnosis of a cause by its name; empty where the name is the same."""
+    """Returns a cause's effects in a diagnosis; empty if they have the name of the cause."""
     effect = CAUSES[live].effect if live in CAUSES else ""
     return "" if effect == live else effect
 
 
 def live_of(effect: str) -> tuple[str, ...]:
-    """Names of causes with an effect of a diagnosis; none where a name is the same."""
+    """Returns the names of causes with an effect; none if one of them has the effect's name."""
     names = tuple(cause.name for cause in CAUSES.values() if cause.effect == effect)
     return () if effect in names else names
 
 
 def kind_of(name: str) -> tuple[str, ...]:
-    """A cause of the table, that of which it is one part, and all parts of that."""
+    """Returns the whole cause to which a cause of the table belongs, and all parts of the whole."""
     whole = CAUSES[name].part_of or name
     return whole, *(cause.name for cause in CAUSES.values() if cause.part_of == whole)

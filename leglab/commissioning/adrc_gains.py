@@ -1,7 +1,7 @@
-"""Bandwidths of `adrc` from the linearised plant, with the margins that `pd` keeps.
+"""Tuning of the bandwidths of `adrc` on the linearised plant, with the stability margins of `pd`.
 
-Those of the shipped models stand in `adrc_gains.toml`, which
-`python -m leglab.commissioning.adrc_gains` writes anew.
+Those of the shipped models are stored in `adrc_gains.toml`, which
+`python -m leglab.commissioning.adrc_gains` rewrites.
 """
 
 import math
@@ -24,23 +24,23 @@ from leglab.control.feedforward.valve_table import ValveTable
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation
 
-# Control bandwidth over observer bandwidth. Gao 2003 has 1/5 to 1/3: a law slower than what it
-# stands upon. On a lightly damped oil spring the lag of the observer costs more than its noise.
+# Control bandwidth over observer bandwidth. Gao 2003 has 1/5 to 1/3: a law slower than its
+# observer. On a lightly damped oil spring the observer's lag costs more than its noise.
 RATIOS = (0.1, 0.2, 0.33, 1.0, 3.0, 10.0, 30.0)
 # Observer bandwidths that are tried [rad/s].
 _TRIED = np.geomspace(0.3, 600.0, 160)
-# The same behind native actuators. The observer of a bare inertia must be quick: a slow one turns
-# the phase of its own integrator into the law's crossover.
+# Ratios and bandwidths tried behind native actuators. The observer of a pure inertia must be fast:
+# with a slow one the phase lag of its integrator falls into the crossover of the law.
 FORCE_RATIOS = (0.05, 0.1, 0.2, 0.5)
 _FORCE_TRIED = np.geomspace(3.0, 300.0, 30)
 _FREQUENCIES = 1500
 
 
 def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
-    """b_0 of a joint in the present pose, and how often it integrates its command.
+    """Computes b_0 of a joint in the present pose, and its number of integrations (order).
 
-    A valve gives a speed, that of the calibrated map at half of its range; a native actuator gives
-    an acceleration, with the other joints free and whatever filter it has settled.
+    A valve sets a speed: b_0 is that of the calibrated map at half range. A native actuator sets
+    an acceleration: b_0 is that with the other joints free and the actuator's filter settled.
     """
     if simulation.actuators[joint] in simulation.native:
         plant = native_plant(simulation, joint, 0.0)
@@ -51,13 +51,13 @@ def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
 
 
 def speeds_per_command(simulation: Simulation) -> np.ndarray:
-    """Speed per command of the calibrated joints at half of their valves' range, (joints,)."""
+    """Computes speeds per command of the calibrated joints at half valve range, (joints,)."""
     table = ValveTable.of(valve_maps(simulation), drive_signs(simulation))
     return table.full_speed / table.command_per_share()
 
 
 class JointMargins:
-    """Margins of one joint with any bandwidths; the plants are linearised once.
+    """Stability margins of one joint for any bandwidths; the plants are linearised once.
 
     Args:
         simulation: The nominal machine; its positions are changed.
@@ -73,13 +73,13 @@ class JointMargins:
         self._responses = [plant(self._z).ravel() for plant in self._plants]
 
     def __call__(self, gains: DisturbanceGains) -> tuple[float, float, float]:
-        """Smallest gain margin [dB] and phase margin [deg], and the worst response.
+        """Computes the smallest gain margin [dB] and phase margin [deg], and the worst response.
 
-        The response is the integrated square of the error after a step of the disturbance, as
-        large as b_0. Where a margin is below that of `pd`, or the loop unstable, it is infinite.
+        The response is the integrated squared error after a disturbance step of magnitude b_0. It
+        is infinite where a margin is below that of `pd` or the loop is unstable.
 
         Args:
-            gains: Of that joint alone.
+            gains: Gains of that joint alone.
         """
         sensors = self._sensors
         law = DisturbanceRejection(
@@ -108,8 +108,8 @@ def tuned_gains(
 ) -> DisturbanceGains:
     """Finds the bandwidths with the smallest response to a disturbance at 6 dB and 45 degrees.
 
-    The margins are those of `pd`, at the same poses and piston speeds. At every ratio of the
-    bandwidths they are raised until one breaks.
+    The margins are those of `pd`, at the same poses and piston speeds. At every ratio of the two
+    bandwidths both are raised until a margin is violated.
 
     Args:
         simulation: The nominal machine; its positions are changed.
@@ -128,7 +128,7 @@ def tuned_gains(
             if not math.isfinite(response):
                 if begun:
                     break
-                continue  # an observer slower than what damps the joint
+                continue  # the observer is too slow to damp the joint
             begun = True
             if response < best:
                 chosen, best = gains, response

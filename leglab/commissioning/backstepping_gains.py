@@ -1,7 +1,7 @@
-"""Gains of `adaptive_backstepping` from the linearised plant, within a bound on sensitivity.
+"""Tuning of `adaptive_backstepping` on the linearised plant, within a bound on sensitivity.
 
-Those of the shipped models stand in `backstepping_gains.toml`, which
-`python -m leglab.commissioning.backstepping_gains` writes anew (some minutes).
+Gains of the shipped models are stored in `backstepping_gains.toml`, which
+`python -m leglab.commissioning.backstepping_gains` rewrites (some minutes).
 """
 
 import math
@@ -34,17 +34,17 @@ from leglab.machine.simulation import Simulation
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint:
-    """The plant of one joint around a pose and a piston speed, sampled."""
+    """Sampled plant of one joint, linearised at a pose and a piston speed."""
 
-    a: np.ndarray  #: State matrix with the measurement's memory, (9, 9)
-    b: np.ndarray  #: Of the spool command, (9, 1)
-    #: Of a force on the piston against extension, in shares of the force at supply pressure, (9,
-    #: 1).
+    a: np.ndarray  #: State matrix with the delayed measurements, (9, 9)
+    b: np.ndarray  #: Input matrix of the spool command, (9, 1)
+    #: Input matrix of a force on the piston against extension, as a share of the force at supply
+    #: pressure, (9, 1).
     disturbance: np.ndarray
-    c: np.ndarray  #: To piston position and both pressures, as measured, (3, 9)
-    spool_per_speed: float  #: Of the inverted valve [s/m]
-    spool_per_force: float  #: Change of spool per unit of phi [1/m], by the pressures at the valve
-    #: Change of spool with the measured pressures by their sum mode, (2,) [1/Pa].
+    c: np.ndarray  #: Output matrix: piston position and both pressures, as measured, (3, 9)
+    spool_per_speed: float  #: Slope of the inverted valve [s/m]
+    spool_per_force: float  #: Slope of spool over phi [1/m], by the pressures at the valve
+    #: Slope of spool over the measured pressures, by their common mode, (2,) [1/Pa].
     spool_per_sum: np.ndarray
 
 
@@ -56,7 +56,7 @@ def _point(
     model: CylinderModel,
     sensors: SensorConfiguration,
 ) -> OperatingPoint:
-    """The plant in the present pose, at a piston speed, with the other joints held or free."""
+    """Linearises the plant in the present pose, at a piston speed, other joints held or free."""
     import control  # takes a second
 
     lever = float(simulation.levers()[joint])
@@ -64,7 +64,7 @@ def _point(
     # States: piston velocity, both pressures, spool and its velocity, joint position.
     c = np.zeros((3, 6))
     c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
-    # Pressure A accelerates the piston by area/m: that tells the mass.
+    # Input of the force: pressure A accelerates the piston by area/m, which contains the mass.
     push = np.zeros((6, 1))
     push[0] = -plant.A[0, 1] * model.data.supply_pressure
     plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
@@ -108,9 +108,9 @@ def _point(
 
 # Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
 SENSITIVITY = 2.0
-# The same with valves of this share of their bandwidth, which the controller does not know.
+# Bound with valves at this share of their bandwidth, which the controller does not know.
 VALVE_SHARE, SLOW_SENSITIVITY = 0.5, 3.0
-# Steps that the gains are judged by: so much of the no-load speed and of the piston's force.
+# Steps by which gains are evaluated: share of the no-load speed and of the piston's force.
 _STEP = 0.05
 # Bounds of the search, decades of (position_gain, force_drift, flow_drift) and force_damping.
 _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
@@ -119,7 +119,7 @@ _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
 def _linear_controller(
     law: Feedback, area: np.ndarray, point: OperatingPoint, period: float
 ) -> tuple[np.ndarray, ...]:
-    """`adaptive_backstepping` of one joint between (x, p_A, p_B) and the spool, as (a, b, c, d).
+    """Linearises `adaptive_backstepping` of one joint, (x, p_A, p_B) to spool, as (a, b, c, d).
 
     Its states are the observer, past speeds, the slow force and both filtered pressures.
     """
@@ -145,7 +145,7 @@ def _linear_controller(
     a[5], b[5] = speed, speed_b
     for i in range(6, 7 + past):
         a[i, i - 1] = 1.0
-    # phi on its slow way into the expected pressures.
+    # phi, low-pass filtered, for the expected pressures.
     a[-3], b[-3] = slowly * a[3], slowly * b[3]
     a[-3, -3] = 1.0 - slowly
     for chamber in range(2):
@@ -160,12 +160,12 @@ def _linear_controller(
 
 
 class JointLoop:
-    """Frequency responses of one joint's plants, to judge gains by.
+    """Frequency responses of one joint's plants, for the evaluation of gains.
 
     The plants are those of `pd`, with the other joints free and held.
 
     Args:
-        simulation: The nominal machine in its rest pose; it is left as it was.
+        simulation: The nominal machine in its rest pose; its state is restored.
         joint: Index of the joint.
         sensors: Sensors and timing.
         valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
@@ -203,11 +203,11 @@ class JointLoop:
         ]
 
     def judge(self, gains: BacksteppingGains) -> tuple[float, float]:
-        """Worst response to steps of unknown flow and force, and largest sensitivity.
+        """Computes the worst response to steps of unknown flow and force, and largest sensitivity.
 
         Returns:
-            Root of the integrated squares of the piston's errors after both steps [m s^(1/2)],
-            and max |1/(1 + L)|; where a loop is unstable, infinity and its largest eigenvalue.
+            Root of the integrated squares of the piston's errors after both steps [m s^(1/2)], and
+            max |1/(1 + L)|; where a loop is unstable, infinity and its largest |eigenvalue|.
         """
         period, worst, peak, radius = self._sensors.control_period, 0.0, 0.0, 0.0
         law = Feedback(
@@ -239,7 +239,7 @@ class JointLoop:
 
 
 def _derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
-    """Scales position gain and drifts down until `SLOW_SENSITIVITY` is kept; a tenth at least."""
+    """Scales position gain and drifts down to meet `SLOW_SENSITIVITY`, to a tenth at the least."""
     for factor in np.geomspace(1.0, 0.1, 19):
         slower = replace(
             gains,
@@ -254,7 +254,7 @@ def _derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
 
 
 def _quickest(loop: JointLoop) -> BacksteppingGains:
-    """Gains with the smallest response to unknown flow and force that keep `SENSITIVITY`."""
+    """Finds gains with the smallest response to unknown flow and force within `SENSITIVITY`."""
     from scipy.optimize import differential_evolution  # slow to import, seldom needed
 
     def gains_of(values: np.ndarray) -> BacksteppingGains:

@@ -28,7 +28,7 @@ class ValveMap:
 
 
 def drive_signs(simulation: Simulation) -> np.ndarray:
-    """Sign of the joint velocity that a positive command gives, (joints,)."""
+    """Returns the sign of the joint velocity that a positive command gives, (joints,)."""
     signs = np.sign(simulation.levers())
     for drive in simulation.native.values():
         signs[drive.id] *= np.sign(drive.gain(simulation.data))
@@ -36,7 +36,7 @@ def drive_signs(simulation: Simulation) -> np.ndarray:
 
 
 def holding_forces(simulation: Simulation) -> np.ndarray:
-    """Actuator forces [N or N m], (actuators,), that keep every driven joint at rest where it is.
+    """Computes actuator forces [N or N m], (actuators,), that hold every driven joint at rest.
 
     Inverse dynamics without acceleration; `data` keeps its positions and velocities.
     """
@@ -47,11 +47,11 @@ def holding_forces(simulation: Simulation) -> np.ndarray:
 
 
 def speed_limits(simulation: Simulation) -> np.ndarray:
-    """Joint speed [rad/s], (joints,), of each actuator without load at full command.
+    """Computes joint speeds [rad/s], (joints,), of the actuators without load at full command.
 
-    Of a cylinder v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) extending, with A and B exchanged
-    retracting (flow balance of a critically lapped valve); the slower of the two, at the present
-    pose. Of a native actuator see `native_speed_limit`.
+    For a cylinder v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) extending, with A and B exchanged
+    retracting (flow balance of a critically lapped valve); the slower of the two, in the present
+    pose. For a native actuator see `native_speed_limit`.
     """
     limits = []
     for actuator, lever in zip(simulation.actuators, simulation.levers(), strict=True):
@@ -71,11 +71,11 @@ def speed_limits(simulation: Simulation) -> np.ndarray:
 
 
 def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
-    """Joint speed [rad/s or m/s] that a native actuator gives its joint, at the present pose.
+    """Computes the joint speed [rad/s or m/s] that a native actuator reaches in the present pose.
 
-    The smaller of two speeds under its full force F at standstill: F/d, at which the joint's
-    damping and its own loop take all of it, and sqrt(F s/m), which an inertia m reaches within
-    half of the joint's range s. Friction and weight are left out.
+    The smaller of two speeds under its full force F at standstill: F/d, at which the damping of the
+    joint and of the actuator's loop balances F, and sqrt(F s/m), which an inertia m reaches within
+    half of the joint's range s. Friction and weight are neglected.
     """
     model, data = simulation.model, simulation.data
     lever, dof = drive.lever(data), drive.dof
@@ -90,7 +90,7 @@ def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
 
 
 def free_inertia(simulation: Simulation, dof: int) -> float:
-    """Inertia that a degree of freedom has with all others free [kg m^2 or kg], 1/(M^-1)_ii."""
+    """Computes a degree of freedom's inertia [kg m^2 or kg] with all others free, 1/(M^-1)_ii."""
     model, data = simulation.model, simulation.data
     unit, solved = np.zeros((1, model.nv)), np.zeros((1, model.nv))
     unit[0, dof] = 1.0
@@ -101,7 +101,7 @@ def free_inertia(simulation: Simulation, dof: int) -> float:
 def settle(simulation: Simulation) -> None:
     """Sets pressures, spools and controls so that the machine stands still in its present pose.
 
-    A native actuator that is too weak for that gets the end of its range.
+    A native actuator that is too weak for that is set to the end of its range.
 
     Raises:
         LeglabError: If a cylinder cannot hold its joint there.
@@ -136,11 +136,11 @@ def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
 
 
 def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
-    """Calibrates the steady map from motion to command of every joint on the machine as it is now.
+    """Calibrates the steady map from motion to command of every joint on the machine in its state.
 
-    One joint at a time runs at constant speed through its range, the others stand in the present
-    pose; loads are gravity, springs and dampers, friction and leakage those of the actuator. The
-    leg hangs free, as on a stand: contact with the ground is off.
+    One joint at a time runs at constant speed through its range, while the others rest in the
+    present pose. Loads are gravity, springs and dampers; friction and leakage are the actuator's.
+    The leg hangs free, as on a stand: contact with the ground is disabled.
     """
     limits, ranges = speed_limits(simulation), simulation.joint_range()
     maps = []
@@ -155,10 +155,10 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
 def steady_commands(
     simulation: Simulation, joint: int, position: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
-    """Commands at which a joint runs steadily, (p, v); +-1 beyond what its actuator can give.
+    """Computes commands of steady motion of a joint, (p, v); +-1 beyond its actuator's capability.
 
     Args:
-        simulation: The machine, in the pose of the other joints; it is left in it.
+        simulation: The machine, in the pose of the other joints; its pose is restored.
         joint: Index of the joint.
         position: Of the joint [rad], (p,).
         velocity: Of the joint [rad/s], (v,).
@@ -185,9 +185,9 @@ def steady_commands(
 
 
 def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, float], float]:
-    """Function of joint speed [rad/s] and actuator force [N] to the command, in the present state.
+    """Returns a function of joint speed [rad/s] and actuator force [N] to the present command.
 
-    The native actuator's is exact: its force is a function of command, length and velocity.
+    That of a native actuator is exact: its force is a function of command, length and velocity.
     """
     name = simulation.actuators[joint]
     if name in simulation.native:
@@ -200,6 +200,6 @@ def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, floa
         try:
             return cylinder.steady_state(piston, force).spool
         except LeglabError:
-            return float(np.sign(piston))  # beyond what the valve can give
+            return float(np.sign(piston))  # beyond the valve's capability
 
     return command

@@ -28,17 +28,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class GainsFile:
-    """A file of tuned gains beside this module."""
+    """A file of tuned gains in the folder of this module."""
 
     path: Path  #: The file
-    head: Sequence[str]  #: What its comment says
-    timing: Sequence[str]  #: Fields of the sensors that the gains are tuned for
-    formats: Mapping[str, str]  #: How a row has each figure, by name
+    head: Sequence[str]  #: Lines of the comment at its head
+    timing: Sequence[str]  #: Fields of the sensor settings that the gains are tuned for
+    formats: Mapping[str, str]  #: Formats of the values of a row, by name
 
     def table(
         self, simulation: Simulation, sensors: SensorConfiguration, rows: Sequence[Row]
     ) -> dict[str, Any]:
-        """The table of a model, with its rows as they are written."""
+        """Returns the table of a model, with its values rounded as written."""
         joints = {
             joint: {name: float(f"{row[name]:{form}}") for name, form in self.formats.items()}
             for joint, row in zip(simulation.joints, rows, strict=True)
@@ -60,7 +60,7 @@ class GainsFile:
         return "\n".join(lines) + "\n"
 
     def store(self, tables: Mapping[str, dict[str, Any]]) -> None:
-        """Writes tables by model; those of other models stay.
+        """Writes tables by model; keeps those of other models.
 
         Raises:
             LeglabError: The file cannot be written.
@@ -71,7 +71,7 @@ class GainsFile:
     def rows(
         self, model: str, simulation: Simulation, sensors: SensorConfiguration
     ) -> list[Row] | None:
-        """Stored gains of each joint; None where there are none for this loop.
+        """Returns the stored gains of each joint; None where there are none for this loop.
 
         Args:
             model: Name or path of the model.
@@ -79,7 +79,7 @@ class GainsFile:
             sensors: Sensors and timing of the loop.
         """
         tables = tomllib.loads(self.path.read_text())
-        # A name of its own costs a look at the model's files.
+        # `stored_name` reads the model's files, so it is called only if a key may match.
         asked = any(key.partition(" ")[0] == Path(model).name for key in tables)
         entry = tables.get(stored_name(model)) if asked else None
         if entry is None or any(entry[name] != getattr(sensors, name) for name in self.timing):
@@ -92,13 +92,13 @@ class GainsFile:
 class ControllerGains(GainsFile, Generic[T]):
     """Gains of a controller: stored for the shipped models, tuned when asked for others."""
 
-    #: What the controller takes: a dataclass with an array (joints,) a field.
+    #: Gains as the controller takes them: a dataclass whose fields are arrays (joints,).
     kind: Callable[..., T]
-    #: Tunes a machine that is named, and changes its positions; a row a joint.
+    #: Tunes the machine of a named model, and changes its positions; returns a row per joint.
     tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
 
     def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> T:
-        """Gains of all joints.
+        """Returns the gains of all joints.
 
         Args:
             model: Name or path of the model.
@@ -118,13 +118,13 @@ class ControllerGains(GainsFile, Generic[T]):
         self.path.write_text(self.text(tables))
 
 
-# Gains by the name of the controller; a module `leglab.commissioning.*_gains` or anybody's adds.
+# Gains by the name of the controller; modules `leglab.commissioning.*_gains` or others add them.
 GAINS: Registry[ControllerGains[Any]] = Registry("controller with tuned gains")
 GAINS.add_loader(partial(import_modules, __package__, [str(Path(__file__).parent)]))
 
 
 def stored_name(model: str) -> str:
-    """By which gains of a model are stored: its name, or its file's with a digest of the model.
+    """Returns the key of a model's gains: its name, or its file's with a digest of the model.
 
     Raises:
         LeglabError: There is no such model.
@@ -133,5 +133,5 @@ def stored_name(model: str) -> str:
 
 
 def _key(name: str) -> str:
-    """A name as a key of TOML."""
+    """Returns a name as a TOML key."""
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)

@@ -1,7 +1,7 @@
-"""Learning filter of `ilc` from the linearised plant: the widest that surely converges.
+"""Tuning of the learning filter of `ilc` on the linearised plant: the widest that converges.
 
-Those of the shipped models stand in `ilc_gains.toml`, which
-`python -m leglab.commissioning.ilc_gains` writes anew.
+Those of the shipped models are stored in `ilc_gains.toml`, which
+`python -m leglab.commissioning.ilc_gains` rewrites.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from leglab.control.iterative_learning import LearningFilter, learning_function,
 from leglab.machine.sensors import SensorConfiguration, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
 
-# Largest share of an error of any frequency that one stride may leave to the next.
+# Largest share of an error, at any frequency, that may remain from one stride to the next.
 CONTRACTION = 0.7
 # Cutoffs [rad/s] and leads, in control periods, that are tried.
 _CUTOFFS = np.geomspace(3.0, 300.0, 93)
@@ -29,13 +29,13 @@ def closed_loops(
     gains: tuple[float, float],
     frequency: np.ndarray,
 ) -> np.ndarray:
-    """Responses of measured position [rad] to a command beside the one of `pd`, (points, n).
+    """Computes responses of measured position [rad] to a command added to `pd`'s, (points, n).
 
     Args:
         simulation: The nominal machine; its positions are changed.
         joint: Index of the joint.
         sensors: Sensors and timing.
-        gains: Of `pd` [1/rad], [s/rad].
+        gains: Gains of `pd` [1/rad], [s/rad].
         frequency: [rad/s], (n,).
     """
     z = np.exp(1j * frequency * sensors.control_period)
@@ -57,12 +57,12 @@ def _tuned_filter(
     gains: tuple[float, float],
     speed_per_command: float,
 ) -> tuple[float, float]:
-    """Cutoff [rad/s] and lead d [s]: the greatest cutoff at which |Q (1 - L G)| < 0.7 everywhere.
+    """Finds cutoff [rad/s] and lead d [s]: the greatest cutoff at which |Q (1 - L G)| < 0.7.
 
-    Everywhere: at every frequency, pose and piston speed, with the other joints free and held.
-    That is the condition for errors that shrink from stride to stride without growing first
-    (Bristow, Tharayil and Alleyne 2006, monotonic convergence in the frequency domain). The least
-    cutoff that is tried where none suffices.
+    This holds at every frequency, pose and piston speed, with the other joints free and held. It is
+    the condition for errors that shrink from stride to stride without growing first (Bristow,
+    Tharayil and Alleyne 2006, monotonic convergence in the frequency domain). Where no cutoff
+    satisfies it, the smallest is returned.
     """
     frequency = np.geomspace(0.1, 2 * _CUTOFFS[-1], 1500)
     loops = closed_loops(simulation, joint, sensors, gains, frequency)

@@ -11,8 +11,8 @@ from leglab.control.backstepping.data import NominalCylinders
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.simulation import Simulation
 
-# Positions over each joint's range at which levers are tabulated. Between them a lever of
-# curvature r'' = r is off by a thousandth for a range of 2 rad.
+# Positions over each joint's range at which levers are tabulated. The interpolation error of a
+# lever of curvature r'' = r is a thousandth for a range of 2 rad.
 _LEVER_POSITIONS = 33
 
 
@@ -20,7 +20,7 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
     """Reads the cylinders' data sheets and measures their levers over the joint ranges.
 
     Args:
-        simulation: The nominal machine in its rest pose; its positions are as before afterwards.
+        simulation: The nominal machine in its rest pose; its positions are restored.
 
     Raises:
         LeglabError: An actuator is no cylinder.
@@ -51,24 +51,24 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
 
 
 def _effective_masses(simulation: Simulation) -> np.ndarray:
-    """Mass [kg] that each cylinder moves with all other joints free, (joints,)."""
+    """Computes the mass [kg] that each cylinder moves with all other joints free, (joints,)."""
     inverse = np.diag(np.linalg.inv(inertia_matrix(simulation)))[simulation.dof_index]
     return 1.0 / (inverse * simulation.levers() ** 2)
 
 
 def inertia_matrix(simulation: Simulation) -> np.ndarray:
-    """Joint-space inertia in the present pose [kg m^2 and alike], (nv, nv)."""
+    """Computes the joint-space inertia matrix in the present pose [kg m^2 and alike], (nv, nv)."""
     inertia = np.zeros((simulation.model.nv, simulation.model.nv))
     mujoco.mj_fullM(simulation.model, simulation.data, inertia)
     return inertia
 
 
 class NominalDynamics:
-    """Joint torques that a motion of the nominal machine needs: bodies, gravity, springs, dampers.
+    """Inverse dynamics of the nominal machine: torques by bodies, gravity, springs and dampers.
 
-    A machine of its own, not the one that runs: on a robot the same table of masses and lengths
-    would feed any rigid-body library. It hangs free, without ground contact; joints that
-    nothing drives stand still.
+    It uses a separate model, not the machine that runs: on a robot the same masses and lengths
+    would be used in any rigid-body library. The machine hangs free, without ground contact;
+    joints without an actuator stand still.
 
     Args:
         simulation: The nominal machine in its rest pose.
@@ -85,7 +85,7 @@ class NominalDynamics:
     def __call__(
         self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
     ) -> np.ndarray:
-        """Torques [N m], (joints,), for a motion [rad, rad/s, rad/s^2], each (joints,)."""
+        """Computes torques [N m], (joints,), for a motion [rad, rad/s, rad/s^2], (joints,) each."""
         data = self._data
         data.qpos[self._qpos] = position
         data.qvel[self._dof] = velocity

@@ -1,6 +1,6 @@
-"""PD gains from the linearised plant: the fastest loop that keeps its stability margins.
+"""Tuning of PD gains on the linearised plant: the fastest loop that keeps its stability margins.
 
-Those of the shipped models stand in `pd_gains.toml`, which `leglab tune` writes.
+Gains of the shipped models are stored in `pd_gains.toml`, which `leglab tune` writes.
 """
 
 import math
@@ -31,7 +31,7 @@ TUNED_MODELS = (*CYLINDER_MODELS, "leg_motor")
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
-# Tuned once by `leglab tune`, and not touched afterwards.
+# Tuned once by `leglab tune`, and not edited afterwards.
 PD = GainsFile(
     path=Path(__file__).with_name("pd_gains.toml"),
     head=(
@@ -48,10 +48,10 @@ PD = GainsFile(
         "crossover": ".2f",
     },
 )
-# Piston speeds [m/s] at which the plant is linearised: creeping and running, both ways. Dry
-# friction only steadies the loop (sgn(v) has no slope), so it is left out.
+# Piston speeds [m/s] at which the plant is linearised: slow and fast, both ways. Dry friction only
+# stabilises the loop (sgn(v) has no slope), so it is left out.
 SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
-# The same of a native actuator, as shares of its full speed.
+# Speeds of a native actuator at which the plant is linearised, as shares of its full speed.
 NATIVE_SPEEDS = (-0.5, -0.1, 0.1, 0.5)
 # Bounds of the gains, command per position [1/rad] and per velocity error [s/rad]. Those of a
 # native actuator follow from a crossover that the sampling cannot exceed.
@@ -63,12 +63,12 @@ _STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velo
 def joint_plant(
     simulation: Simulation, joint: int, speed: float, *, held: bool = False
 ) -> "control.StateSpace":
-    """Linear plant of one joint from valve command to joint position [rad] in the present pose.
+    """Linearises one joint from valve command to joint position [rad] in the present pose.
 
     The piston runs at `speed` [m/s] under the load of the pose; the other joints are free, so
-    that the cylinder sees the effective mass 1/(J M^-1 J'), or held.
+    that the cylinder moves the effective mass 1/(J M^-1 J'), or held.
     """
-    import control  # takes a second, and most runs find their gains in the file
+    import control  # takes a second, and most runs use stored gains
 
     model, data = simulation.model, simulation.data
     lever = float(simulation.levers()[joint])
@@ -116,21 +116,21 @@ def joint_plant(
 def native_plant(
     simulation: Simulation, joint: int, speed: float, *, held: bool = False
 ) -> "control.StateSpace":
-    """Linear plant of one joint from a native actuator's command to joint position [rad or m].
+    """Linearises one joint from a native actuator's command to joint position [rad or m].
 
-    m q'' = lever half gain u - d q' - k q, with the loop that a servo has of its own in d and k.
-    They are slopes of the joint's inverse dynamics in the present pose and of the actuator's force,
-    the inertia m is that with the other joints free; a filter of the actuator is one state more.
-    Friction without a slope counts as none. Where a load falls, k < 0, it counts as 0: PD is much
-    faster than the fall.
+    m q'' = lever half gain u - d q' - k q, with a servo's internal loop included in d and k. They
+    are slopes of the joint's inverse dynamics in the present pose and of the actuator's force; m is
+    the inertia with the other joints free or held; a filter of the actuator adds a state. Friction
+    without a slope is neglected. A negative k, of an unstable load, is set to 0: PD is much faster
+    than its fall.
 
     Args:
         simulation: The machine; joints at rest in the pose, which is left as it is.
         joint: Index of the joint.
-        speed: Of the joint [rad/s or m/s].
+        speed: Speed of the joint [rad/s or m/s].
         held: Whether the other joints are held; without, they are free.
     """
-    import control  # takes a second, and most runs find their gains in the file
+    import control  # takes a second, and most runs use stored gains
 
     drive = simulation.native[simulation.actuators[joint]]
     data = simulation.data
@@ -153,7 +153,7 @@ def native_plant(
 
 
 def _slopes(simulation: Simulation, drive: NativeActuator, speed: float) -> tuple[float, float]:
-    """Slopes of the force that a joint's motion takes, over its position and velocity.
+    """Computes the slopes of a joint's force over its position and velocity.
 
     Central differences of inverse dynamics without acceleration, contacts, stops and the dry
     friction of the joints.
@@ -188,10 +188,10 @@ def sampled_plant(
 ) -> "control.StateSpace":
     """Samples a plant behind a zero-order hold, measured `latency` <= period before the command.
 
-    The measurement at t - latency comes from the state one period earlier, moved on by
-    period - latency under the command of that time; both enter as extra states.
+    The measurement at t - latency follows from the state one period earlier, advanced by period -
+    latency under the command of that period; the measured outputs are extra states.
     """
-    import control  # takes a second, and most runs find their gains in the file
+    import control  # takes a second, and most runs use stored gains
 
     full = control.c2d(plant, period, "zoh")
     outputs, n = plant.C.shape
@@ -207,9 +207,9 @@ def sampled_plant(
 
 
 def operating_poses(simulation: Simulation, joint: int) -> Iterator[None]:
-    """Moves a machine at rest to where a joint is linearised, and in the end back.
+    """Moves a machine at rest to the poses in which a joint is linearised, and finally back.
 
-    It is linearised in the present pose and at a quarter and three quarters of the joint's range.
+    They are the present pose, and those at a quarter and three quarters of the joint's range.
     """
     data, index = simulation.data, simulation.qpos_index[joint]
     home = data.qpos.copy()
@@ -226,7 +226,7 @@ def operating_poses(simulation: Simulation, joint: int) -> Iterator[None]:
 def sampled_plants(
     simulation: Simulation, joint: int, sensors: SensorConfiguration, *, held: bool = False
 ) -> list["control.StateSpace"]:
-    """Linear plants of one joint, sampled: where gains are tuned.
+    """Computes the sampled linear plants of one joint for which gains are tuned.
 
     Args:
         simulation: The nominal machine at rest, which is left in its pose.
@@ -251,7 +251,7 @@ def sampled_plants(
 def _plants(
     simulation: Simulation, joint: int, *, held: bool = False
 ) -> Iterator["control.StateSpace"]:
-    """Linear plants of a joint in the present pose, at several speeds; equal ones once."""
+    """Yields linear plants of a joint in the present pose at several speeds, without repeats."""
     name = simulation.actuators[joint]
     if name in simulation.native:
         full = native_speed_limit(simulation, simulation.native[name])
@@ -272,10 +272,10 @@ def _plants(
 def _most_gains(
     simulation: Simulation, joint: int, sensors: SensorConfiguration
 ) -> tuple[float, float]:
-    """Largest gains that are tried, command per position error and per velocity error.
+    """Returns the largest gains to try, command per position error and per velocity error.
 
-    Of an inertia that a command accelerates by B, K_p = w^2/B and K_v = w/B cross over at about w;
-    w is taken where the hold and the age of the measurement alone cost a turn of 90 degrees.
+    With an inertia that a command accelerates by B, K_p = w^2/B and K_v = w/B cross over at about
+    w; w is the frequency at which hold and latency alone cost 90 degrees of phase.
     """
     name = simulation.actuators[joint]
     if name not in simulation.native:
@@ -292,7 +292,7 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
     """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
 
     Margins are those of the sampled loop, with hold, latency and velocity filter, at every pose
-    and piston speed. K_p decides the error in following a ramp, so the greatest is the best.
+    and piston speed. The error in following a ramp falls with K_p, so the greatest is the best.
 
     Args:
         simulation: The nominal machine at rest, which is left in its pose.
@@ -337,15 +337,15 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
 def stability_margins(
     loop: np.ndarray, frequencies: np.ndarray, *, stable: bool = False
 ) -> tuple[float, float, float]:
-    """Gain margin [dB], phase margin [deg] and crossover [rad/s] of a sampled frequency response.
+    """Computes gain margin [dB], phase margin [deg] and crossover [rad/s] of a frequency response.
 
-    Every crossing counts: a resonance crosses the unit circle more than once.
+    All crossings are evaluated: a resonance crosses the unit circle more than once.
 
     Args:
-        loop: The response.
+        loop: Response of the open loop at sampled frequencies.
         frequencies: rad/s.
-        stable: Whether the closed loop is known to be stable. Then a loop with several integrators,
-            whose gain must not fall either, has the least change of gain as its margin.
+        stable: Whether the closed loop is known to be stable. Then the gain margin is the least
+            change of gain up or down: with several integrators the gain must not fall either.
     """
     magnitude = np.abs(loop)
     sign_change = loop.imag[1:] * loop.imag[:-1] <= 0
@@ -364,7 +364,7 @@ def stability_margins(
 
 
 def _round_down(value: float) -> float:
-    """Three significant digits, never more than the value; as written and read again."""
+    """Rounds down to three significant digits; exact when written and read again."""
     if value <= 0:
         return 0.0
     scale = 10.0 ** (math.floor(math.log10(value)) - 2)
@@ -374,12 +374,12 @@ def _round_down(value: float) -> float:
 def tuned_tables(
     models: Sequence[str], progress: Callable[[int, int, str], None]
 ) -> dict[str, dict]:
-    """Tunes models; tables of `PD` by model.
+    """Tunes models; returns tables of `PD` by model.
 
     Args:
         models: Names or paths.
-        progress: Called before each joint with the number of those that are done, that of all, and
-            its model and name.
+        progress: Called before each joint with the number of joints done, the number of all, and
+            a text with its model and name.
 
     Raises:
         LeglabError: A model cannot be loaded.
@@ -402,13 +402,13 @@ def tuned_tables(
 def stored_gains(
     model: str, simulation: Simulation, sensors: SensorConfiguration
 ) -> list[tuple[float, float]] | None:
-    """Gains of a shipped model from `PD`; None where it has none for this loop."""
+    """Returns the gains of a model from `PD`; None where it has none for this loop."""
     rows = PD.rows(model, simulation, sensors)
     return None if rows is None else [(row["position"], row["velocity"]) for row in rows]
 
 
 def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Gains tuned now, for a model or a timing without stored ones; the machine is moved."""
+    """Tunes a model or a timing without stored gains; the machine is moved."""
     result = []
     for joint in range(len(simulation.joints)):
         simulation.reset()

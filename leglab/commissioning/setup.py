@@ -18,12 +18,12 @@ from leglab.machine.simulation import Simulation
 
 
 class CommissionedMachine(NominalMachine):
-    """Everything that a controller may know; calibrated and tuned when somebody asks, once.
+    """Everything that a controller may know of the machine; calibrated and tuned at first use.
 
     Args:
         simulation: The nominal machine in its rest pose.
         model: Its name, by which tuned gains are stored.
-        sensors: Of the run.
+        sensors: Sensors and timing of the run.
     """
 
     def __init__(self, simulation: Simulation, model: str, sensors: SensorConfiguration) -> None:
@@ -57,16 +57,16 @@ class CommissionedMachine(NominalMachine):
         return super().find(name)
 
     def _tuned(self, controller: str) -> Any:
-        """Gains of a controller, stored or tuned."""
+        """Returns the gains of a controller, stored or tuned."""
         return GAINS.get(controller).gains(self._model, self._own(), self._sensors)
 
     def _own(self) -> Simulation:
-        """A machine for calibration, which moves it through its whole range."""
+        """Copies the machine for a calibration, which moves it through its whole range."""
         return Simulation(copy.copy(self._simulation.model))
 
 
 class _Tuned(dict[str, Any]):
-    """Gains by controller, each made when it is asked for."""
+    """Gains by controller, each made at its first use."""
 
     def __init__(self, make: Callable[[str], Any]) -> None:
         self._make = make
@@ -77,7 +77,7 @@ class _Tuned(dict[str, Any]):
 
 
 def _setpoint(simulation: Simulation) -> np.ndarray | None:
-    """Commands that ask servos for a position or velocity, (3, joints); None without servos."""
+    """Returns `NominalMachine.setpoint` of the servos, (3, joints); None without servos."""
     rows = np.zeros((3, len(simulation.joints)))
     for drive in simulation.native.values():
         rows[:, drive.id] = drive.setpoint(simulation.data)
@@ -87,7 +87,7 @@ def _setpoint(simulation: Simulation) -> np.ndarray | None:
 def controller_setup(
     simulation: Simulation, model: str, sensors: SensorConfiguration
 ) -> ControllerSetup:
-    """Returns what a controller is made from; arguments as `CommissionedMachine`."""
+    """Makes the inputs of a controller; arguments as for `CommissionedMachine`."""
     return ControllerSetup(
         joints=simulation.joints,
         control_period=sensors.control_period,
@@ -96,7 +96,7 @@ def controller_setup(
 
 
 def model_digest(machine: Simulation) -> bytes:
-    """Digest of everything that the model of a machine holds."""
+    """Computes a digest of the complete model of a machine."""
     content = np.empty(mujoco.mj_sizeModel(machine.model), np.uint8)
     mujoco.mj_saveModel(machine.model, None, content)
     return hashlib.sha256(content.tobytes()).digest()
@@ -107,7 +107,7 @@ _gains: dict[tuple[bytes, str], list[tuple[float, float]]] = {}
 
 
 def _tuned(machine: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Gains of a machine that has none stored; the same one is tuned once a process."""
+    """Tunes `pd` for a machine without stored gains; the same model once per process."""
     key = model_digest(machine), sensors.model_dump_json()
     if key not in _gains:
         _gains[key] = tuned_gains(machine, sensors)
@@ -115,7 +115,7 @@ def _tuned(machine: Simulation, sensors: SensorConfiguration) -> list[tuple[floa
 
 
 def _calibrated(machine: Simulation) -> tuple[ValveMap, ...]:
-    """Valve maps of a machine as it is loaded; the same model is calibrated once a process."""
+    """Calibrates the valve maps of a machine as loaded; the same model once per process."""
     key = model_digest(machine)
     if key not in _calibrations:
         maps = valve_maps(machine)

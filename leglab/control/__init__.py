@@ -1,4 +1,4 @@
-"""Controllers' side of the loop: what they see and give, and the parts that they are made of."""
+"""Interface of controllers (measurements, references, commands) and their components."""
 
 from leglab.control.contract import (
     Controller,

@@ -1,9 +1,9 @@
-"""Contract of controllers: measurements and references in, commands out; made by name.
+"""Interface and registry of controllers: measurements and references in, commands out.
 
 A controller sees measurements, references and time, never the simulation, so the same object could
 run on a robot. A closed loop has some tens of microseconds of wall time for each control period,
-all joints and everything else included: what passes through here at every period is a plain tuple
-of small arrays, and what can be computed once belongs into a controller's constructor.
+with all joints and everything else. So measurements and references are plain tuples of small
+arrays, and whatever can be computed once belongs into a controller's constructor.
 """
 
 import inspect
@@ -22,7 +22,7 @@ from leglab.base.settings import Configuration
 class Measurement(NamedTuple):
     """Sensor readings at one instant, with their noise, resolution and latency.
 
-    The arrays belong to the runner and change with the next period: copy what is kept.
+    The runner reuses the arrays in the next period: copy values that are needed later.
 
     Attributes:
         time: Time since the start of the run [s].
@@ -42,7 +42,7 @@ class Measurement(NamedTuple):
 
 
 class ReferencePoint(NamedTuple):
-    """Where the joints should be at the time of the measurement.
+    """Reference motion of the joints at the time of the measurement.
 
     Attributes:
         position: Joint positions [rad]. Shape (joints,).
@@ -56,19 +56,19 @@ class ReferencePoint(NamedTuple):
 
 
 class Controller(Protocol):
-    """Turns measurements and references into valve commands.
+    """Interface of an object that turns measurements and references into valve commands.
 
-    `reset` and `command` are needed, `diagnostics` is optional.
+    `reset` and `command` are required, `diagnostics` is optional.
 
     A controller that adapts has a further method, `freeze()`: it stops adapting until the next
     `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
-    twin, just before the machine changes: what adapting on gained is told from there.
+    twin, just before the machine changes: comparing both runs shows what adaptation gains.
 
-    One that learns from its commands may have `sent(command)`: what the machine was sent in place
-    of what `command` gave, where somebody adds to it.
+    A controller that learns from its commands may have `sent(command)`: it takes the commands that
+    the machine received, where these differ from those that `command` returned.
 
-    A controller that measures pressures sets `uses_pressures = True`. One that sets `joint_wise =
-    True` has no memory, and commands each joint from that joint's measurement and reference alone:
+    A controller that measures pressures sets `uses_pressures = True`. A controller with `joint_wise
+    = True` has no memory, and commands each joint from that joint's measurement and reference only:
     one object can then command the joints of many machines in one call.
     """
 
@@ -83,29 +83,29 @@ class Controller(Protocol):
         """Computes the valve commands of one control period.
 
         Args:
-            measurement: The measurement of now.
-            reference: Where the joints should be now.
+            measurement: The present measurement.
+            reference: The present reference.
 
         Returns:
             Valve commands in [-1, 1], held until the next period. Shape (joints,).
         """
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns what is worth recording of the last period, by name. Each of shape (joints,).
+        """Returns the signals of the last period to be recorded, by name. Each of shape (joints,).
 
-        The runner copies the arrays: they may change with the next period, as may those that
-        `command` returns.
+        The runner copies these arrays and those that `command` returns: a controller may reuse
+        them in the next period.
         """
 
 
 class NominalMachine:
-    """The machine as its maker knows it, whatever happens to the real one in a run.
+    """Nominal properties of the machine, unaffected by the changes of a run.
 
-    A subclass finds what it can give (`leglab.commissioning.setup.CommissionedMachine` gives
-    everything); the rest raises an error that names it. Values are found when somebody asks, once.
+    A subclass computes them in `find` (`leglab.commissioning.setup.CommissionedMachine` computes
+    all); any other raises an error that names it. Each value is computed at its first use, once.
 
     Args:
-        known: Values by the names of the attributes, for a machine that is known by numbers.
+        known: Values by attribute name, for a machine that is described by numbers alone.
 
     Attributes:
         direction: Sign of the joint velocity that a positive command gives, (joints,).
@@ -155,10 +155,10 @@ class NominalMachine:
         return value
 
     def find(self, name: str) -> Any:
-        """Finds the value of an attribute that was not given.
+        """Computes the value of an attribute that was not passed to the constructor.
 
         Raises:
-            ModelError: The machine does not give it.
+            ModelError: The machine does not provide it.
         """
         if name == "setpoint":
             return None
@@ -169,7 +169,7 @@ class NominalMachine:
 
 @dataclass(frozen=True, kw_only=True)
 class Foreknowledge:
-    """Knowledge that no real controller has: for controllers that serve as a yardstick only."""
+    """Knowledge that no real controller has, for controllers that serve as bounds only."""
 
     #: When the machine begins to change [s]; infinite if it never does.
     first_change: float = math.inf
@@ -258,7 +258,7 @@ _METHODS = {"reset": ("measurement",), "command": ("measurement", "reference")}
 
 
 def _check_contract(name: str, factory: Any) -> None:
-    """Raises `SettingsError` where a class is no controller; a function makes one later."""
+    """Raises `SettingsError` for a class that is no controller; does not check functions."""
     if not inspect.isclass(factory):
         return
     where = f"controller {name!r}: {factory.__qualname__}"
@@ -295,8 +295,8 @@ def make_controller(
 
     Args:
         name: One of `controller_names()`.
-        setup: The machine it is for.
-        config: Its settings; what is left out has its default.
+        setup: Inputs from which it is made.
+        config: Its settings; omitted ones have their defaults.
 
     Raises:
         SettingsError: The name or a setting is not known, or a value is not allowed.
@@ -315,11 +315,11 @@ def diagnostics_of(controller: Controller) -> dict[str, np.ndarray]:
 
 
 def check_command(command: Any, setup: ControllerSetup, controller: str, time: float) -> np.ndarray:
-    """Returns what a controller gave, if it can be sent to the valves.
+    """Returns a controller's command after checking that it can be sent to the valves.
 
     Args:
-        command: What `Controller.command` returned.
-        setup: The setup it was made with.
+        command: Result of `Controller.command`.
+        setup: The setup that the controller was made with.
         controller: Its name, for the message.
         time: Time of the measurement [s].
 
@@ -337,7 +337,7 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
         got = f"an array of {command.dtype}"
         told = f"controller {controller!r} gave {got} at {time:.6g} s, allowed are "
         raise SimulationError(told, given=got, allowed="numbers")
-    # One dot product instead of isfinite and all: NaN and infinity survive it.
+    # One dot product is cheaper than isfinite and all: NaN and infinity propagate into it.
     if not math.isfinite(command.dot(command)):
         finite = np.isfinite(command)
         if not finite.all():

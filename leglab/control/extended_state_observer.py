@@ -18,13 +18,13 @@ import numpy as np
 class DisturbanceGains:
     """Tuning of `DisturbanceRejection`, one value a joint."""
 
-    control_bandwidth: np.ndarray  #: omega_c, with which an error decays [rad/s], (joints,)
+    control_bandwidth: np.ndarray  #: omega_c, rate at which an error decays [rad/s], (joints,)
     observer_bandwidth: np.ndarray  #: omega_o, of all poles of the observer [rad/s], (joints,)
-    #: b_0, what a command gives the calibrated joint, (joints,): speed [rad/s] where the order is
-    #: 1, acceleration [rad/s^2] where it is 2.
+    #: b_0, gain of the calibrated joint from its command, (joints,): to speed [rad/s] where the
+    #: order is 1, to acceleration [rad/s^2] where it is 2.
     plant_gain: np.ndarray
-    #: How often a joint integrates its command, (joints,): 1 behind a valve, which gives a flow, 2
-    #: behind a native actuator, which gives a force.
+    #: Integrations from command to position, (joints,): 1 behind a valve, which sets a flow, 2
+    #: behind a native actuator, which sets a force.
     order: np.ndarray
 
 
@@ -38,13 +38,13 @@ class LinearLaw(NamedTuple):
 
 
 class DisturbanceRejection:
-    """u = (omega_c e + f)/b_0, e and f estimated of e' = f - b_0 u, both of the joints alone.
+    """u = (omega_c e + f)/b_0, with e and f estimated from e' = f - b_0 u, joint by joint.
 
-    Of second order u = (omega_c^2 e + 2 omega_c e' + f)/b_0 and e'' = f - b_0 u. e is the tracking
-    error and f [rad/s or rad/s^2] everything that moves it besides the command: what leaks, what
-    load takes, what a wrong calibration leaves. An observer has all poles at exp(-omega_o T).
-    Errors come `latency` late: the observer knows which commands they contain, and moves the
-    estimate on to the time of the command.
+    With order 2, u = (omega_c^2 e + 2 omega_c e' + f)/b_0 and e'' = f - b_0 u. e is the tracking
+    error; the disturbance f [rad/s or rad/s^2] is everything that moves it besides the command:
+    leakage, load, calibration errors. The observer has all poles at exp(-omega_o T). Errors are
+    measured `latency` before the command takes effect: the observer accounts for the commands that
+    they contain, and predicts the estimate to that time.
 
     Args:
         gains: Bandwidths.
@@ -66,8 +66,8 @@ class DisturbanceRejection:
         self._damping = self._second * 2.0 * bandwidth
         self._rate = np.asarray(direction) * gains.plant_gain
         self._period, self._latency = period, latency
-        # What a disturbance, the last command and the one before move from one measurement to the
-        # next: the command before the last still holds for `latency`.
+        # Gains of a disturbance, the last command and the one before on the change of the error
+        # between measurements: the command before the last still acts for `latency`.
         held, late = period - latency, latency
         self._drift_moves = np.where(second, 0.5 * period**2, period)
         self._last_moves = np.where(second, 0.5 * held**2, held)
@@ -76,7 +76,7 @@ class DisturbanceRejection:
         self.reset()
 
     def reset(self) -> None:
-        """Starts without error, disturbance and past commands."""
+        """Sets error, disturbance and past commands to zero."""
         self._state = np.zeros((5, len(self._rate)))
 
     @property
@@ -85,18 +85,18 @@ class DisturbanceRejection:
         return self._state[2]
 
     def __call__(self, error: np.ndarray) -> np.ndarray:
-        """Commands, (joints,), for measured errors [rad], (joints,); NaN where none is measured."""
+        """Computes commands, (joints,), from measured errors [rad], (joints,), NaN if missing."""
         self._state = self._next(self._state, error)
         return self._state[3]
 
     def sent(self, command: np.ndarray) -> None:
-        """Takes the part of the commands (joints,) that was sent, where a limit has cut it."""
+        """Records this law's part of the commands that were sent, (joints,), after clipping."""
         self._state[3] = command
 
     def linear(self, joint: int) -> LinearLaw:
-        """The law of one joint as a linear system of (e, e', f, last command, the one before).
+        """Returns one joint's law as a linear system of (e, e', f, last command, the one before).
 
-        e' does not move where the order is 1.
+        With order 1, e' is always zero.
         """
         unit, ones = np.eye(len(self._state)), np.ones_like(self._rate)
         columns = [self._next(np.outer(state, ones), 0 * ones)[:, joint] for state in unit]
@@ -105,7 +105,7 @@ class DisturbanceRejection:
         return LinearLaw(a, b, a[3], float(b[3]))
 
     def _next(self, state: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Estimates and commands one period on; linear in both arguments."""
+        """Computes estimates and commands of the next period; linear in both arguments."""
         error, speed, drift, last, before = state
         period, late, second = self._period, self._latency, self._second
         moved = self._rate * (self._last_moves * last + self._before_moves * before)

@@ -1,10 +1,10 @@
-"""Iterative learning: the command of this stride from command and error of the last one.
+"""Iterative learning control: this stride's command from command and error of the last stride.
 
 Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning control", IEEE Control Systems
 Magazine 26(3), 96: learning function by inversion of the plant, Q-filter, and the condition in the
-frequency domain under which every stride's error is smaller than the last one's. A stride follows
-on the other without a pause, so nothing is reset between them: the same instant of the last stride
-is so many control periods ago.
+frequency domain under which every stride's error is smaller than the last one's. Strides follow
+one another without a pause or a reset: the same instant of the last stride is one stride duration
+ago, in general not a whole number of control periods.
 """
 
 import math
@@ -12,16 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# gamma of the learning function: share of an error that a perfect plant would undo in one stride.
+# gamma of the learning function: share of an error that an exact plant model undoes in a stride.
 LEARNING_GAIN = 0.5
 
-# Half length of the filters' impulse responses, in 1/cutoff: what lies beyond is below 1 %.
+# Half length of the filters' impulse responses, in 1/cutoff: the truncated rest is below 1 %.
 _HALF_LENGTH = 12.0
 
-# Time in which a correction comes into use, or goes [s].
+# Time over which a correction is faded in or out [s].
 _FADE = 0.1
 
-# Samples of the inverse Fourier transform that makes them.
+# Samples of the inverse Fourier transform that gives the impulse responses.
 _TRANSFORM = 1 << 14
 
 
@@ -32,13 +32,13 @@ class LearningFilter:
     #: Frequency up to which the Q-filter passes everything; from twice it on it passes nothing
     #: [rad/s], (joints,).
     cutoff: np.ndarray
-    lead: np.ndarray  #: d, delay of the plant that is made good [s], (joints,)
-    #: b_0, speed that a command gives the calibrated joint [rad/s], (joints,).
+    lead: np.ndarray  #: d, delay of the plant that is compensated [s], (joints,)
+    #: b_0, speed per command of the calibrated joint [rad/s], (joints,).
     speed_per_command: np.ndarray
 
 
 def q_filter(frequency: np.ndarray, cutoff: float) -> np.ndarray:
-    """Q: 1 up to the cutoff [rad/s], 0 from twice it on, half a cosine between; without phase."""
+    """Computes Q: 1 to the cutoff [rad/s], 0 from twice it, half a cosine between; zero phase."""
     place = np.clip(np.abs(frequency) / cutoff - 1.0, 0.0, 1.0)
     return 0.5 + 0.5 * np.cos(math.pi * place)
 
@@ -46,10 +46,10 @@ def q_filter(frequency: np.ndarray, cutoff: float) -> np.ndarray:
 def learning_function(
     frequency: np.ndarray, *, lead: float, speed_per_command: float, crossover: float
 ) -> np.ndarray:
-    """L: gamma times the inverse of the loop from command to position, as a first order.
+    """Computes L: gamma times the inverse of the first-order loop from command to position.
 
-    A joint integrates the command, and its feedback loop forgets as a first order of its
-    crossover: G = b_0 exp(-i w d)/(i w + w_x), L = gamma/G.
+    A joint integrates the command, and its feedback loop decays at the rate of its crossover
+    frequency: G = b_0 exp(-i w d)/(i w + w_x), L = gamma/G.
 
     Args:
         frequency: w [rad/s].
@@ -62,11 +62,11 @@ def learning_function(
 
 
 class IterativeLearning:
-    """c(t) = Q [c + L e](t - stride): what a command needs beyond what it is given otherwise.
+    """Learned correction of the command, c(t) = Q [c + L e](t - stride).
 
-    While the reference is that of a stride ago, and has been for a whole stride, c is in use;
-    otherwise it is zero and nothing is learned. The filters look ahead of t - stride, at what the
-    last stride knows of the future.
+    While the reference equals that of a stride ago, and has for a whole stride, c is in use;
+    otherwise it is zero and nothing is learned. The filters are non-causal about t - stride: they
+    use samples of the last stride on both sides.
 
     Args:
         filters: Tuning.
@@ -75,7 +75,7 @@ class IterativeLearning:
         stride: Time after which the reference is expected to repeat [s]; need not be a multiple of
             the control period.
         period: Control period [s].
-        tolerance: References that differ by less are the same [rad].
+        tolerance: References that differ by less count as equal [rad].
 
     Attributes:
         repeats: Whether c is in use.
@@ -94,10 +94,10 @@ class IterativeLearning:
         self._joints, self._tolerance = len(filters.cutoff), tolerance
         self._nothing, self._step = np.zeros(self._joints), period / _FADE
         self._count = math.floor(stride / period)
-        self._part = stride / period - self._count  # of a period that the stride is longer
+        self._part = stride / period - self._count  # fraction of a period in the stride
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
-        # A sample is sought that lies between two: the filters shift by the rest.
+        # The instant a stride ago lies between two samples: the filters shift by the fraction.
         shift = -self._part * period
         tuning = np.stack([filters.cutoff, filters.lead, filters.speed_per_command, crossover])
         kernels = [
@@ -106,7 +106,7 @@ class IterativeLearning:
         sign = np.asarray(direction, dtype=float)
         self._smoothing = np.array([kernel[0] for kernel in kernels]).T
         self._learning = sign * np.array([kernel[1] for kernel in kernels]).T
-        # What is used first, a stride ago less the half length, up to now.
+        # Rows that are kept: from a stride and half a filter length ago up to the present.
         self._length = self._count + half + 1
         self.reset()
 
@@ -118,13 +118,13 @@ class IterativeLearning:
         self._frozen, self._share, self.repeats = False, 0.0, False
 
     def freeze(self) -> None:
-        """Stops learning: from now on the correction of the last stride is repeated."""
+        """Stops learning until the next `reset`; the correction of the last stride is repeated."""
         self._frozen = True
 
     def correction(self, reference: np.ndarray) -> np.ndarray:
-        """Corrections of the command, (joints,), for reference positions [rad], (joints,)."""
+        """Computes command corrections, (joints,), for reference positions [rad], (joints,)."""
         half, last = self._half, slice(self._next, self._next + self._length)
-        # Row `half + 1` of what is kept, oldest first, is so many whole periods ago.
+        # Row `half + 1` of the kept rows, oldest first, is `_count` periods old.
         then = self._reference[last][half : half + 2]
         earlier = then[1] + self._part * (then[0] - then[1])
         known = self._periods > self._count
@@ -148,8 +148,8 @@ class IterativeLearning:
         """Ends a period; call it once after `correction`.
 
         Args:
-            error: Measured tracking errors of this period [rad], (joints,); NaN where none is.
-            correction: What was sent of the correction, (joints,).
+            error: Measured tracking errors of this period [rad], (joints,); NaN if missing.
+            correction: The correction as sent, after clipping, (joints,).
         """
         self._store(self._error, np.nan_to_num(error))
         self._store(self._correction, correction)
@@ -171,16 +171,16 @@ def _kernels(
     half: int,
     shift: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Impulse responses of Q and Q L, oldest sample first, (2 half + 1,) each.
+    """Computes impulse responses of Q and Q L, oldest sample first, (2 half + 1,) each.
 
-    `shift` is how much later than the middle sample is asked for [s]; negative for earlier.
+    `shift` is the time of the output after the middle sample [s]; negative for earlier.
     """
     frequency = 2 * math.pi * np.fft.rfftfreq(_TRANSFORM, period)
     passed = q_filter(frequency, cutoff) * np.exp(1j * frequency * shift)
     learning = learning_function(
         frequency, lead=lead, speed_per_command=speed_per_command, crossover=crossover
     )
-    # Response h at sample n weighs the input n samples earlier; oldest first, that is -n.
+    # Sample n of a response weights the input n samples earlier: the oldest has the largest n.
     wanted = np.arange(half, -half - 1, -1)
     return tuple(  # type: ignore[return-value]
         np.fft.irfft(response, _TRANSFORM)[wanted] for response in (passed, passed * learning)

@@ -1,4 +1,4 @@
-"""Valve commands by which cylinders give their joints wanted torques: an inner loop of force."""
+"""Inner force loop: valve commands with which cylinders produce wanted joint torques."""
 
 import numpy as np
 
@@ -6,31 +6,31 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import Measurement
 
-# Bandwidth of the loop of force times the control period, and rate of the integral, of it. Hold,
-# latency, the valve's lag and the integral leave some 30 degrees at the crossover.
+# Bandwidth of the force loop times the control period; rate of the integral over that bandwidth.
+# Hold, latency, the valve's lag and the integral leave a phase margin of some 30 degrees.
 _BANDWIDTH, _INTEGRAL = 0.4, 0.5
 
 
 class TorqueLoop:
-    """Force loop of all cylinders: oil that enters at a rate closes the error of force.
+    """Force loop of all cylinders: flow into the chambers reduces the force error.
 
     dF/dt wanted = w (e + integral of w_i e) at the present speed and leakage, with the error
     e = torque/lever - F and F = p_A A_A - p_B A_B as measured; the valve equation, solved for the
-    spool, gives the command. The integral makes up for the age of the measured speed, and rests
-    while the valve is open as far as it goes. Friction of seals and joints is not made up for.
+    spool, gives the command. The integral compensates the age of the measured speed, and is halted
+    while the valve is fully open. Friction of seals and joints is not compensated.
 
     Args:
-        data: Of the nominal machine's cylinders.
+        data: Data sheets of the nominal machine's cylinders.
         control_period: [s].
 
     Attributes:
-        limit: Torque [N m, of slides N] that each joint gets at least, (joints,): supply pressure
-            on the rod side's area, by the largest lever arm.
+        limit: Torque limit [N m, of slides N], (joints,): supply less tank pressure on the smaller
+            piston area, the rod side's, times the largest lever arm.
     """
 
     def __init__(self, data: NominalCylinders, control_period: float) -> None:
         self._model, self._bandwidth = CylinderModel(data), _BANDWIDTH / control_period
-        self._share = _INTEGRAL * _BANDWIDTH  # of an error that the integral takes in a period
+        self._share = _INTEGRAL * _BANDWIDTH  # of an error, added to the integral per period
         self._integral = np.zeros(len(data.stroke))
         self._leakage = np.zeros((3, len(data.stroke)))
         self._leakage[0] = data.internal_leakage
@@ -38,7 +38,7 @@ class TorqueLoop:
         self.limit = drop * data.area.min(axis=0) * np.abs(data.lever).max(axis=1)
 
     def reset(self, joints: np.ndarray | None = None) -> None:
-        """Starts anew: all joints, or those where `joints`, (joints,) of bool, is true."""
+        """Zeroes the integrals of all joints, or of those marked in `joints`, (joints,) of bool."""
         self._integral[slice(None) if joints is None else joints] = 0.0
 
     def command(
@@ -50,15 +50,15 @@ class TorqueLoop:
         supply_pressure: np.ndarray | float,
         rests: np.ndarray | bool = False,
     ) -> np.ndarray:
-        """Valve commands in [-1, 1], (joints,).
+        """Computes the valve commands in [-1, 1], (joints,).
 
         Args:
-            torque: Wanted [N m], (joints,).
+            torque: Wanted torques [N m], (joints,).
             position: Measured [rad], (joints,).
             velocity: Measured [rad/s], (joints,).
             pressure: Measured, cap and rod side [Pa], (2, joints).
             supply_pressure: Measured [Pa], one or (joints,).
-            rests: Joints whose machine is left alone, (joints,) of bool.
+            rests: Joints of machines that are not stepped: no integration, (joints,) of bool.
         """
         data = self._model.data
         lever, piston = self._model.geometry(position)
@@ -71,7 +71,7 @@ class TorqueLoop:
         return spool.clip(-1.0, 1.0)
 
     def of(self, torque: np.ndarray, now: Measurement) -> np.ndarray:
-        """As `command`, by a measurement that has pressures."""
+        """Computes `command` from the readings of a measurement that has pressures."""
         assert now.pressure_a is not None
         assert now.pressure_b is not None
         assert now.supply_pressure is not None

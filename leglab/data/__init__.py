@@ -1,4 +1,4 @@
-"""Recordings in files: the suffix picks the format, or its name does."""
+"""Reading and writing of recordings in files of several formats."""
 
 from collections.abc import Mapping
 from copy import copy
@@ -44,8 +44,8 @@ __all__ = [
 ]
 
 # A format has `read_table(path, left_out, columns)`, which returns arrays of shape (n,) by column
-# name and the metadata, and of the map uses what cannot be known from the file;
-# `write(recording, path)`; `losses(recording)` where more than metadata is lost.
+# name and the metadata, and uses the map only for settings that the file does not determine;
+# `write(recording, path)`; `losses(recording)` if it loses more than metadata.
 _MODULES = {"parquet": parquet, "csv": csv, "mcap": mcap, "matlab": matlab, "sysid": sysid}
 SUFFIXES = tuple(contents.SUFFIXES)
 """Suffixes of files that `read` knows."""
@@ -68,15 +68,15 @@ def read(
     Args:
         path: A `.parquet`, `.csv`, `.mat` or `.npz` file, a `.mcap` file with joint states, the
             folder of a ROS 2 bag, or a dataset of LeRobot.
-        columns: How the columns of the file are called here, and their units: a map, or its file.
-        repair: Whether what can be repaired without inventing data is: exact repetitions of a row
-            and empty rows at the end are dropped, and noted in the metadata under "repairs".
-        partial: Whether columns that cannot be read (text, of another length, there twice) are left
-            out, with the reason by column in the metadata under "unreadable", instead of refusing
-            the file.
-        salvage: Whether what is whole of a broken file is read, with a line in the metadata under
-            "salvaged" that counts what is lost, instead of refusing the file.
-        recording: Which one of a file with several, by its name in `read_all`.
+        columns: Map from the file's column names and units to leglab's, or the map's file.
+        repair: Whether to drop exact repetitions of a row and empty rows at the end (no data are
+            invented); the metadata lists them under "repairs".
+        partial: Whether to leave out columns that cannot be read (text, different length,
+            duplicate), with the reason by column in the metadata under "unreadable", instead of
+            rejecting the file.
+        salvage: Whether to read the intact parts of a broken file, with a line in the metadata
+            under "salvaged" that counts the losses, instead of rejecting the file.
+        recording: Name, as in `read_all`, of the recording to read from a file with several.
 
     Raises:
         LeglabError: There is no such file, it cannot be read, it holds several recordings and none
@@ -103,7 +103,7 @@ def read_all(
     """Reads all recordings of a file or folder, as `read` reads one.
 
     Returns:
-        Recordings by name; "" is the name of one that is alone in its file.
+        Recordings by name; the only recording of a file has the name "".
     """
     tables = read_tables(path, columns=columns, partial=partial, salvage=salvage)
     return {
@@ -122,7 +122,7 @@ def read_tables(
 ) -> dict[str, tuple[dict, dict]]:
     """Reads the columns of all recordings, as `read` does, without checking their values.
 
-    Where `timed`, a file without a column `time` is refused.
+    If `timed`, a file without a column `time` is rejected.
 
     Returns:
         Arrays of shape (n,) by column name, for `inspect`, and the metadata, by the recording's
@@ -145,7 +145,7 @@ def read_tables(
                 raise RecordingError("metadata 'alignment' or 'repairs' is no list")
     except LeglabError as error:
         raise error.at(path) from error
-    # Whatever the libraries trip over, the cause is the file.
+    # Any other error of the libraries is caused by the file.
     except Exception as error:
         told = f"{path}: not a complete {path.suffix or form} file: {first_line(error)}"
         raise FileError(told, given=path) from error
@@ -169,7 +169,7 @@ def _usable(
     left_out: LeftOut,
     timed: bool,
 ) -> tuple[dict, dict]:
-    """A table as it was read, with our names, units and time."""
+    """Converts a table as it was read to leglab's names, units and time axis."""
     is_timed, columns = isinstance(table, Timed), columns or ColumnMap()
     table = columns.apply(table, source, left_out)
     given = columns.time if "time" in table else None
@@ -193,17 +193,17 @@ def write(
     """Writes a recording; an existing file is replaced as a whole or left as it was.
 
     Args:
-        recording: To write. `losses` says what the format cannot hold.
+        recording: Recording to write; `losses` lists what the format cannot hold.
         path: The file.
-        form: One of `FORMATS`; None: what the suffix says.
-        scene: The machine that moves, from `leglab.machine.scene.scene_of`; MCAP shows it.
+        form: One of `FORMATS`; None for the format of the suffix.
+        scene: The moving machine, from `leglab.machine.scene.scene_of`; only MCAP can hold it.
 
     Returns:
         The path.
 
     Raises:
-        LeglabError: Suffix or format is not known, the format does not allow what the recording
-            holds, or the folder cannot be written to.
+        LeglabError: Suffix or format is not known, the format cannot hold the recording, or the
+            folder cannot be written to.
     """
     path = Path(path)
     module = _module(path, form)
@@ -215,10 +215,10 @@ def write(
 
 
 def losses(recording: Recording, path: str | Path, form: str | None = None) -> tuple[str, ...]:
-    """Returns what would not survive writing, one phrase each; nothing for most formats.
+    """Returns phrases for the parts of a recording lost in writing; none for most formats.
 
     Args:
-        recording: To write.
+        recording: Recording to write.
         path: The file.
         form: See `write`.
 
@@ -228,7 +228,7 @@ def losses(recording: Recording, path: str | Path, form: str | None = None) -> t
     module = _module(Path(path), form)
     if hasattr(module, "losses"):
         return module.losses(recording)
-    # Of the others these hold nothing but numbers.
+    # Formats that hold nothing but numbers lose the metadata.
     return ("metadata",) if recording.metadata and module in (csv, sysid) else ()
 
 

@@ -1,4 +1,4 @@
-"""Series with clocks of their own, brought onto one."""
+"""Resampling of series with different clocks to one clock."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut
 
-# A pause this many times the usual interval is a gap that no value is drawn across: above the
-# jitter of a topic on a busy computer, where single messages come one or two periods late.
+# A pause of this many usual intervals is a gap without interpolation. It exceeds the jitter of a
+# topic on a busy computer, where single messages come one or two periods late.
 _GAP = 3.5
 
 
 @dataclass(frozen=True, eq=False)
 class TopicSeries:
-    """The numbers of one topic, or of one variable of a workspace."""
+    """Numbers of one topic, or of one variable of a workspace, with their time stamps."""
 
     topic: str  #: The topic, or the variable
     stamps: np.ndarray  #: Time of each message [ns]. Shape (m,), int64.
@@ -35,19 +35,19 @@ class TopicSeries:
 def on_clock(
     series: Iterable[TopicSeries], clock: TopicSeries, columns: ColumnMap, left_out: LeftOut
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Brings series onto the clock of one of them.
+    """Resamples series to the clock of one of them.
 
-    Columns that the map, or without a map the file, calls `..._command` hold their last value; all
-    others are drawn linearly.
+    Columns named `..._command` by the map, or by the file without a map, hold their last value; all
+    others are interpolated linearly.
 
     Args:
-        series: The others.
-        clock: Its stamps are the rows.
-        columns: Says which series are commands, and which ones must be there.
-        left_out: Gets columns that are there twice, or have no value.
+        series: The other series.
+        clock: Series whose stamps become the rows.
+        columns: Map with the names that identify commands; its columns must overlap with the clock.
+        left_out: Gets duplicate columns and those with errors.
 
     Returns:
-        Arrays of shape (n,) by column name, the clock's first, and what was done in lines.
+        Arrays of shape (n,) by column name, the clock's first, and notes on the resampling.
 
     Raises:
         RecordingError: Stamps go backwards, or a column of the map shares no time with the clock.
@@ -80,10 +80,10 @@ def on_clock(
 
 
 def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
-    """Values of one column on a clock, (n,), whose stamps are in any order.
+    """Resamples one column to a clock, (n,), whose stamps may be in any order.
 
-    The last one holds, or they are drawn linearly between neighbours. NaN before the first message,
-    and where they are drawn after the last one and in gaps.
+    Values are held (zero-order hold) or interpolated linearly. They are NaN before the first
+    message, and with interpolation also after the last one and in gaps.
     """
     stamps, values = series.stamps, series.columns[name]
     if np.array_equal(stamps, clock):
@@ -94,7 +94,7 @@ def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -
         told = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
         told += f"comes after {stamps[row - 1]} ns: stamps must not go backwards"
         raise RecordingError(told, given=int(stamps[row]))
-    latest = np.append(interval > 0, True)  # Of several messages at one time the last one counts.
+    latest = np.append(interval > 0, True)  # The last of several messages with one stamp counts.
     stamps, values = stamps[latest], values[latest]
     before = np.searchsorted(stamps, clock, side="right") - 1
     if hold:

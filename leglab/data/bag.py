@@ -1,4 +1,4 @@
-"""Messages of bags, MCAP or sqlite3, and the numbers in them."""
+"""Messages of bags (MCAP or sqlite3) and the numbers in them."""
 
 import io
 import mmap
@@ -23,7 +23,7 @@ from leglab.data.alignment import TopicSeries
 from leglab.data.files import LeftOut, first_line
 from leglab.data.ros_messages import DEFINITIONS, numbers, supported
 
-METADATA_NAME = "leglab"  # Our metadata record, with JSON under the key "metadata"
+METADATA_NAME = "leglab"  # leglab's metadata record, with JSON under the key "metadata"
 _SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 
 
@@ -32,14 +32,14 @@ class Bag:
     """The content of the files of a recording."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)  #: Message definitions by id
-    channels: dict[int, Channel] = field(default_factory=dict)  #: By id; several have one topic
+    channels: dict[int, Channel] = field(default_factory=dict)  #: By id; a topic may have several
     messages: list[Message] = field(default_factory=list)  #: Of supported types, in file order
-    metadata: dict = field(default_factory=dict)  #: Of the recording, if it was written here
+    metadata: dict = field(default_factory=dict)  #: Of the recording, if leglab wrote it
     lost: list[str] = field(default_factory=list)  #: One line for each damaged or missing part
-    offset: int = 0  #: Of the ids of a file, 16 bits, which each file counts anew
+    offset: int = 0  #: Added to the 16-bit ids of the present file, as each file starts at 0
 
     def take(self, record: object) -> None:
-        """Keeps a record that says or holds something."""
+        """Stores a record if it is a schema, channel, supported message or leglab's metadata."""
         # The summary at the end repeats schemas and channels: the first ones count.
         if isinstance(record, Schema):
             record.id += self.offset
@@ -49,7 +49,7 @@ class Bag:
             self.channels.setdefault(record.id, record)
         elif isinstance(record, Message):
             record.channel_id += self.offset
-            # The channel of a broken chunk is at the end.
+            # If its chunk is broken, the channel's record follows in the summary at the end.
             if record.channel_id not in self.channels or supported(self.kind(record.channel_id)):
                 self.messages.append(record)
         elif isinstance(record, Metadata) and record.name == METADATA_NAME:
@@ -63,11 +63,11 @@ class Bag:
 
 
 def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
-    """Reads whole files, the parts of one recording, of which `lost` counts what is not whole.
+    """Reads all files of one recording; `lost` of the result lists damaged parts.
 
     Args:
-        paths: MCAP or sqlite3 files, packed by zstd where they end on `.zstd`.
-        salvage: Whether what is whole of broken files is read.
+        paths: MCAP or sqlite3 files, compressed by zstd if they end on `.zstd`.
+        salvage: Whether to read the intact parts of broken files.
 
     Raises:
         LeglabError: A file is truncated, a checksum is wrong, or it is no bag.
@@ -77,7 +77,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
         bag.offset, before = 2**16 * index, (len(bag.messages), len(bag.channels))
         try:
             with path.open("rb") as file:
-                # Mapped: `read` allocates no more than there is, whatever a broken record says.
+                # Mapped, so that a broken record's length cannot make `read` allocate more.
                 stream: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             if path.suffix == ".zstd":
                 packed = ZstdDecompressor().stream_reader(stream, read_across_frames=True)
@@ -87,7 +87,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
             else:
                 stream.seek(0)
                 _scan_mcap(stream, bag, path.name, salvage)
-        # Whatever the decompressors and parsers trip over, the cause is the file.
+        # Any error of the decompressors and parsers is caused by the file.
         except Exception as error:
             ends = isinstance(error, EndOfFile | struct.error)
             why = "it ends; is the file truncated?" if ends else first_line(error)
@@ -103,7 +103,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
 
 def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
     chunks, broken, missing, whole = 0, 0, 0, True
-    # Of a broken file the checksum of all is wrong; those of its chunks are checked one by one.
+    # The checksum of a broken file as a whole is wrong; those of its chunks are checked singly.
     for record in StreamReader(stream, validate_crcs=not salvage, emit_chunks=True).records:
         if isinstance(record, Chunk):
             chunks, whole = chunks + 1, True
@@ -124,10 +124,10 @@ def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
     database = sqlite3.connect(":memory:")
-    # Versions 2 of the format mean a log beside the file, which a bag that was closed has not.
+    # Format versions 2 stand for a write-ahead log in a separate file, absent in a closed bag.
     database.deserialize(content[:18] + b"\1\1" + content[20:])
     definitions = {kind: ("ros2msg", text) for kind, text in DEFINITIONS.items()}
-    with suppress(sqlite3.OperationalError):  # There are definitions from ROS 2 Iron on.
+    with suppress(sqlite3.OperationalError):  # The table exists from ROS 2 Iron on.
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         definitions |= {kind: (form, text) for kind, form, text in database.execute(query) if text}
     query = "SELECT id, name, type, serialization_format FROM topics"
@@ -136,7 +136,7 @@ def _scan_sqlite(content: bytes, bag: Bag) -> None:
         bag.take(Schema(id=number, data=text.encode(), encoding=form, name=kind))
         bag.take(Channel(number, topic, encoding, {}, number))
     for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
-        bag.take(Message(int(number), int(time), data, 0, 0))  # The columns take any type.
+        bag.take(Message(int(number), int(time), data, 0, 0))  # sqlite columns hold any type.
 
 
 def decode(
@@ -145,9 +145,9 @@ def decode(
     """Decodes all messages; those of a topic in the order of their log times.
 
     Args:
-        bag: Of the file.
-        clock_topic: The JointState topic that gives the time axis; it may have no message.
-        wanted_stamps: "header", where there are any, or "log".
+        bag: Content of the files.
+        clock_topic: The JointState topic of the time axis; it may have no message.
+        wanted_stamps: "header" for header stamps if there are any, or "log".
         left_out: Gets topics other than the clock's that cannot be decoded.
 
     Raises:
@@ -168,14 +168,14 @@ def decode(
                 forms = f"{channel.message_encoding!r} with a definition in {schema.encoding!r}"
                 raise ValueError(f"encoded as {forms}; allowed: 'cdr' with 'ros2msg'")
             data = message.data
-            if data.startswith(_ZSTD):  # No message that is not packed does.
+            if data.startswith(_ZSTD):  # No uncompressed message starts with these bytes.
                 data = ZstdDecompressor().decompressobj().decompress(data)
             content = decoder(data)
             header = getattr(content, "header", None)
             stamp = header and int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
             found = numbers(schema.name, content, topic, topic == clock_topic)
             of_topic.append((message.log_time, stamp, found))
-        # Definitions come from the file too, so that anything can go wrong in decoding.
+        # Definitions come from the file, so that decoding can raise any exception.
         except Exception as error:
             if left_out.salvage:
                 undecoded.setdefault(topic, []).append(first_line(error))
@@ -193,7 +193,7 @@ def decode(
 
 def _series(topic: str, rows: list, wanted_stamps: str) -> TopicSeries:
     log, header = [row[0] for row in rows], [row[1] for row in rows]
-    # A header that nobody filled in has zeros.
+    # The stamps of headers that were not filled in are zero.
     by_header = wanted_stamps == "header" and None not in header and (any(header) or header == log)
     stamps = np.array(header if by_header else log, dtype=np.int64)
     names = dict.fromkeys(name for row in rows for name in row[2])

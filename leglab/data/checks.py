@@ -1,4 +1,4 @@
-"""The gate for dirty data: what is wrong with a table, where, and what is safe to repair."""
+"""Checks of raw data: defects of a table, their location, and safe repairs."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ import numpy as np
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
-# Times the usual interval: between 1 (no sample lost) and 2 (one lost), with room for jitter.
+# Smallest gap in usual intervals: between 1 (no sample lost) and 2 (one lost), to allow for jitter.
 _GAP = 1.5
 
 MAP_HINT = "--columns FILE says what the columns are called here (docs/guides/recordings.md)"
 """Where to go with columns that have other names."""
 
-# Kinds that leave no valid time axis: nothing can be computed before they are dealt with.
+# Kinds of findings without a valid time axis: they must be repaired before any computation.
 _FATAL = frozenset({"empty", "no_time", "missing_time", "repeated_time", "reversed_time"})
 
 
@@ -53,12 +53,12 @@ def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
 def drop_redundant_rows(
     table: Mapping[str, np.ndarray],
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Drops rows that hold nothing: exact repetitions of the row before, empty rows at the end.
+    """Drops rows without information: exact repetitions of the row before, empty rows at the end.
 
-    Nothing is invented: no value is interpolated, no row is moved.
+    No data are invented: no value is interpolated, no row is moved.
 
     Returns:
-        Arrays of shape (m,) by column name, and one line for each kind of repair that was made.
+        Arrays of shape (m,) by column name, and one line for each kind of repair made.
     """
     filled = ~np.isnan(np.column_stack(list(table.values()))).all(axis=1)
     keep = np.logical_or.accumulate(filled[::-1])[::-1]
@@ -78,16 +78,16 @@ def to_recording(
 ) -> Recording:
     """Builds a recording from arrays of shape (n,) by column name, `time` among them.
 
-    Safe repairs, if they are to be made, are noted in the metadata under "repairs".
+    If `repair`, safe repairs are made and listed in the metadata under "repairs".
 
     Raises:
-        RecordingError: The time axis is not valid; the first reason is given, and how many more.
+        RecordingError: The time axis is not valid; names the first reason and counts the others.
     """
     if repair:
         table, notes = drop_redundant_rows(table)
         if notes:
             metadata = {**metadata, "repairs": [*metadata.get("repairs", ()), *notes]}
-    # Where repeated rows have been dropped, none is left.
+    # Repeated rows remain only without repair.
     fatal = [
         finding for finding in inspect(table) if finding.fatal or finding.kind == "repeated_row"
     ]
@@ -135,12 +135,12 @@ def _inspect_column(name: str, samples: np.ndarray) -> Iterator[Finding]:
 
 
 def _repeated_rows(table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Returns which rows equal the row before in every column, NaN being equal to NaN."""
+    """Tests which rows equal the row before in every column; NaN equals NaN."""
     same = np.arange(table["time"].size) > 0
     for samples in table.values():
         one, two = samples[:-1], samples[1:]
         same[1:] &= (one == two) | (np.isnan(one) & np.isnan(two))
-    # Without a time stamp nothing says that two rows are one sample.
+    # Without a time stamp, equal rows may be different samples.
     return same & ~np.isnan(table["time"])
 
 

@@ -12,17 +12,17 @@ from leglab.data.time_column import time_column
 from leglab.data.units_in_names import split
 
 _SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Rates of machines' logs [Hz], from 10 Hz to 20 kHz with room for drift: below, a joint moves on
-# unseen between two rows (25 Hz are slow already); above, no controller of a drive runs. Seconds in
-# whole numbers are never faster than 1 Hz; fractional stamps at 1 Hz or more are in seconds.
+# Plausible rates of machines' logs [Hz], 10 Hz to 20 kHz with a margin for drift: more slowly, rows
+# miss motion between them (25 Hz is slow already); no controller of a drive is faster. Integer
+# seconds are never faster than 1 Hz; fractional stamps at 1 Hz or more are in seconds.
 _LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
-# Stamps from 2000 to 2100 count from 1970, if a row takes no longer than 10 s.
+# Stamps from 2000 to 2100 count from 1970, if the period is at most 10 s.
 _EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
-# Up to here [s], 104 days, seconds in a float64 tell nanoseconds apart. Stamps since 1970 do not,
-# so later recordings begin at 0 s and their start is kept in the metadata.
+# Largest time [s], 104 days, at which seconds in a float64 resolve nanoseconds. Stamps since 1970
+# are larger, so such recordings begin at 0 s and their start is kept in the metadata.
 LAST_EXACT = 2**53 / 1e9
-# The period of rounded stamps must be known to this share: a window of the diagnosis, a few hundred
-# rows, is then off by less than a row.
+# Allowed relative error of the period of rounded stamps: it shifts a window of the diagnosis, a few
+# hundred rows, by less than a row.
 _KNOWN = 1e-3
 
 
@@ -39,26 +39,26 @@ def time_axis(
     given: tuple[str, ColumnRule] | None = None,
     timed: bool = False,
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Brings the time of a table into seconds; all raw columns of all formats pass here.
+    """Converts the time of a table to seconds; used for the raw columns of all formats.
 
-    Readers hand columns over as they are stored: integers, floats of any size, Booleans,
-    datetime64, timedelta64; time of an absolute clock as datetime64, so that no digit is lost.
+    Readers pass columns as they are stored: integers, floats of any size, Booleans, datetime64,
+    timedelta64; time of an absolute clock as datetime64, so that no digit is lost.
 
     Args:
         table: Arrays of shape (n,) by column name.
-        metadata: Of the file.
-        left_out: Gets "time" where it cannot be used.
-        source: Where the table came from, for messages.
-        given: Name and rule of the "time" of the table where a column map names it.
+        metadata: Metadata of the file.
+        left_out: Gets "time" if it cannot be used.
+        source: Origin of the table, for messages.
+        given: Original name and rule of the table's "time" if a column map names it.
         timed: Whether the format defines `time` in seconds.
 
     Returns:
-        Arrays of float64 by column name, "time" in s first where there is one, and the metadata
-        with `start_ns`, ns since 1970, where time was moved to begin at 0, and under "time" what
-        was taken for the time wherever that is not plain.
+        Arrays of float64 by column name, "time" in s first if there is one, and the metadata with
+        `start_ns`, ns since 1970, if time was shifted to begin at 0, and under "time" a remark
+        on the column and unit used unless they are obvious.
 
     Raises:
-        LeglabError: Two columns can be the time, or two units; it does not resolve the rows.
+        LeglabError: Two columns or two units are possible; the time does not resolve the rows.
     """
     table = {n: x.astype(np.int64) if x.dtype.kind in "iu" else x for n, x in table.items()}
     rest = {name: samples for name, samples in table.items() if name != "time"}
@@ -95,13 +95,13 @@ def _in_seconds(
         unit, seconds = f"steps of {rule.factor:g} s", rule.factor
     else:
         unit, seconds = _unit(name, raw)
-    # As the decimal or the whole share that was meant: 1e-3 is one of 1000.
+    # The intended decimal or unit fraction instead of its binary value: 1e-3 is 1/1000.
     factor = Fraction(seconds).limit_denominator(10**12) or Fraction(seconds)
     plain, known = stored not in "Mm" and name == "time" and unit == "s", raw[~missing]
     if not known.size:
         return np.full(raw.size, np.nan), 0, ""
     far = abs(float(known[np.argmax(np.abs(known.astype(np.float64)))])) * float(factor)
-    # A time of day, which is stored as one since midnight, begins at 0 as well.
+    # A time of day, stored as the time since midnight, is shifted to begin at 0 as well.
     first = known.min() if far > LAST_EXACT or stored == "m" else known.dtype.type(0)
     time = raw - first if raw.dtype.kind != "f" else raw.astype(np.float64) - float(first)
     scale = 1 / factor
@@ -117,7 +117,7 @@ def _in_seconds(
 
 
 def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
-    """The unit that the name has, else the one that gives a plausible rate, and its seconds."""
+    """Returns the unit in the name, else the one with a plausible rate, and its value in s."""
     named = split(f"t {name}") if split(name).si != "s" else split(name)
     if named.si == "s":
         return named.unit, named.factor
@@ -130,7 +130,7 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
     early = [unit for unit, start in starts.items() if start <= _EPOCH[1]]
     fraction = "s" in early and bool((known != np.rint(known)).any())
     epoch = [unit for unit in early if starts[unit] >= _EPOCH[0]]
-    if raw.dtype != np.float32:  # It hides the rate.
+    if raw.dtype != np.float32:  # Its rounding hides the rate.
         epoch = [unit for unit in epoch if rates[unit] >= _LEAST_OF_EPOCH]
     fits = [unit for unit in early if _LEAST <= rates[unit] <= _MOST]
     fits = [unit for unit in fits if unit in epoch] or list(dict.fromkeys(fits + epoch))
@@ -153,9 +153,9 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
 def _straight(
     name: str, raw: np.ndarray, time: np.ndarray, factor: float, moved: np.ndarray
 ) -> tuple[np.ndarray, str]:
-    """Returns the time of an even clock whose stamps are rounded so far that they hide the rate.
+    """Replaces stamps of an even clock by a straight line if their rounding hides the rate.
 
-    `moved`, (n - 1,), is where a row has other values than the row before.
+    `moved`, (n - 1,), is true where the other columns differ from those of the row before.
     """
     short, steps = raw.dtype.kind == "f" and raw.dtype.itemsize < 8, np.diff(time)
     if time.size < 3 or not np.isfinite(time).all():
@@ -172,7 +172,7 @@ def _straight(
     period = float(line[1] - line[0])
     told = f"float{8 * raw.dtype.itemsize}" if short else "it"
     told += f" resolves {resolved:.3g} s at {largest:.3g}"
-    # A tick lies half a step from its stamp, and a little more from a line through stamps.
+    # A true time is at most half a step from its stamp, and slightly more from the fitted line.
     even = np.abs(time - line).max() <= 0.75 * resolved
     if even and 0 < resolved / np.sqrt(time.size) <= _KNOWN * period * time.size:
         return line, f" ({told}; the rows are even: straightened)"
@@ -189,14 +189,14 @@ def _straight(
 
 
 def straight_line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Returns the straight line of times over the numbers of ticks, at the ticks, (n,) all."""
+    """Fits a straight line to times over tick numbers and returns it at the ticks; all (n,)."""
     centred = ticks - ticks.mean()
     slope, level = np.polyfit(centred, time - time[0], 1)
     return time[0] + level + slope * centred
 
 
 def usual_step(time: np.ndarray) -> float:
-    """Returns the usual step of stamps, (n,), forward, free of their rounding; 0 without one."""
+    """Returns the usual forward step of stamps, (n,), with rounding averaged out; 0 if none."""
     forward = np.diff(time)
     forward = forward[forward > 0]
     if not forward.size:
@@ -206,14 +206,14 @@ def usual_step(time: np.ndarray) -> float:
 
 
 def _moved(table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Where a row has other values than the row before, (n - 1,)."""
+    """Tests which rows differ from the row before, (n - 1,)."""
     changes = [(x[1:] != x[:-1]) & ((x == x)[1:] | (x == x)[:-1]) for x in table.values()]
     equal = len({change.shape for change in changes}) == 1
     return np.any(changes, axis=0) if equal else np.zeros(1, dtype=bool)
 
 
 def _floats(samples: np.ndarray, start: int) -> np.ndarray:
-    """Float64 of a column; further clocks are in s since the recording's start."""
+    """Converts a column to float64; further clocks to seconds since the recording's start."""
     if samples.dtype.kind not in "Mm":
         return samples.astype(np.float64)
     ticks = samples.astype(f"{samples.dtype.kind}8[ns]")

@@ -1,4 +1,4 @@
-"""A column map: how the columns of somebody else's recordings are called here, and their units."""
+"""Column maps: leglab's names and units for the columns of other programs' recordings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -65,7 +65,7 @@ class ColumnMap:
                 raise SettingsError(told, given=rule.name, allowed="one column for a name")
 
     def name_of(self, theirs: str) -> str:
-        """Returns the name here of a column of the recording."""
+        """Returns leglab's name of a column of the recording."""
         return self.rules[theirs].name if theirs in self.rules else theirs
 
     @property
@@ -76,13 +76,13 @@ class ColumnMap:
     def apply(
         self, table: Mapping[str, np.ndarray], source: str, left_out: LeftOut
     ) -> dict[str, np.ndarray]:
-        """Renames and converts arrays of shape (n,); columns without a rule are as they were.
+        """Renames and converts arrays of shape (n,); columns without a rule stay unchanged.
 
         Args:
-            table: By column name, as measured.
-            source: Where the table came from, for messages.
-            left_out: Columns that could not be read; gets those by our names, and columns of the
-                map that are not there.
+            table: Measured columns by name.
+            source: Origin of the table, for messages.
+            left_out: Columns that could not be read; gets, by leglab's names, the columns of the
+                map that are missing or duplicate.
 
         Raises:
             LeglabError: A column of the map is not in the table, or two columns get one name.
@@ -90,7 +90,7 @@ class ColumnMap:
         missing = [theirs for theirs in self.rules if theirs not in table]
         if left_out.partial:
             for theirs in missing:
-                # Of the column, or of the topic that it is a part of.
+                # Reasons for the column, or for the topic that it belongs to.
                 reasons = (
                     why
                     for name, why in left_out.items()
@@ -116,9 +116,9 @@ class ColumnMap:
                 way = f"{theirs!r}; allowed: give the other one a rule with another name"
                 left_out.add(name, RecordingError(told + way, given=theirs))
             rule = self.rules.get(theirs)
-            # The time's factor counts where no digit is lost: in `time_axis`.
+            # `time_axis` applies the time's factor, without losing digits.
             if rule and name != "time" and (rule.factor, rule.offset) != (1.0, 0.0):
-                with np.errstate(over="ignore"):  # A huge sample becomes infinite; `inspect` tells.
+                with np.errstate(over="ignore"):  # `inspect` reports samples that overflow.
                     samples = rule.factor * samples + rule.offset
             mapped[name] = samples
         return {name: samples for name, samples in mapped.items() if name not in left_out}
@@ -128,8 +128,8 @@ def read_column_map(path: str | Path) -> ColumnMap:
     """Reads a column map from a TOML file.
 
     The table `columns` holds `their_name = "our_name"` or
-    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; beside it those of
-    `MapSettings` may stand.
+    `their_name = {name = "our_name", factor = 0.0174533, offset = 0.0}`; the file may also hold
+    the settings of `MapSettings`.
 
     Raises:
         LeglabError: The file cannot be read, or an entry is not allowed; names file, key, value

@@ -1,4 +1,4 @@
-"""From Arrow tables to plain arrays, the same for every format."""
+"""Conversion of Arrow tables to arrays, shared by all formats."""
 
 import re
 from collections import Counter
@@ -19,7 +19,7 @@ _LIST = re.compile(r"^\s*[\[(](.*)[\])]\s*$")
 def to_arrays(
     table: pa.Table, path: Path, left_out: LeftOut, *, decimal: str = "."
 ) -> dict[str, np.ndarray]:
-    """Returns an Arrow table as arrays of numbers and times, (n,), by column name.
+    """Converts an Arrow table to arrays of numbers and times, (n,), by column name.
 
     Empty cells become NaN or NaT; `decimal` is the decimal sign of numbers in text.
 
@@ -78,7 +78,7 @@ def _is_list(kind: pa.DataType) -> bool:
 
 
 def _elements(column: pa.ChunkedArray) -> np.ndarray | None:
-    """Numbers of lists of one length, (n, length), of nested ones in a row; None for others."""
+    """Returns lists of equal length as array (n, length), nested ones flattened; else None."""
     lengths = pc.unique(pc.list_value_length(column).drop_null()).to_pylist()
     if len(lengths) != 1 or not lengths[0]:
         return None
@@ -94,14 +94,14 @@ def _elements(column: pa.ChunkedArray) -> np.ndarray | None:
 
 def _is_number(text: object, decimal: str) -> bool:
     try:
-        float(str(text).replace(decimal, "."))  # Not of a bool, whose name is no number.
+        float(str(text).replace(decimal, "."))  # As text, so that a bool is no number.
     except ValueError:
         return False
     return True
 
 
 def _lists(column: pa.ChunkedArray) -> np.ndarray | None:
-    """Numbers of cells that hold lists of one length, (n, length); None where one does not."""
+    """Parses cells with lists of equal length to an array (n, length); None for other cells."""
     try:
         insides = [cell and _LIST.findall(cell)[0].strip(",; ") for cell in column.to_pylist()]
         rows = [cell and [float(x) for x in re.split(r"[,;\s]+", cell)] for cell in insides]

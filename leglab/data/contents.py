@@ -1,4 +1,4 @@
-"""Which format a file or folder has: its first bytes say so, else its suffix."""
+"""Detection of the format of a file or folder by its first bytes, else by its suffix."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ _MAGIC = {
     b"\x93NUMPY": "npy",
     b"#ROSBAG": "bag 1",
 }
-# Formats that are not read, each with a converting command; {0} is the file, {1} its stem.
+# Formats that leglab does not read, with a command to convert them; {0} is the file, {1} its stem.
 _WAYS_OUT = {
     "hdf5": "HDF5 is not read; convert: python -c \"import h5py, numpy; f = h5py.File('{0}'); d = "
     "{{}}; f.visititems(lambda n, x: d.update({{n: x[()]}}) if isinstance(x, h5py.Dataset) else "
@@ -56,14 +56,14 @@ def form_at(path: Path) -> str:
     """Returns the format of a file or folder.
 
     Raises:
-        LeglabError: It cannot be read, or its format is not known or not read; says what to do.
+        LeglabError: It cannot be read, or its format is unknown or unsupported; names a remedy.
     """
     if path.is_dir():
         return form_of_folder(path) or "mcap"
     head = read_bytes(path, 16)
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     form = next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
-    if form == "zip":  # Of NumPy, unless the suffix is Excel's.
+    if form == "zip":  # A NumPy archive, unless the suffix is Excel's.
         form = "excel" if suffixes[-1:] in ([".xlsx"], [".xlsm"]) else None
     elif form == "gzip" and any(SUFFIXES.get(suffix) == "csv" for suffix in suffixes):
         form = "csv"
@@ -79,7 +79,7 @@ def form_at(path: Path) -> str:
 
 
 def format_of(path: str | Path) -> str:
-    """Returns the format that the suffix of a file stands for.
+    """Returns the format for the suffix of a file.
 
     Raises:
         LeglabError: The suffix is not known.

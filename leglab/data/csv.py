@@ -1,4 +1,4 @@
-"""Recordings as CSV and other text: a line of column names, then one line a sample."""
+"""Recordings as CSV and other text: a line of column names, then one line per sample."""
 
 from pathlib import Path
 
@@ -22,11 +22,11 @@ _FALSE = [word for w in ("false", "off", "no") for word in (w, w.capitalize(), w
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads all columns of a text with cells, gzip or not. Row 0 is the first after the names.
+    """Reads all columns of delimited text, also with gzip. Row 0 is the first after the names.
 
     Raises:
-        LeglabError: A line has too few or too many cells (as the last one of a truncated file), or
-            a cell is not a number; names the row.
+        LeglabError: A line has too few or too many cells (e.g. the last one of a truncated file),
+            or a cell is not a number; names the row.
     """
     settings = (columns or ColumnMap()).settings
     text = decoded(read_bytes(path), settings.encoding)
@@ -41,7 +41,7 @@ def read_table(
 
     table = pc.read_csv(
         pa.BufferReader(found.body.encode()),
-        # One thread: only then are invalid rows numbered.
+        # Invalid rows have numbers only with a single thread.
         read_options=pc.ReadOptions(use_threads=False, column_names=found.names),
         parse_options=pc.ParseOptions(
             delimiter="\t" if found.separator == " " else found.separator,
@@ -64,7 +64,7 @@ def read_table(
             way = "; is the file truncated? --salvage leaves such rows out"
             raise FileError(f"{path}: {told}{way}", given=path)
         metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {told}"]
-    # Of a comma too many at the end of each line.
+    # An extra comma at the end of each line gives an empty, unnamed column.
     filled = [x.null_count < len(x) for x in table.columns]
     kept = [
         i for i, name in enumerate(found.names) if filled[i] or not name.startswith("Unnamed: ")

@@ -1,7 +1,7 @@
 """Layout of a table in text: encoding, separator, decimal sign, lines before the first row.
 
-DuckDB's sniffer takes the longest uniform run from the first line on, which a head of several lines
-(dSPACE, LabVIEW, oscilloscopes) or blanks as separators defeat; here the rows tell, from their end.
+DuckDB's sniffer takes the longest uniform run from the first line on and fails for heads of several
+lines (dSPACE, LabVIEW, oscilloscopes) and for blanks as separators; this one uses the last rows.
 """
 
 import codecs
@@ -26,26 +26,26 @@ MISSING = ["", "-", "--", "nan", "NaN", "NAN", "null", "NULL", "Null", "None", "
 _BLANKS = " "
 _SEPARATORS = ",;\t|" + _BLANKS
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(?i:inf|infinity)\s*")
-# Booleans and lists are samples, too, as are dates and times of day.
+# Booleans and lists are samples, too, and so are dates and times of day (`TIME`).
 _SAMPLE = re.compile(r"(?i:true|false|on|off|yes|no)|[\[(]\s*[-+.]?\d.*[\])]")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _COMMENT = re.compile(r"\s*[#%;!]+\s?")
-# A head is no longer, and the rows that tell the separator are no more.
+# Largest length of a head [characters], and most rows from which the separator is detected.
 _HEAD, _ROWS = 1_000_000, 100
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How to read the rows of a text."""
+    """Layout of the rows of a text."""
 
-    separator: str  #: One letter; a blank for any number of blanks
+    separator: str  #: One character; a blank stands for any number of blanks
     decimal: str  #: "." or ","
-    names: tuple[str, ...]  #: Of the columns, with units that stand below them
+    names: tuple[str, ...]  #: Names of the columns, with units from the line below them
     body: str  #: The text from the first row on, without comments
 
 
 def decoded(content: bytes, encoding: str | None) -> str:
-    """Returns a file's text: UTF-8, UTF-16 with its mark, else Windows' Latin letters."""
+    """Decodes a file's text: UTF-8, UTF-16 with a byte order mark, else Windows-1252."""
     if content.startswith(b"\x1f\x8b"):
         content = gzip.decompress(content)
     if encoding:
@@ -58,11 +58,11 @@ def decoded(content: bytes, encoding: str | None) -> str:
 
 
 def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
-    """Detects separator, decimal sign, names and first row, as far as the settings leave them open.
+    """Detects separator, decimal sign, names and first row, unless the settings give them.
 
     Raises:
-        FileError: Nothing is there, the names do not fit the rows, or commas may be decimal signs
-            or group thousands.
+        FileError: The text is empty, the names do not fit the rows, or it is ambiguous whether
+            commas are decimal signs or group thousands.
     """
     end = len(text) if len(text) <= _HEAD else max(text.rfind("\n", 0, _HEAD), 0)
     lines = [line.rstrip("\r") for line in text[:end].split("\n")[settings.skip :]]
@@ -91,7 +91,7 @@ def dialect(text: str, settings: MapSettings, path: Path) -> Dialect:
             f"leaves the head out: skip = {settings.skip + number + 1}",
             given=path,
         )
-    if at is not None:  # A row with a broken cell is no head.
+    if at is not None:  # A data row with a broken cell does not belong to the head.
         first = next((line.number for line in head[at + 1 :] if line.numbers), first)
     return Dialect(separator, decimal, names, _body(text, settings.skip + first, separator))
 
@@ -108,11 +108,11 @@ class _Line(NamedTuple):
 def _head(
     lines: list[str], separator: str, decimal: str, rows: list[list[str]]
 ) -> tuple[list[_Line], int]:
-    """Filled lines before the first row, comments among them, and that row's number."""
+    """Returns non-empty lines before the first row, including comments, and that row's number."""
     width = len(rows[0])
     samples = [[_is_sample(cell, decimal) for cell in column] for column in zip(*rows, strict=True)]
     solid = [i for i, column in enumerate(samples) if 2 * sum(column) >= len(rows)]
-    # The separator at the end of each row, or of the names alone, opens an empty cell.
+    # A separator at the end of each row, or of the names alone, adds an empty cell.
     ends = not any(row[-1].strip() for row in rows)
     head: list[_Line] = []
     for number, line in enumerate(lines):
@@ -122,7 +122,7 @@ def _head(
         if full and all(_is_sample(cells[i], decimal) for i in solid):
             return head, number
         if line.strip():
-            long = "".join(cells[-1:]).strip().lower() in ("", "comment")  # as LabVIEW has it
+            long = "".join(cells[-1:]).strip().lower() in ("", "comment")  # as LabVIEW writes
             fits = len(cells) in (width, width - ends, width + long)
             numbers = any(_is_number(cell, decimal) for cell in cells)
             head.append(_Line(number, cells, numbers, fits))
@@ -130,7 +130,7 @@ def _head(
 
 
 def _names(head: list[_Line], width: int) -> tuple[int | None, tuple[str, ...]]:
-    """The names' or units' place in the head, None without one, and names with units."""
+    """Returns the last line of the names or units in the head (None: none), and full names."""
     fits = [k for k, line in enumerate(head) if line.fits]
     named = [k for k in fits if not head[k].numbers] or fits[-1:]
     if not named:
@@ -147,7 +147,7 @@ def _names(head: list[_Line], width: int) -> tuple[int | None, tuple[str, ...]]:
 
 
 def _body(text: str, first: int, separator: str) -> str:
-    """The text from a line on, without comments, its blanks as tabs where they separate."""
+    """Returns the text from a line on without comments, with tabs for separating blanks."""
     body = "".join(text.split("\n", first)[first:])
     if re.search(r"^\s*[#%]", body, re.MULTILINE):
         body = "\n".join(line for line in body.splitlines() if not _is_comment(line))
@@ -157,7 +157,7 @@ def _body(text: str, first: int, separator: str) -> str:
 
 
 def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int, list[list[str]]]:
-    """How well rows fall into samples, the usual number of cells, and the cells."""
+    """Returns the share of rows that split into samples, the usual number of cells, the cells."""
     table = [_cells(row, separator) for row in rows]
     width, count = Counter(map(len, table)).most_common(1)[0]
     cells = [cell for row in table if len(row) == width for cell in row]

@@ -1,4 +1,4 @@
-"""What all formats share: columns that cannot be read, and metadata as JSON text."""
+"""Common parts of all formats: a record of unreadable columns, and metadata as JSON text."""
 
 import json
 from collections.abc import Mapping
@@ -8,11 +8,11 @@ from leglab.base.errors import LeglabError
 
 
 class LeftOut(dict[str, str]):
-    """Why columns of a file cannot be read: reasons by column, or by topic where nobody knows them.
+    """Reasons why columns cannot be read, by column, or by topic if its columns are unknown.
 
     Args:
-        partial: Whether such columns are left out; else the file is refused for the first one.
-        salvage: Whether what is whole of a broken file is read; else the file is refused.
+        partial: Whether such columns are left out; else the first one's error is raised.
+        salvage: Whether the intact parts of a broken file are read; else the file is rejected.
     """
 
     def __init__(self, partial: bool, *, salvage: bool = False) -> None:
@@ -20,10 +20,10 @@ class LeftOut(dict[str, str]):
         self.partial, self.salvage = partial, salvage
 
     def add(self, column: str, error: LeglabError) -> None:
-        """Leaves a column out.
+        """Records that a column is left out because of an error.
 
         Raises:
-            LeglabError: The error, where nothing may be left out.
+            LeglabError: The error, if nothing may be left out (`partial` is false).
         """
         if not self.partial:
             raise error

@@ -1,7 +1,7 @@
 """Datasets of LeRobot, layouts v2.1 and v3: episodes in Parquet files, names in meta/info.json.
 
-Layout: huggingface.co/docs/lerobot/lerobot-dataset-v3. An episode is a recording; its `timestamp`
-is the time, and an element of a list is called `<feature>/<name>`.
+Layout: huggingface.co/docs/lerobot/lerobot-dataset-v3. An episode becomes a recording with
+`timestamp` as time; an element of a list becomes a column `<feature>/<name>`.
 """
 
 from pathlib import Path
@@ -16,9 +16,9 @@ from leglab.base.input import read_json
 from leglab.data import parquet
 from leglab.data.files import LeftOut
 
-# Columns that count; all but the time of an episode say where its rows lie in the dataset.
+# Index columns: they locate an episode's rows in the dataset and are not part of the recording.
 _COUNTERS = frozenset(("index", "frame_index", "episode_index", "task_index"))
-# Features that are no numbers.
+# Types of features that are not numeric.
 _PICTURES = ("image", "video", "string", "language")
 
 
@@ -51,7 +51,7 @@ def read_tables(path: Path, left_out: LeftOut) -> dict[str, tuple[dict, dict]]:
 
 
 def is_dataset(path: Path) -> bool:
-    """Returns whether a Parquet file is of a dataset, by its folder or by its columns."""
+    """Tests whether a Parquet file belongs to a dataset, by its folder or by its columns."""
     if _description(path).is_file():
         return True
     try:
@@ -61,7 +61,7 @@ def is_dataset(path: Path) -> bool:
 
 
 def _description(path: Path) -> Path:
-    """Where a dataset is described of which this is the folder, or a file of its folder `data`."""
+    """Returns `meta/info.json` of a dataset, given its folder or a file in its folder `data`."""
     return (path if path.is_dir() else path.resolve().parent.parent.parent) / "meta/info.json"
 
 
@@ -76,7 +76,7 @@ def _features(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _names(given: Any) -> list[str]:
-    """Names of elements: a list, lists by group as {"motors": [...]}, or places by name."""
+    """Returns element names from a list, lists by group {"motors": [...]}, or indices by name."""
     if isinstance(given, dict) and all(isinstance(place, int) for place in given.values()):
         return sorted(given, key=lambda name: given[name])
     parts = given.values() if isinstance(given, dict) else [given or ()]
@@ -84,7 +84,7 @@ def _names(given: Any) -> list[str]:
 
 
 def _rename(table: dict[str, np.ndarray], feature: str, names: list[str]) -> None:
-    # Of one element it is no list.
+    # A feature with one element is stored as a number, not as a list.
     places = [place for place in table if place == feature or place.startswith(f"{feature}[")]
     if len(places) == len(set(names)) == len(names):
         for place, name in zip(places, names, strict=True):

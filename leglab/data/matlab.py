@@ -32,13 +32,13 @@ _KEYWORDS = frozenset(
     | {"global", "if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try"}
     | {"while"}
 )
-# scipy writes the time of day here; the same recording shall give the same bytes.
+# Replaces scipy's header with the time of day, so that equal recordings give equal bytes.
 _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
-# scipy's reader is compiled and trusts the counts in a file: a broken one can end the process, or
-# fill its memory. So it runs in a process of its own, in the room [bytes] of two variables of the
-# format's largest size and a multiple of the file's: compressed zeros take a thousandth.
+# scipy's reader is compiled and trusts the counts in a file: a broken file can crash the process or
+# exhaust its memory. So it runs in a separate process with limited memory [bytes]: two variables of
+# the format's largest size plus a multiple of the file's, as zeros compress to a thousandth.
 _READER = """
 import os, pickle, sys, warnings
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -54,7 +54,7 @@ found = loadmat(sys.argv[1], appendmat=False, simplify_cells=True)
 pickle.dump(found, sys.stdout.buffer, protocol=5)
 """
 _ROOM, _RATIO = 2**32, 20
-_PATIENCE = 60.0  # s, a hundred times what reading takes, and a second more for each MB
+_PATIENCE = 60.0  # time limit [s], 100 times what reading takes, plus a second per MB
 
 # MATLAB commands that convert objects to readable types; {0} is the variable.
 _DATASET = (
@@ -73,9 +73,9 @@ _WAYS_OUT = {
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads a file of ours, or the variables of another, see `leglab.data.variables`.
+    """Reads a file written by leglab, or the variables of any other (`leglab.data.variables`).
 
-    Units other than the usual ones stand in the metadata under "units", variables that are no
+    The metadata list units other than the usual ones under "units", and variables that are no
     samples under "left_out".
 
     Raises:
@@ -117,10 +117,10 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def field_names(names: Iterable[str]) -> dict[str, str]:
-    """Returns a field name that MATLAB allows for every column name; all are different."""
+    """Returns unique field names that MATLAB allows, by column name."""
     names = list(names)
     fields: dict[str, str] = {}
-    # Names that are allowed as they are come first, so that no other one takes them.
+    # Names that need no change come first, so that no changed name takes them.
     for name in sorted(names, key=lambda name: _allowed(name) != name):
         ends = ("", *(f"_{count}" for count in range(2, len(names) + 1)))
         free = (_allowed(name)[: _NAME_LENGTH - len(end)] + end for end in ends)
@@ -175,7 +175,7 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         field = min(missing)
         raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
     table = {"time": _vector(content["time"], "time")}
-    # Columns that somebody added in MATLAB have no other name.
+    # Columns that were added in MATLAB are not in the name map: their field is their name.
     for field in dict.fromkeys((*names, *signals)):
         name = names.get(field, field)
         if name in table:

@@ -25,11 +25,11 @@ from leglab.data.files import LeftOut, to_json
 from leglab.data.scene import Scene
 
 _CLOCK_TOPIC = "/joint_states"
-# Columns of a joint that tell of its cylinder, beside those of its actuator.
+# Columns of a joint that describe its cylinder, in addition to those named after its actuator.
 _HYDRAULIC = frozenset(
     ("pressure_a", "pressure_b", "spool", "oil_temperature", "seal_clearance", "energy_supply")
 )
-# Files of a bag; what is unpacked beside a packed file counts.
+# Files of a bag; an uncompressed file takes precedence over its compressed copy.
 _PARTS = ("*.mcap.zstd", "*.db3.zstd", "*.db3", "*.mcap")
 _PART = re.compile(r"[^\s\"'/]+\.(?:mcap|db3)\b")  # in metadata.yaml
 
@@ -39,12 +39,12 @@ def read_table(
 ) -> tuple[dict[str, np.ndarray], dict]:
     """Reads all topics of supported types, on the clock of the joint states.
 
-    What was done stands in the metadata under "alignment", and `start_ns` where the time axis was
-    moved to 0.
+    The metadata describe the resampling under "alignment" and hold `start_ns` if the time axis was
+    shifted to 0.
 
     Raises:
-        LeglabError: The file is truncated or broken, has no joint states, or a topic that the map
-            names shares no time with them.
+        LeglabError: The file is truncated or broken, has no joint states, or a topic named by the
+            map does not overlap with them in time.
     """
     columns = columns or ColumnMap()
     files, lost = _files_of(path, left_out.salvage)
@@ -67,12 +67,12 @@ def read_table(
 def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
     """Writes a recording: joints as JointState, their other columns as one or two messages.
 
-    Columns of no joint are one topic each. Samples and metadata keep every bit, times are rounded
-    to 1 ns. A scene is written as `/robot_description` and `/tf`; its efforts go to the JointState.
+    A column of no joint has its own topic. Samples and metadata keep every bit, times are rounded
+    to 1 ns. A scene becomes `/robot_description` and `/tf`, its efforts go to the JointState.
 
     Raises:
         LeglabError: The folder cannot be written to, times do not fit into ROS stamps, or a column
-            is called like the JointState topic.
+            has the name of the JointState topic.
     """
     scaled = np.rint(recording.time * 1e9)
     if scaled[0] < 0 or scaled[-1] >= 2**31 * 1e9:  # Seconds in the header are an int32.
@@ -88,7 +88,7 @@ def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
 
 
 def losses(recording: Recording) -> tuple[str, ...]:
-    """Returns what the format cannot hold."""
+    """Returns phrases for the parts of a recording that the format cannot hold."""
     count = np.sum(np.rint(recording.time * 1e9) / 1e9 != recording.time)
     return (f"{count} times are rounded to 1 ns",) if count else ()
 
@@ -122,10 +122,10 @@ def _write(recording: Recording, stamps: list[int], stream: BinaryIO, scene: Sce
 def _topics(
     recording: Recording, units: Mapping[str, str], efforts: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[str, str, str, dict[str, list]]]:
-    """Yields topic, type of message and its definition, and samples by its fields.
+    """Yields topics with message type, message definition, and samples by field.
 
-    What belongs to the hydraulics or the drive of a joint goes to `/<joint>/hydraulics`, all else
-    of the joint to `/<joint>/control`; where there is one column alone it keeps its own topic.
+    Columns of a joint's hydraulics or drive go to `/<joint>/hydraulics`, the joint's other columns
+    to `/<joint>/control`; a topic with a single column is named after the column instead.
     """
     joints = list(recording.joints)
     known = {**recording.columns, **{f"{joint}_effort": x for joint, x in efforts.items()}}
@@ -159,7 +159,7 @@ def _topics(
 
 
 def _transforms(scene: Scene, index: int, stamp: int) -> dict[str, Any]:
-    """Message with the poses of a scene at one of its rows."""
+    """Returns the message with the poses of a scene at one of its rows."""
     places, turns = scene.positions[index].tolist(), scene.quaternions[index].tolist()
     placed = []
     for link, parent in enumerate(scene.parents[1:], start=1):
@@ -171,7 +171,7 @@ def _transforms(scene: Scene, index: int, stamp: int) -> dict[str, Any]:
 
 
 def _files_of(path: Path, salvage: bool) -> tuple[list[Path], list[str]]:
-    """The parts of a bag, in any order, and a line for those that are missing."""
+    """Returns the files of a bag, and a message on missing files, if any."""
     if not path.is_dir():
         return [path], []
     files = {f.name.removesuffix(".zstd"): f for kind in _PARTS for f in path.glob(kind)}
@@ -192,7 +192,7 @@ def _clock_topic(bag: Bag, columns: ColumnMap) -> str:
     types = {channel.topic: bag.kind(number) for number, channel in bag.channels.items()}
     candidates = sorted(topic for topic, kind in types.items() if kind == ros.JOINT_STATE)
     if not candidates:
-        # A type of a damaged file may hold anything, line ends as well.
+        # In a damaged file the name of a type may contain anything, also line ends.
         found = ", ".join(f"{t!r} ({kind!r})" for t, kind in types.items()) or "no topic"
         told = f"no topic of type {ros.JOINT_STATE}; found {found}"
         if forms := {c.message_encoding for c in bag.channels.values()} - {"cdr"}:

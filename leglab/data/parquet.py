@@ -1,4 +1,4 @@
-"""Recordings as Parquet; the metadata is JSON in the file's schema, everything has checksums."""
+"""Recordings as Parquet files with checksums; metadata are JSON in the file's schema."""
 
 import hashlib
 import json
@@ -22,21 +22,21 @@ from leglab.data.files import LeftOut, first_line, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 
-# Measured values seldom repeat: files with dictionaries of them are a quarter larger.
+# No dictionaries: measured values seldom repeat, and files would be a quarter larger.
 _OPTIONS: dict[str, Any] = {
     "compression": "zstd",
     "write_page_checksum": True,
     "use_dictionary": False,
-    "store_schema": False,  # The metadata of a growing file is known at its end.
+    "store_schema": False,  # The metadata of a growing file are known only at its end.
 }
-# Rows that are written, and read, together.
+# Rows per group in writing and per batch in reading.
 _GROUP = 65536
 
 
 def read_table(
     path: Path, left_out: LeftOut, _: object = None, *, without: Set[str] = frozenset()
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads the columns of a Parquet file but those `without` use.
+    """Reads the columns of a Parquet file except those in `without`.
 
     Raises:
         LeglabError: The file is truncated, damaged or not Parquet, its metadata is not JSON, or a
@@ -76,7 +76,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 class Growing:
-    """A recording's file that rows are added to; see `growing`."""
+    """A recording's file to which rows are appended; see `growing`."""
 
     def __init__(self, place: Path) -> None:
         self._place, self._writer = place, None
@@ -87,8 +87,8 @@ class Growing:
         """Writes rows.
 
         Args:
-            columns: Samples by name, "time" the first, (n,) each. A column that earlier rows did
-                not have has NaN there.
+            columns: Samples by name, "time" first, (n,) each. A column that is new gets NaN in the
+                earlier rows.
 
         Raises:
             LeglabError: A column of earlier rows is missing.
@@ -109,17 +109,17 @@ class Growing:
         self.close()
 
     def close(self) -> None:
-        """Closes the file, as far as it came."""
+        """Closes the file in its present state."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
                 writer.close()
             finally:
-                writer.is_open = False  # It would try again as it is deleted.
+                writer.is_open = False  # Its destructor would try to close it again.
                 self._stream.close()
 
     def _begin(self, names: list[str]) -> None:
-        """Begins the file, or does so again with more columns."""
+        """Starts the file, or rewrites it with more columns."""
         if missing := [name for name in self.names if name not in names]:
             told = f"column {missing[0]!r} ends before the recording does"
             raise RecordingError(told, given=missing[0])
@@ -149,11 +149,11 @@ class Growing:
 def growing(
     path: Path, metadata: Callable[[Sequence[str]], Mapping[str, Any]]
 ) -> Iterator[Growing]:
-    """Yields a file that rows are added to; it takes its place at the end.
+    """Yields a file to append rows to; it is moved to its path at the end.
 
     Args:
         path: The file.
-        metadata: Returns what the recording tells, given the names of its columns without "time".
+        metadata: Returns the recording's metadata for the names of its columns without "time".
 
     Raises:
         LeglabError: Another process is writing the file, no row was written, or the file cannot be
@@ -167,14 +167,14 @@ def growing(
         except OSError as error:
             raise cannot_write(path, error) from error
         finally:
-            with suppress(OSError):  # of a full disk, which was told
+            with suppress(OSError):  # of a full disk, which has been reported
                 file.close()
 
 
 class StoredColumns(Mapping[str, np.ndarray]):
-    """Columns of a file, with the recording's `metadata`, that are read when they are asked for.
+    """Columns of a file, read on each access and not cached, and the recording's `metadata`.
 
-    They are not kept. The file stays open, so it may be moved.
+    The file stays open, so it may be moved.
     """
 
     def __init__(self, path: Path) -> None:
@@ -204,20 +204,20 @@ class StoredColumns(Mapping[str, np.ndarray]):
 
 
 class StoredRecording(Recording):
-    """A recording that leaves its columns in the file that `growing` wrote."""
+    """A recording whose columns stay in the file that `growing` wrote."""
 
     def __post_init__(self) -> None:
-        """Checks nothing: a recording of any length is not read for it."""
+        """Skips the checks of `Recording`, which would read the whole file."""
 
 
 def stored(path: Path) -> StoredRecording:
-    """Returns a recording of ours whose columns are read when they are asked for."""
+    """Opens a recording written by leglab, whose columns are read on each access."""
     columns = StoredColumns(path)
     return StoredRecording(time=columns["time"], columns=columns, metadata=columns.metadata)
 
 
 def _notes(rows: int, names: list[str], metadata: Mapping[str, Any]) -> dict[bytes, bytes]:
-    """The metadata of a file, with its checksum."""
+    """Returns the metadata of a file with their checksum."""
     text = to_json(metadata).encode()
     return {_METADATA_KEY: text, _DIGEST_KEY: _digest([rows, *names], text)}
 
@@ -240,6 +240,6 @@ def _metadata(path: Path, text: bytes | None) -> dict:
 
 
 def _digest(shape: list, metadata: bytes) -> bytes:
-    """Checksum of what those of the pages leave out: length, names, metadata."""
+    """Returns a checksum of the parts that page checksums omit: length, names, metadata."""
     content = json.dumps(shape).encode() + b"\n" + metadata
     return hashlib.sha256(content).hexdigest().encode()

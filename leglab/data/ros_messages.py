@@ -1,8 +1,8 @@
-"""ROS 2 messages that hold measurements: their definitions, and the numbers in them.
+"""Definitions of ROS 2 messages with measurements, and extraction of their numbers.
 
 Definitions: github.com/ros2/common_interfaces (std_msgs, sensor_msgs, geometry_msgs),
 github.com/ros2/geometry2 (tf2_msgs) and github.com/ros2/rcl_interfaces (builtin_interfaces),
-without their comments. Messages of `leglab_msgs` are our own and have one number a field.
+without their comments. Messages of `leglab_msgs` are leglab's, with one number per field.
 """
 
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
 STRING = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-OWN_PACKAGE = "leglab_msgs/msg/"  # Of messages that hold several columns of one joint
+OWN_PACKAGE = "leglab_msgs/msg/"  # Package of messages with several columns of one joint
 
-# The field of messages that hold one number or an array of them, if not `data`.
+# Name of the field with the number or array in a message, if it is not `data`.
 _FIELDS = {FLUID_PRESSURE: "fluid_pressure", TEMPERATURE: "temperature"}
-# Messages that are fields of others, each before those that are its own fields.
+# Messages that are fields of other messages, each before the messages it contains.
 _WITHIN = {
     "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
     "geometry_msgs/Transform transform\n",
@@ -34,7 +34,7 @@ _WITHIN = {
 
 
 def _whole(fields: str) -> str:
-    """The definition of a message with those of the messages in it."""
+    """Returns the definition of a message followed by those of the messages it contains."""
     for kind, inner in _WITHIN.items():
         if f"{kind} " in fields or f"{kind}[] " in fields:
             fields += f"{'=' * 80}\nMSG: {kind}\n{inner}"
@@ -59,22 +59,22 @@ DEFINITIONS = {kind: _whole(fields) for kind, fields in _MESSAGES.items()}
 
 
 def supported(kind: str) -> bool:
-    """Returns whether messages of a type hold numbers that `numbers` returns."""
+    """Tests whether `numbers` can extract numbers from messages of a type."""
     theirs = kind in DEFINITIONS and kind not in (STRING, TRANSFORMS)
     return theirs or kind.startswith(OWN_PACKAGE)
 
 
 def own_definition(fields: Mapping[str, str]) -> str:
-    """Returns the definition of a message of ours; its fields have units, "" for unknown ones."""
+    """Returns the definition of a leglab message from units by field, "" for an unknown unit."""
     lines = (f"float64 {name}" + f"  # {unit}" * bool(unit) for name, unit in fields.items())
     return _whole(_STAMPED + "".join(f"{line}\n" for line in lines))
 
 
 def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, float]:
-    """Returns the numbers of one decoded message, of a type that is `supported`, by column name.
+    """Returns the numbers of a decoded message of a `supported` type, by column name.
 
-    Columns of the JointState topic that gives the time axis are `<joint>_position` and so on; those
-    of other ones begin with the topic.
+    Columns of the JointState topic of the time axis are `<joint>_position` and so on; those of
+    other topics begin with the topic.
 
     Raises:
         ValueError: The fields do not fit together.
@@ -103,7 +103,7 @@ def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, fl
 
 
 def scalar(column: str) -> tuple[str, str]:
-    """Returns the type of message that says most about a column of one number, and its field."""
+    """Returns the most specific message type for a scalar column, and its field."""
     kind = TEMPERATURE if column.endswith("_temperature") else FLOAT64
     if column.endswith(("_pressure", "_pressure_a", "_pressure_b")):
         kind = FLUID_PRESSURE
@@ -111,6 +111,6 @@ def scalar(column: str) -> tuple[str, str]:
 
 
 def header(stamp: int) -> dict[str, Any]:
-    """Returns a header of a time [ns]."""
+    """Returns a message header with a time stamp [ns]."""
     second, nanosecond = divmod(stamp, 10**9)
     return {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": ""}

@@ -1,4 +1,4 @@
-"""A machine and its motion in space, for log viewers: links, where they are, and their efforts."""
+"""A machine and its motion in space, for log viewers: links, their poses, joint efforts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,10 +10,10 @@ import numpy as np
 class Scene:
     """The links of a machine and their poses over a recording."""
 
-    urdf: str  #: The machine as a URDF whose links are called as here; meshes are `data:` URIs
+    urdf: str  #: The machine as a URDF with the link names of `links`; meshes are `data:` URIs
     links: tuple[str, ...]  #: Names, the world first
     parents: tuple[int, ...]  #: Index of the parent of each link; that of the world is -1
-    rows: np.ndarray  #: Samples of the recording at which the poses stand, (k,)
+    rows: np.ndarray  #: Rows of the recording to which the poses belong, (k,)
     positions: np.ndarray  #: Of the links in the frames of their parents [m], (k, links, 3)
     quaternions: np.ndarray  #: Of the links in the frames of their parents, w x y z, (k, links, 4)
     #: Torque or force of the drives at a joint [N m or N] by joint, (n,) each.

@@ -41,7 +41,7 @@ class Summary:
         return sum(finding.kind == "gap" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the summary as JSON can hold it."""
+        """Returns the summary as a dictionary for JSON."""
         keys = ("name", "unit", "min", "max", "missing")
         return {
             "samples": self.samples,
@@ -57,7 +57,7 @@ class Summary:
 
 
 def summarise(table: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> Summary:
-    """Summarises arrays of shape (n,) by column name, as `leglab.data.read_tables` has them."""
+    """Summarises arrays of shape (n,) by column name, as returned by `leglab.data.read_tables`."""
     time = table.get("time", np.empty(0))
     time = time[np.isfinite(time)]
     period = usual_step(time) or None

@@ -1,6 +1,6 @@
 """Recordings as time series of MuJoCo's system identification, `mujoco.sysid.TimeSeries`.
 
-The class comes with MuJoCo and needs none of the packages of `mujoco[sysid]`.
+The class is part of MuJoCo and needs none of the packages of `mujoco[sysid]`.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from leglab.data.variables import elements, table_of
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
 
-# End of a column's name here: of a signal's name there, and the signal's type.
+# Ending of leglab's column name: ending of MuJoCo's signal name, and the signal's type.
 _SIGNALS = {
     "position": ("qpos", "MjStateQPos"),
     "velocity": ("qvel", "MjStateQVel"),
@@ -31,12 +31,12 @@ _QUANTITIES = {signal: quantity for quantity, signal in _SIGNALS.items()}
 def to_time_series(recording: Recording) -> "TimeSeries":
     """Returns the recording as a time series; its metadata is lost, NaN stays NaN.
 
-    `mujoco.sysid.ModelSequences` takes controls and measurements apart: select the columns first.
+    `mujoco.sysid.ModelSequences` takes controls and measurements separately: select columns first.
 
     Raises:
         LeglabError: Two columns get one signal name.
     """
-    # `mujoco.sysid` shows the class only if all of its own optional packages are there.
+    # `mujoco.sysid` exports the class only if all of its optional packages are installed.
     from mujoco.sysid._src.timeseries import SignalType, TimeSeries
 
     mapping: dict[str, Any] = {}
@@ -63,7 +63,7 @@ def from_time_series(series: "TimeSeries") -> Recording:
 
     Raises:
         LeglabError: Times are not finite, an index of the mapping is outside the data, or two
-            signals give one column.
+            signals have the same column name.
     """
     table = _table_of(series)
     return Recording(time=table.pop("time"), columns=table)
@@ -72,7 +72,7 @@ def from_time_series(series: "TimeSeries") -> Recording:
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads a file of `TimeSeries.save_to_disk`, or the arrays of another, see `variables`.
+    """Reads a file of `TimeSeries.save_to_disk`, or the arrays of any `.npz` (`variables`).
 
     Raises:
         LeglabError: An array holds Python objects, or lengths differ.
@@ -95,7 +95,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
-    """Arrays of a file by name; the fields of a structured one have its name before them."""
+    """Returns a file's arrays by name; fields of a structured array as `<array>/<field>`."""
     found: dict[str, Any] = {}
     with np.load(path) as file:
         for name in file.files:
@@ -114,7 +114,7 @@ def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
 
 
 def _table_of(series: Any) -> dict[str, np.ndarray]:
-    # Integers become floats, anything but numbers is refused.
+    # Integers become floats; types other than numbers are rejected.
     time = series.times.astype(np.float64, casting="same_kind")
     data = series.data.astype(np.float64, casting="same_kind").reshape(time.size, -1)
     table, width = {"time": time}, data.shape[1]

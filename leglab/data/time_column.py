@@ -1,4 +1,4 @@
-"""Which column of a table is the time: by its name, its type, and how it goes forward."""
+"""Detection of a table's time column by its name, its type, and its increase."""
 
 import re
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ import numpy as np
 from leglab.base.errors import RecordingError
 from leglab.data.units_in_names import split
 
-# Words of names, in the languages of the loggers that are met; X_Value is LabVIEW's, tout
+# Names of time columns in the languages of common loggers; X_Value is LabVIEW's, tout
 # Simulink's.
 _WORDS = re.compile(
     "time|t|tout|timestamps?|stamp|ts|clock|datetime|date|epoch|utc|elapsed|secs?|seconds|millis|micros|"
@@ -18,7 +18,7 @@ _WHOLE = re.compile(r"(.*?)[._/ ]*(sec|secs|seconds)", re.IGNORECASE)
 _PARTS = dict.fromkeys(("nanosec", "nsec", "nsecs", "nanoseconds"), "ns")
 _PARTS |= dict.fromkeys(("usec", "microseconds"), "us")
 _SECOND = {"ns": 10**9, "us": 10**6}
-# Rows of a clock that may be repeated, out of order or in a gap.
+# Largest share of a clock's rows that may step backwards.
 _ODD = 0.01
 
 
@@ -27,15 +27,15 @@ def time_column(
 ) -> tuple[str, np.ndarray | None, tuple[str, ...]]:
     """Finds the time of a table.
 
-    A column called `time` is it, if need be with a unit, else one whose name is like that or
-    whose type is a time, and which goes forward. Whole seconds beside their fraction, and a date
-    beside a time of day, are put together. A column that only counts rows never is.
+    It is the column `time`, possibly with a unit; else an increasing one with a similar name; else
+    an increasing one whose type is a time. Whole seconds and their fraction, or a date and a time
+    of day, in two columns are combined. A column that only counts rows is never taken.
 
     Returns:
-        Name, samples, (n,), and the columns that they came from; None for samples without one.
+        Name, samples, (n,), and the columns of their origin; samples are None if there is no time.
 
     Raises:
-        RecordingError: Two columns can be it; names both.
+        RecordingError: Two columns can be the time; names both.
     """
     choices = {name: (samples, (name,)) for name, samples in table.items()}
     for name, samples, parts in (*_split_seconds(table), *_dated(table)):
@@ -62,13 +62,13 @@ def _plain(name: str) -> str:
 
 def _is_like(name: str) -> bool:
     *_, last = ["", *re.findall(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+", split(name).stem)]
-    # "t" alone, or with its unit: `hip_t` is rather a torque.
+    # "t" only as the whole name, or with its unit: `hip_t` is more likely a torque.
     words = (_plain(name), last.lower() if last.lower() != "t" else "")
     return any(map(_WORDS.fullmatch, words)) or split(f"t {name}").si == "s"
 
 
 def _is_typed(name: str, samples: np.ndarray) -> bool:
-    """Whether this is a clock, or an index as pandas writes it that does not count rows."""
+    """Tests for a time type, or an unnamed index column of pandas with fractional values."""
     nameless = name == "" or name.startswith(("__index_level_", "Unnamed: "))
     fraction = samples.dtype.kind == "f" and bool((samples != np.rint(samples)).any())
     return samples.dtype.kind in "Mm" or (nameless and fraction)
@@ -81,7 +81,7 @@ def _forward(samples: np.ndarray) -> np.ndarray:
 
 
 def _advances(samples: np.ndarray) -> bool:
-    """Whether samples go forward; those of a short float may stand, for it cannot tell."""
+    """Tests whether samples increase; a short float may also stand still due to its rounding."""
     steps = _forward(samples)
     short = samples.dtype.kind == "f" and samples.dtype.itemsize < 8
     return steps.size > 0 and bool((steps >= 0).mean() > 1 - _ODD and (short or (steps > 0).any()))
@@ -94,7 +94,7 @@ def _is_even(samples: np.ndarray) -> bool:
 
 
 def _split_seconds(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
-    """Whole seconds and their fraction in two columns, as ROS has them, as datetime64."""
+    """Combines whole seconds and their fraction in two columns, as in ROS, to datetime64."""
     found = []
     counts = {name: x for name, x in table.items() if x.dtype.kind in "if" and x.size}
     counts = {name: x for name, x in counts.items() if x.min() >= 0}
@@ -112,7 +112,7 @@ def _split_seconds(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarra
 
 
 def _dated(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray, tuple]]:
-    """A date and a time of day in two columns, as datetime64."""
+    """Combines a date and a time of day in two columns to datetime64."""
     stamps = {n: x for n, x in table.items() if x.dtype.kind == "M" and x.size}
     dates = [n for n, x in stamps.items() if (x.astype("M8[D]") == x).all()]
     times = [n for n, x in table.items() if x.dtype.kind == "m" and "day" not in n.lower()]

@@ -1,4 +1,4 @@
-"""Dates and times of day that are written as text, read by DuckDB."""
+"""Parsing of dates and times of day in text, with DuckDB."""
 
 import re
 
@@ -13,7 +13,7 @@ TIME = re.compile(
 
 _CLOCKS = ("%H:%M:%S.%n", "%H:%M:%S", "%H:%M", "%I:%M:%S.%n %p", "%I:%M:%S %p")
 _BASIC = ("%Y%m%dT%H%M%S.%n", "%Y%m%dT%H%M%S", "%Y%m%dT%H%M%S.%nZ", "%Y%m%dT%H%M%SZ")
-# DuckDB's TIMESTAMP_NS passes over zones; its times of day are those of the first day of 1900.
+# DuckDB's TIMESTAMP_NS ignores time zones; a time of day becomes a time on 1900-01-01.
 _READ = r"""
 with texts as (select replace(trim(c), ',', '.') as c from given),
 iso as (select c, epoch_ns(try_cast(c as timestamp_ns)) - if(
@@ -27,16 +27,16 @@ _FIRST_DAY = np.datetime64("1900-01-01", "ns")
 
 
 def times_of(column: pa.ChunkedArray) -> np.ndarray | None:
-    """Reads dates and times of day, ISO 8601 and as they are written elsewhere.
+    """Parses dates and times of day in ISO 8601 and other common formats.
 
-    Of 03/04/2026 nobody knows which is the day: such dates are left away, times of day stay.
+    Dates such as 03/04/2026 are ambiguous (day or month first); only their times of day are used.
 
     Args:
         column: Text of shape (n,), null where it is missing.
 
     Returns:
-        datetime64[ns], of UTC where a zone is given, or for times of day timedelta64[ns], of which
-        a smaller one after a larger one is the next day's; None where a cell is something else.
+        datetime64[ns], in UTC if a time zone is given; for times of day timedelta64[ns], where a
+        jump back by more than half a day starts the next day; None if a cell is something else.
     """
     known = column.drop_null()
     if not len(known) or not TIME.fullmatch(known[0].as_py()):
@@ -52,7 +52,7 @@ def times_of(column: pa.ChunkedArray) -> np.ndarray | None:
         with duckdb.connect() as connection:
             connection.register("given", pa.table({"c": column}))
             found = connection.sql(_READ, params=forms).to_arrow_table()
-    except duckdb.Error:  # such as of a date that is infinite
+    except duckdb.Error:  # for instance because of an infinite date
         return None
     whole = [c for c in found.columns if c.null_count == column.null_count]
     if not whole:
@@ -65,7 +65,7 @@ def times_of(column: pa.ChunkedArray) -> np.ndarray | None:
 
 
 def past_midnight(times: np.ndarray) -> np.ndarray:
-    """Adds a day wherever a clock, timedelta64 of shape (n,), begins anew."""
+    """Adds a day at each midnight of a clock, timedelta64 (n,): a step back by over 12 h."""
     day, half = np.timedelta64(24, "h"), np.timedelta64(12, "h")
     begins = np.concatenate([[False], np.diff(times) < -half])[: times.size]
     return times + np.cumsum(begins) * day.astype(times.dtype)

@@ -1,16 +1,16 @@
-"""Units that stand in the names of columns: `angle [deg]`, `stamp_ms`, `torque_Nm`, `p (bar)`."""
+"""Units in the names of columns: `angle [deg]`, `stamp_ms`, `torque_Nm`, `p (bar)`."""
 
 import re
 from typing import NamedTuple
 
 
 class NamedUnit(NamedTuple):
-    """A column's name and the unit that stands in it."""
+    """A column's name, split into stem and unit."""
 
-    stem: str  #: The name without the unit, as it is where there is none
-    unit: str  #: The unit as the name has it; "" where there is none
-    factor: float  #: SI units per unit; 1 where there is none
-    #: s, rad, m, rad/s, m/s^2, N m, N, Pa, degC, A, V or 1: the kind of quantity; "" where none.
+    stem: str  #: The name without the unit; the whole name if it has no unit
+    unit: str  #: The unit as spelled in the name; "" if there is none
+    factor: float  #: SI units per unit; 1 if there is none
+    #: SI unit of the quantity: s, rad, m, rad/s, m/s^2, N m, N, Pa, degC, A, V or 1; "" if none.
     si: str
 
 
@@ -38,22 +38,22 @@ for _si, _line in _TABLE.items():
     for _factor, *_spellings in map(str.split, _line.split("|")):
         _KNOWN |= {word.replace("~", " "): (float(_factor), _si) for word in _spellings}
 for _word, (_each, _si) in list(_KNOWN.items()):
-    if _si in ("rad", "m"):  # ... a second, and a second squared
+    if _si in ("rad", "m"):  # also per second and per second squared
         for _end in ("/s", "_s", "_per_s", "_per_sec", "ps", "/sec", "s^-1"):
             _KNOWN.setdefault(_word + _end, (_each, f"{_si}/s"))
         for _end in ("/s^2", "/s2", "/s²", "_s2", "_per_s2"):
             _KNOWN.setdefault(_word + _end, (_each, f"{_si}/s^2"))
-# At the end of a name these are rather a port, an axis or a word than a unit.
+# Endings of names that more likely denote a port, an axis or a word than a unit.
 _NO_ENDING = frozenset(("a", "v", "n", "h", "-", "min", "rev", "m", "turn", "ma", "mn"))
 _BRACKETS = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)\s*$")
-_CAPITAL_ENDINGS = frozenset(("V", "N", "mA", "kN"))  # not "A", which is a port
+_CAPITAL_ENDINGS = frozenset(("V", "N", "mA", "kN"))  # not "A", which is a valve port
 
 
 def split(name: str) -> NamedUnit:
     """Splits a column's name into stem and unit.
 
-    A unit stands in brackets at the end, after a slash or a comma, or after the last `_`, `-`, `.`
-    or blank. An index such as `[0]` is no unit.
+    A unit is in brackets at the end, or follows a slash, a comma, or one of `_`, `-`, `.` and
+    blank. An index such as `[0]` is no unit.
     """
     if match := _BRACKETS.search(name):
         return _named(name, name[: match.start()], match[match.lastindex or 0].strip())

@@ -1,6 +1,6 @@
 """Variables of a workspace (MATLAB, NumPy) as columns: vectors, matrices, series with a clock.
 
-A series is a struct with `time` (or `Time`) beside its numbers: Simulink's "structure with time"
+A series is a struct with `time` (or `Time`) and values: Simulink's "structure with time"
 (To Workspace, Scope), or a timeseries as a struct. Forms: docs/reference/data_formats.md.
 """
 
@@ -23,15 +23,15 @@ _PLAIN_TIMES = ("time", "tout", "t")
 def table_of(
     variables: Mapping[str, Any], left_out: LeftOut, columns: ColumnMap | None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Returns variables as columns on one clock.
+    """Converts variables to columns on one clock.
 
-    Series of one clock keep their samples; of several, those whose name ends on `_command` hold
-    their last value on the clock with the most samples, all others are drawn linearly.
+    Series with the same clock keep their samples. With several clocks, series are resampled to the
+    one with the most samples: commands (`..._command`) by zero-order hold, the others linearly.
 
     Args:
-        variables: By name.
-        left_out: Gets columns that are there twice, or of another length.
-        columns: Says which series are commands; None: their names here do.
+        variables: Variables by name.
+        left_out: Gets duplicate columns and columns of a different length.
+        columns: Map to the names that identify commands; None: the variables' names do.
 
     Raises:
         RecordingError: Lengths differ, or a series' time does not fit its values.
@@ -57,10 +57,10 @@ def table_of(
 
 
 def check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
-    """Leaves columns of another length than `time` out.
+    """Leaves out columns whose length differs from that of `time`.
 
     Raises:
-        RecordingError: There are some, and nothing may be left out or no `time` decides.
+        RecordingError: Lengths differ, and nothing may be left out or there is no `time`.
     """
     first = "time" if "time" in table else next(iter(table), "")
     for name in [name for name in table if len(table[name]) != len(table[first])]:
@@ -98,7 +98,7 @@ def _signals(
 
 
 def elements(name: str, values: np.ndarray, rows: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields names and columns of samples, whose first or last axis is time and has the rows."""
+    """Yields names and columns of samples; their first or last axis is time, of length `rows`."""
     if values.shape[-1] == rows and (values.shape[0] != rows or values.ndim > 2):
         values = np.moveaxis(values, -1, 0)  # Simulink puts time last where samples are matrices.
     flat = values.reshape(len(values), -1)
@@ -120,6 +120,6 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
 
 
 def _is_samples(value: Any) -> bool:
-    """Whether this is a real vector or matrix; a lone number is rather a setting."""
+    """Tests for a real vector or matrix; a single number is taken for a setting, not a sample."""
     real = isinstance(value, np.ndarray) and value.dtype.kind in "fiubMm"
     return real and value.ndim in (1, 2) and value.size > 1

@@ -1,9 +1,9 @@
-"""Fits parameters of the user's choice to recordings: least squares on replays, without a search.
+"""Least-squares fit of parameters that the user chooses to recordings, by replays.
 
-Bounds are the only prior. If the metadata of a recording name no simulation, its commands may act
-half a step early, with that standard deviation. Errors of neighbouring windows are alike, so the
-covariance is that of parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika
-73, 13).
+Bounds are the only prior. If a recording's metadata name no simulation, the lead of its commands
+has a standard deviation of half a time step. Errors of neighbouring windows are correlated, so the
+covariance is estimated from parts of the recordings (the "sandwich" of Liang and Zeger 1986,
+Biometrika 73, 13).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ from leglab.diagnosis.thresholds import FINE, SAME
 from leglab.diagnosis.verdict.notes import notes
 from leglab.diagnosis.verdict.verdict import errors_of
 
-# Fits: the first weighs all windows alike, and its errors give the weights of the second.
+# Number of fits: the first has equal weights; its errors give the weights of the second.
 _ROUNDS = 2
 
 
@@ -47,10 +47,10 @@ class Wanted(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> "Wanted":
-        """Reads it from text.
+        """Reads a parameter to fit from text.
 
         Raises:
-            LeglabError: It is not of this form.
+            LeglabError: The text is not of this form.
         """
         what, given, bounds = text.partition("=")
         element, _, name = what.partition(":")
@@ -73,7 +73,7 @@ class ParameterFit:
     """Fitted parameters.
 
     Attributes:
-        result: Estimates, their covariance, errors and figures, as the page shows them.
+        result: Estimates, their covariance, errors and figures of the page.
         problem: Recordings and machine.
         hypothesis: The fitted values.
     """
@@ -98,10 +98,10 @@ def fit(
     Args:
         model: MJCF file, the name of a model that ships with leglab, or its machine.
         recordings: By name.
-        parameters: What is fitted, with bounds.
+        parameters: Parameters to fit, with bounds.
         held_out: Names of the recordings that no fit sees; None for the choice of `split_held_out`.
         settings: Threads and thresholds.
-        progress: Called with a line on what is being done.
+        progress: Called with a line of text on the present step.
 
     Raises:
         LeglabError: Model or recordings cannot be used, or a parameter is not of the machine.
@@ -156,7 +156,7 @@ def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
 
 
 class _Fitted:
-    """Least squares over departures of single unknowns, in smallest trials."""
+    """Least-squares fit of departures from nominal of single parameters, in smallest trials."""
 
     def __init__(
         self, problem: Problem, places: Sequence[tuple[Key, int]], wanted: Sequence[Wanted]
@@ -181,7 +181,7 @@ class _Fitted:
         self._early = self._half_a_step_early()
 
     def _bounds(self, place: tuple[Key, int], wanted: Wanted) -> tuple[float, float]:
-        """Bounds that both the user and the effect allow [SI units]."""
+        """Returns the bounds that both the user and the effect allow [SI units]."""
         key, i = place
         p = self._problem.library.sites[key].parameters[i]
         lower, upper = max(wanted.lower, p.lower), min(wanted.upper, p.upper)
@@ -203,20 +203,20 @@ class _Fitted:
         return self._errors.unknowns.moved(Hypothesis(), by)
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
-        """Weighted whitened errors, (windows, size)."""
+        """Returns weighted whitened errors, (windows, size), with the effect of early commands."""
         noise = self._problem.noise.whitening[self._errors.chosen]
         own, early = (
             np.sqrt(self._weight)[:, None] * whitened(noise, each[:, : self._errors.size])
             for each in (errors, self._early)
         )
-        # With I + e e' as the covariance of all windows together.
+        # Whitens all windows together by I + e e'; e: change of the errors by early commands.
         square = max(float((early**2).sum()), 1e-300)
         return own - (1.0 - (1.0 + square) ** -0.5) / square * float((early * own).sum()) * early
 
     def _half_a_step_early(self) -> np.ndarray:
-        """Change of the errors by commands that act half a step early, (windows, size).
+        """Returns the change of the errors if commands act half a step early, (windows, size).
 
-        Zero for recordings whose metadata name a simulation, see `Recording.command_lead`.
+        It is zero for recordings whose metadata name a simulation, see `Recording.command_lead`.
         """
         problem, errors = self._problem, self._errors
         series, lead = problem.series, 0.5 * problem.machine.file_timestep
@@ -232,7 +232,7 @@ class _Fitted:
         return self._white(self._errors.at(self._hypothesis(z)))
 
     def _jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Differences over small steps, away from an upper bound, (windows, size, parameters)."""
+        """Returns differences over small steps within the bounds, (windows, size, parameters)."""
         step = np.maximum(FINE[0], FINE[1] * np.abs(z))
         step = np.where(z + step > self._upper, -step, step)
         points = [z, *(z + row for row in np.diag(step))]
@@ -241,7 +241,7 @@ class _Fitted:
         return np.stack([(one - here) / h for one, h in zip(moved, step, strict=True)], axis=2)
 
     def solve(self, progress: Callable[[str], None], round_: int) -> None:
-        """Fits, and weighs windows anew by how unusual their errors are."""
+        """Fits the parameters, then weights windows by how unusual their errors are."""
         count = len(self._places)
 
         def flat(z: np.ndarray) -> np.ndarray:
@@ -262,24 +262,24 @@ class _Fitted:
         square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
         limit = self._problem.thresholds.robust_limit
         self._weight = robust_weight(square / max(float(np.median(square)), 1.0), limit)
-        # Start errors spread as the fitted model carries them on.
+        # The noise model is recomputed: the fitted model propagates errors of start states.
         self._problem = self._problem.about(self._hypothesis(self._z))
         self._errors = Errors(self._problem, self._errors.unknowns, self._problem.fitted)
         self._early = self._half_a_step_early()
 
     def _covariance(self) -> np.ndarray:
-        """Of the departures, by parts of the recordings, (parameters, parameters)."""
+        """Returns the departures' covariance by parts of recordings, (parameters, parameters)."""
         jacobian, white = self._jacobian(self._z), self._residual(self._z)
         part = parts_of(self._errors.recording)
         bread = np.linalg.pinv(np.einsum("wip,wiq->pq", jacobian, jacobian))
         slopes = np.einsum("wip,wi->wp", jacobian, white)
         sums = np.stack([slopes[part == k].sum(axis=0) for k in range(int(part.max()) + 1)])
         few = len(sums) / max(len(sums) - 1, 1)
-        # Never surer than noise alone allows.
+        # Adds the covariance by noise alone, so that it is the lower limit.
         return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
 
     def told(self, began: float) -> ParameterFit:
-        """Returns the fit, with errors and figures for its page."""
+        """Returns the fit with the errors and figures of its page."""
         problem, final = self._problem, self._hypothesis(self._z)
         values = [float(final[key][i]) for key, i in self._places]
         steps = np.array([p.step(v) for p, v in zip(self._rows, values, strict=True)])
@@ -309,7 +309,7 @@ class _Fitted:
     def _effects(
         self, values: Sequence[float], covariance: np.ndarray
     ) -> tuple[result.NamedEffect, ...]:
-        """Fitted effects with the estimates of their parameters, without names and confidence."""
+        """Returns the fitted effects with estimates of their parameters, without a confidence."""
         sites, parts = self._problem.library.sites, int(parts_of(self._errors.recording).max())
         half = float(student.ppf(0.975, max(parts, 1))) * np.sqrt(np.diag(covariance))
         estimates: dict[Key, list[result.Estimate]] = {}

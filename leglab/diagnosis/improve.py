@@ -1,4 +1,4 @@
-"""A better model from recordings: effects that are sure, and a learned remainder."""
+"""Improvement of a model by recordings: effects of high confidence, and a learned remainder."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ from leglab.diagnosis.verdict.verdict import diagnose
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayError:
-    """Replay errors of one recording, before and after."""
+    """Replay errors of one recording, before and after the improvement."""
 
     recording: str
     held_out: bool  #: Whether no fit has seen it
@@ -48,7 +48,7 @@ class Improvement:
     """An improved model, or the statement that nothing improves it."""
 
     improved: bool  #: Whether a gain was proved on held-out recordings
-    words: str  #: What was learned, or why nothing was
+    words: str  #: The learned effects and remainder in words, or why nothing was learned
     #: Parameters of the named effects in the model, by "effect at element".
     effects: dict[str, dict[str, float]]
     remainder: dict[str, Any] | None  #: As `Remainder.to_json`; None for none
@@ -61,7 +61,7 @@ class Improvement:
     missing: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of improvement.json."""
+        """Returns the content of improvement.json."""
         return asdict(self)
 
 
@@ -69,22 +69,22 @@ class Improvement:
 class ImprovedModel:
     """Parts of the improved model."""
 
-    problem: Problem  #: Without what was learned
-    hypothesis: Hypothesis  #: Effects, and what moved noticeably within tolerances
+    problem: Problem  #: Without the learned remainder
+    hypothesis: Hypothesis  #: Effects, and parameters that moved noticeably within tolerances
     named: tuple[Key, ...]
-    remainder: Remainder | None  #: What was learned; None for nothing
+    remainder: Remainder | None  #: Learned remainder; None for nothing
 
     def __repr__(self) -> str:
         return f"ImprovedModel({self.learned or 'nothing learned'})"
 
     @property
     def learned(self) -> str:
-        """Description of what was learned beside the effects; empty for nothing."""
+        """Description of the learned remainder; empty if there is none."""
         return self.remainder.words if self.remainder else ""
 
     @property
     def errors(self) -> tuple[float, ...]:
-        """RMS at the end of held-out windows by channel, SI; empty where nothing is learned."""
+        """RMS errors at the end of held-out windows by channel [SI]; empty without a remainder."""
         if self.remainder is None:
             return ()
         problem = self.remainder.problem
@@ -93,7 +93,7 @@ class ImprovedModel:
 
     @property
     def moved(self) -> tuple[Moved, ...]:
-        """What has moved within tolerances."""
+        """Parameters without a name that moved within their tolerances."""
         library, found = self.problem.library, []
         for key, values in sorted(library.whole(self.hypothesis).items()):
             site = library.sites[key]
@@ -130,10 +130,10 @@ def write_improved(found: Outcome, folder: Path) -> Path | None:
 def improved_model(
     found: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> ImprovedModel | None:
-    """The model that a diagnosis leaves: recalibrated, with what has a name, and with a remainder.
+    """Returns a diagnosis's model: recalibrated, with the named effects and a learned remainder.
 
-    An effect without a name is no improvement, however well it fits. A remainder is learned where
-    much is left. None where the held-out recordings are not met better than by the model as it was.
+    Effects that were fitted but not named are left out. A remainder is learned if much error is
+    left. None if the held-out recordings are not replayed better than by the original model.
     """
     problem, result = found.problem, found.result
     limits = problem.thresholds
@@ -155,18 +155,18 @@ def improved_model(
 def _recalibrated(
     found: Outcome, kept: Iterable[NamedEffect]
 ) -> tuple[tuple[Key, ...], Hypothesis]:
-    """Some effects, and the model with them and with what has a tolerance where it fits best."""
+    """Returns the kept effects, and the model with them and with fitted tolerances."""
     told = {(e.name, e.element) for e in kept}
     named = tuple(key for key in found.named if key in told)
     return named, found.written.without(*(set(found.named) - set(named)))
 
 
 def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
-    """Leaves what moved without a name where the model has it, as far as errors hardly show it.
+    """Restores the model's values of unnamed parameters whose change the errors hardly show.
 
-    Parameters go back one after the other, always the one that costs least while the others follow,
-    by errors that are linear in them (backward elimination). They go back until replays of the
-    windows that were fitted would err by more than a tenth more.
+    Backward elimination: parameters go back one by one, each time the one that costs least while
+    the others are refitted, by errors that are linear in them. It ends before replays of the fitted
+    windows would err by more than a tenth more.
     """
     library, chosen = problem.library, thinned(~problem.held, WINDOWS)
     whole = library.whole(fitted)
@@ -179,7 +179,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     ]
 
     def at(back: np.ndarray) -> Hypothesis:
-        """The hypothesis where each has gone back by a share, (moved,)."""
+        """Returns the hypothesis in which each parameter has gone back by a share, (moved,)."""
         values = {key: whole[key].copy() for key in {*fitted, *(key for key, *_ in moved)}}
         for share, (key, i, value, own, _) in zip(back.tolist(), moved, strict=True):
             values[key][i] = own if share == 1.0 else value + share * (own - value)
@@ -198,7 +198,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     stay = np.zeros(count)
     before = errors(stay).ravel()
     columns = np.stack([errors(one).ravel() - before for one in np.eye(count)], axis=1)
-    # Departures in tolerances. A parameter without a tolerance counts as one of them away.
+    # Departures in tolerances; that of a parameter without a tolerance counts as 1.
     away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
     paths = [stay, *_going_back(before, columns, away)]
     limit = (1.0 + SMALL) * level(stay)
@@ -207,18 +207,18 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
 
 
 def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> Iterator[np.ndarray]:
-    """Shares by which parameters go back to the model's values: one more reaches 1 each time.
+    """Yields shares by which parameters go back to the model's values; each adds one share of 1.
 
     Args:
-        before: Errors where none has gone back, (errors,).
-        columns: Change of the errors where one alone goes back, (errors, parameters).
-        away: Distance of each from the model's value, in tolerances, (parameters,).
+        before: Errors before any parameter goes back, (errors,).
+        columns: Change of the errors if a parameter alone goes back, (errors, parameters).
+        away: Distance of each parameter from the model's value, in tolerances, (parameters,).
 
     Yields:
         Shares, (parameters,).
     """
-    # Half the square of errors and departures is x'Hx/2 - s'x at shares x; one at 1 costs
-    # (1 - x_i)^2/(H^-1)_ii where the others follow.
+    # Half the squares of errors and departures are x'Hx/2 - s'x at shares x; to set share i to 1
+    # costs (1 - x_i)^2/(H^-1)_ii while the others are refitted.
     curvature = columns.T @ columns + np.diag(away**2)
     slope = away**2 - columns.T @ before
     kept = np.ones(away.size, dtype=bool)
@@ -227,7 +227,7 @@ def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> It
         share = np.ones(away.size)
         share[kept] = inverse @ (slope[kept] - curvature[np.ix_(kept, ~kept)].sum(axis=1))
         if not kept.all():
-            # A share below 0 would let a parameter take the place of a missing effect.
+            # With a share below 0 a parameter could imitate a missing effect.
             yield np.clip(share, 0.0, 1.0)
         if not kept.any():
             return
@@ -250,13 +250,13 @@ def improve(
     Args:
         model: MJCF file, the name of a model that ships with leglab, or its machine.
         recordings: By name.
-        held_out: Names of those that prove the gain; None for the choice of `split_held_out`.
-        effects: Whether effects are looked for first; those of confidence 0.8 are kept.
+        held_out: Recordings by which the gain is judged; None for the choice of `split_held_out`.
+        effects: Whether effects are searched for first; those of confidence 0.8 are kept.
         settings: Of the diagnosis.
-        progress: Called with a line on what is being done.
+        progress: Called with a line of text on the present step.
 
     Returns:
-        What was reached, and the improved model; None where nothing improves.
+        The improvement, and the improved model; None where nothing improves.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -313,7 +313,7 @@ def improve(
 
 
 def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) -> str:
-    """Why nothing was added; `cost` is what the held-out recordings are left with."""
+    """Returns why nothing was added; `cost` is the remaining cost of the held-out recordings."""
     much = cost > EXPLAINED
     text = "Recalibrated within tolerances; no further static force improves it."
     if not improved:
@@ -325,7 +325,7 @@ def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) 
 def _errors(
     pairs: Sequence[tuple[Problem, Hypothesis]], squares: Sequence[np.ndarray]
 ) -> tuple[ReplayError, ...]:
-    """Errors of all recordings before and after, with mean squares of their windows."""
+    """Returns the errors of all recordings before and after; `squares` are those of windows."""
     errors = [problem.raw_errors(hypothesis) for problem, hypothesis in pairs]
     problem, out = pairs[0][0], []
     columns = [channel.column for channel in problem.channels]
@@ -347,5 +347,5 @@ def _errors(
 
 
 def _at_ends(errors: np.ndarray) -> list[float]:
-    """RMS by channel at the end of windows, of errors (windows, channels, bins)."""
+    """Returns the RMS by channel at the end of windows, of errors (windows, channels, bins)."""
     return rms(errors[:, :, -1], axis=0).tolist()

@@ -1,7 +1,7 @@
-"""The verdict of a diagnosis, with all that a report or a page shows; immutable.
+"""Result of a diagnosis: verdict and all figures of reports and pages; immutable.
 
-What is told `before` is of the model as it was, `baseline` of that with nuisances refitted within
-their tolerance, and `after` with the named effects.
+`before` refers to the original model, `baseline` to it with nuisance parameters refitted within
+their tolerances, and `after` to the one with the named effects.
 """
 
 import math
@@ -20,9 +20,9 @@ Verdict = Literal["named", "confusion_set", "unexplained", "nothing_missing", "f
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A fitted parameter of an effect in SI units, with its value in the model as it was.
+    """A fitted parameter of an effect in SI units; `nominal` is its value in the original model.
 
-    `interval` is that of 95 % confidence.
+    `interval` is the 95 % confidence interval.
     """
 
     name: str
@@ -34,12 +34,12 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Moved:
-    """A parameter that the improved model has elsewhere within its tolerance."""
+    """A parameter that the improved model changes within its tolerance."""
 
     effect: str
     element: str
     estimate: Estimate  #: Its interval is the tolerance
-    share: float  #: How far it moved, of its tolerance, with its sign
+    share: float  #: Signed change as a share of the tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,19 +50,19 @@ class NamedEffect:
     element: str
     group: str
     physics: str
-    #: Recording and time [s] at which it begins, where it is not there throughout.
+    #: Recording and time [s] at which it begins; empty if it is present throughout.
     onset: tuple[tuple[str, float], ...]
-    #: Probability of the name among all sets of effects that were fitted, the least of several, and
-    #: against causes that no effect describes, in [0, 1].
+    #: Probability of the name in [0, 1], among all fitted sets of effects (the least of several
+    #: estimates) and against causes that no effect describes.
     confidence: float
     contribution: float  #: Share of the gap that it closes when it is added last
     parameters: tuple[Estimate, ...]
-    indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings as well
-    #: Normalised replay error on the held-out recordings where it alone is taken out.
+    indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings equally well
+    #: Normalised replay error on the held-out recordings without this effect alone.
     without: float = math.nan
-    #: Recording, earliest and latest time [s] of an onset; in between it shows in no motion.
+    #: Recording, earliest and latest time [s] of an onset; between these no motion shows it.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
-    #: By how much directions differ that the effect says do; surer than each alone.
+    #: Differences between the directions that the effect distinguishes; surer than each value.
     differences: tuple[Estimate, ...] = ()
 
     @property
@@ -71,7 +71,7 @@ class NamedEffect:
         return (*self.differences, *self.parameters)
 
     def begins(self) -> tuple[str, ...]:
-        """When it begins in each recording: a time, or from when to when it may have been."""
+        """Returns when it begins in each recording: a time, or an interval that contains it."""
         wide = {
             name: f"between {low:.2f} and {high:.2f} s of {name}"
             for name, low, high in self.onset_interval
@@ -80,14 +80,14 @@ class NamedEffect:
         return tuple(wide.get(name, f"at {time:.2f} s of {name}") for name, time in self.onset)
 
     def told(self) -> str:
-        """The effect with its element and parameters in a few words."""
+        """Returns the effect with its element and parameters in a few words."""
         values = ", ".join(f"{p.name} {p.value:.4g} {p.unit}".strip() for p in self.parameters)
         return f"{self.name} at {self.element}" + (f" ({values})" if values else "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Remaining:
-    """RMS error at the end of a replay window, on the held-out recordings, in one channel."""
+    """RMS error of one channel at the end of replay windows of the held-out recordings."""
 
     channel: str  #: Column of the recordings
     unit: str  #: "rad", "m" or "Pa"
@@ -95,15 +95,15 @@ class Remaining:
     before: float
     after: float
     noise: float  #: Standard deviation of the sensor's samples
-    #: Of the improved model, where something was learned for it; else None.
+    #: Error of the improved model; None without a learned remainder.
     learned: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A specimen as its healthy recordings show it."""
+    """Calibration of a specimen by its healthy recordings."""
 
-    #: Name, normalised error of the model as it was, and of the calibrated one.
+    #: Name, normalised error of the original model, and of the calibrated one.
     recordings: tuple[tuple[str, float, float], ...]
     #: Effect, element and parameter that differ, the largest difference first.
     estimates: tuple[tuple[str, str, Estimate], ...]
@@ -111,19 +111,19 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Where simulation and data disagree, and in which region most."""
+    """Element at which simulation and data disagree, and the region of the largest error."""
 
     #: "mechanical" (pressures to motion), "hydraulic" (command and motion to pressures) or "motion"
     #: (command to motion) where there are no pressures.
     residual: str
     element: str
-    level: float  #: RMS in noise levels, of the model as it was
+    level: float  #: Error of the original model, in multiples of the noise
     region: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingGap:
-    """Normalised replay error of one recording: RMS of whitened errors; noise alone gives 1."""
+    """Normalised replay error (RMS of whitened errors) of one recording; noise alone gives 1."""
 
     name: str
     held_out: bool
@@ -134,7 +134,7 @@ class RecordingGap:
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Gap on the held-out recordings, as in `RecordingGap`."""
+    """Normalised replay error on the held-out recordings, as in `RecordingGap`."""
 
     metric: str = "normalised replay error"
     noise_floor: float = 1.0
@@ -145,21 +145,21 @@ class Gap:
     healthy: float | None = None
     #: Error of the final fit without the named effects; NaN where there are none.
     unnamed: float = math.nan
-    #: As `shown`, in errors that noise and the healthy specimen have, and over all recordings where
-    #: those held out hardly show what is named; None for `unnamed`, `after` and what noise gives.
+    #: `shown` in multiples of the errors of noise and healthy specimen, over all recordings if the
+    #: held-out ones hardly show the named effects; None: `unnamed`, `after` and `noise_floor`.
     compared: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
     def shown(self) -> tuple[float, float, float]:
-        """Errors without the named effects and with them, and what is no part of the gap."""
+        """Errors without the named effects and with them, and the error that is not in the gap."""
         return self.compared or (self.unnamed, self.after, self.noise_floor)
 
     @property
     def explained(self) -> float | None:
-        """Share of the named effects' gap that they close; None where nothing is named.
+        """Share of the gap without the named effects that they close; None where nothing is named.
 
-        What was off before the machine changed, or noise, is no part of the gap.
+        Noise, and model errors from before the machine changed, are no part of the gap.
         """
         share = closed(*self.shown)
         return None if share is None else min(max(share, 0.0), 1.0)
@@ -171,7 +171,7 @@ class Gap:
 
 
 def closed(before: float, after: float, floor: float = 1.0) -> float | None:
-    """Share of the gap between an error and what noise gives that is closed; None without one."""
+    """Returns the closed share of the gap between an error and its noise floor; None if no gap."""
     room = before - floor
     return (before - after) / room if room > ROOM else None
 
@@ -182,10 +182,10 @@ class Rank:
 
     name: str
     element: str
-    #: Log of the factor by which it alone makes the recordings more probable, first order.
+    #: First-order log of the factor by which this effect alone makes the recordings more probable.
     gain: float
-    #: Predicted log evidence of the best set with it, one step from a good set, over that of the
-    #: best set; None if none was scored.
+    #: Predicted log evidence of the best set with it that is one step from a good set, less that of
+    #: the best set; None if no such set was scored.
     added: float | None = None
 
 
@@ -193,16 +193,16 @@ class Rank:
 class Tried:
     """A set of effects that was fitted."""
 
-    names: tuple[tuple[str, str], ...]  #: Effects and elements; none is the model as it is
+    names: tuple[tuple[str, str], ...]  #: Effects and elements; empty for the model itself
     move: str  #: Move of the search that proposed it first
     reason: str  #: In words
-    level: float  #: Median error, in noise levels
-    behind: float  #: Log evidence of the most probable set over its own
+    level: float  #: Median whitened RMS error
+    behind: float  #: Log evidence of the most probable set less that of this set
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rivals:
-    """Sets of effects that were fitted to the end."""
+    """Sets of effects whose fits were completed."""
 
     #: Effects of each set, joined by " + ", or "nothing"; most probable first.
     names: tuple[str, ...]
@@ -212,7 +212,7 @@ class Rivals:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualTrace:
-    """Replay errors of one channel over one recording, a point a bin; arrays of shape (bins,)."""
+    """Replay errors of one channel over one recording by bins; arrays of shape (bins,)."""
 
     recording: str
     channel: str
@@ -222,31 +222,31 @@ class ResidualTrace:
     velocity: np.ndarray
     #: Pressure difference across the piston [Pa]; None where not measured.
     pressure: np.ndarray | None
-    before: np.ndarray  #: Measured less predicted, as is `after`
+    before: np.ndarray  #: Measured minus predicted, like `after`
     after: np.ndarray
-    measured: np.ndarray  #: The channel itself
-    bins: int  #: Number of bins of a window; windows lie behind each other
+    measured: np.ndarray  #: Measured values of the channel
+    bins: int  #: Number of bins of a window; windows follow one another in the arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeRecording:
-    """A recording simulated in one go, in closed loop; arrays (samples,)."""
+    """A recording simulated as a whole in closed loop; arrays (samples,)."""
 
     recording: str
-    joint: str  #: Whose position strays most
+    joint: str  #: Joint with the largest position error
     unit: str  #: "rad" or "m", of the positions
-    actuator: str  #: Whose command the loop corrects
+    actuator: str  #: Actuator whose command the loop corrects
     time: np.ndarray  #: s
     measured: np.ndarray  #: Position of the joint
-    before: np.ndarray  #: As simulated, as is `after`; NaN from where that blew up
+    before: np.ndarray  #: Simulated position, like `after`; NaN from where the simulation diverged
     after: np.ndarray
-    #: What the loop added to the command, in standard deviations of that command, as is
+    #: Correction that the loop added to the command, in standard deviations of that command, like
     #: `correction_after`.
     correction_before: np.ndarray
     correction_after: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """Names, and root mean squares over the recording; None where a simulation blew up."""
+        """Returns names and root mean squares over the recording; NaN if a simulation diverged."""
         return {
             "recording": self.recording,
             "joint": self.joint,
@@ -260,7 +260,7 @@ class WholeRecording:
 
 @dataclass(frozen=True, kw_only=True)
 class NotTestable:
-    """An effect on which these recordings say nothing."""
+    """An effect that these recordings cannot test."""
 
     name: str
     element: str
@@ -269,13 +269,13 @@ class NotTestable:
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """The experiment that would separate the rivals best."""
+    """The experiment that would best distinguish the rivals."""
 
     name: str
     description: str
     rivals: tuple[str, str]
     separation: float  #: Expected chi-square between them
-    separation_now: float  #: The same in the present recordings
+    separation_now: float  #: Chi-square between them in the present recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -283,22 +283,22 @@ class Diagnosis:
     """The verdict and its evidence.
 
     Attributes:
-        effects: Ordered by what each contributes.
-        where: Worst first.
+        effects: Ordered by contribution.
+        where: Largest error first.
         ranking: All effects that were tried, best first.
         tried: Fitted sets of effects, in the order of the search.
-        moved: Parameters that the improved model has elsewhere within their tolerance.
-        changed: How the improved model differs from the model, as lines of a unified diff.
-        notes: What the reader should know: repairs, missing pressures, bounds that were hit.
+        moved: Parameters that the improved model changes within their tolerances.
+        changed: Unified diff between the model and the improved model, as lines.
+        notes: Remarks for the reader: repairs, missing pressures, bounds that were hit.
         among: Probability that the cause is one of a confusion set; None for other verdicts.
         smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
         model: File of the improved model; empty before it is written, or where nothing improves.
-        learned: What the improved model has learned beside the effects, in words.
-        covariance: Of fitted parameters: ELEMENT:EFFECT.PARAMETER of each, and [SI units] shape
-            (parameters, parameters); None of a diagnosis.
+        learned: Description of the remainder that the improved model has learned.
+        covariance: ELEMENT:EFFECT.PARAMETER of each fitted parameter, and their covariance [SI
+            units], (parameters, parameters); None for a diagnosis.
         missing: Reasons why parts of the result are missing, by part
             (`leglab.base.output.piece`).
-        rollouts: Replays of all windows that it took.
+        rollouts: Number of replays of all windows.
         seconds: Wall time.
     """
 
@@ -336,17 +336,17 @@ class Diagnosis:
 
     @property
     def recalibrated(self) -> bool:
-        """Whether parameters moved within their tolerances; `leglab fit` moves none but its own."""
+        """Whether parameters moved within tolerances; `leglab fit` moves only those it fits."""
         return self.verdict != "fitted"
 
     @property
     def nominal_words(self) -> str:
-        """Where the nominal values of effects were: healthy recordings tell the specimen's own."""
+        """Words for nominal values: "in the model", or "before" after a healthy calibration."""
         return "in the model" if self.calibration is None else "before"
 
     @property
     def all_effects(self) -> list[tuple[NamedEffect, bool]]:
-        """All effects, each with whether it is one of the smaller."""
+        """All effects, each with a flag for the smaller ones."""
         return [(e, False) for e in self.effects] + [(e, True) for e in self.smaller]
 
     def _repr_html_(self) -> str:
@@ -398,7 +398,7 @@ class Diagnosis:
         return data_frame(rows, columns=[*names, "lower", "upper", "in_the_model"])
 
     def with_model(self, name: str, learned: str = "", errors: Sequence[float] = ()) -> "Diagnosis":
-        """The same with an improved model's file, what it has learned and the errors it leaves.
+        """Returns the diagnosis with the improved model's file, learned remainder and errors.
 
         The errors are in the order of `remaining`; empty where nothing was learned.
         """
@@ -409,7 +409,7 @@ class Diagnosis:
         return replace(self, model=name, learned=learned, remaining=remaining)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of diagnosis.json; keys are fixed, readers rely on them."""
+        """Returns the content of diagnosis.json; readers rely on its fixed keys."""
         content = {
             "verdict": self.verdict,
             "among": self.among,
@@ -462,12 +462,12 @@ class Diagnosis:
 
 
 def root_mean(squares: np.ndarray) -> float:
-    """Root of the mean of squares; NaN of none."""
+    """Returns the root of the mean of squares; NaN if there are none."""
     return float(np.sqrt(squares.mean())) if squares.size else math.nan
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and name of the unit in which errors are shown: mrad, mm, bar."""
+    """Returns factor and name of the unit in which errors are shown: mrad, mm or bar."""
     shown = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "Pa": (1e-5, "bar")}
     return shown.get(unit, (1.0, unit))
 
@@ -483,15 +483,15 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
 
 
 def _fields(row: Estimate | NamedEffect | Gap | RecordingGap, *left_out: str) -> dict[str, Any]:
-    """Fields in their order, a baseline under the name that diagnosis.json gives it."""
+    """Returns the fields in order, `baseline` under its name in diagnosis.json."""
     names = {"baseline": "recalibrated"}
     return {names.get(k, k): v for k, v in asdict(row).items() if k not in left_out}
 
 
 def _plain(value: Any) -> Any:
-    """The same for JSON, with five significant digits: more would pretend a precision.
+    """Converts a value for JSON, with five significant digits: more would pretend precision.
 
-    Numbers that JSON cannot hold become None.
+    Infinite values and NaN become None.
     """
     if isinstance(value, dict):
         return {key: _plain(one) for key, one in value.items()}

@@ -1,8 +1,8 @@
-"""Many machines at once: control periods in C++ threads, everything else in arrays.
+"""Batch of machines: control periods run in C++ threads, everything else in arrays.
 
-Each machine is a closed loop of its own (`leglab.runs.loop.Loop`) with its episode, scenario,
-specimen and noise, and has the bits of the same episode alone; only its steps are taken together
-(`leglab._native.batch`).
+Each machine is a separate closed loop (`leglab.runs.loop.Loop`) with its episode, scenario,
+specimen and noise, and equals the same episode alone to the bit; only its steps are run together
+with those of the others (`leglab._native.batch`).
 """
 
 import math
@@ -44,7 +44,7 @@ _PER_JOINT = ("position_gain", "velocity_gain")
 
 @dataclass(slots=True)
 class BatchMachine:
-    """One machine of a batch: what it runs on, and its present episode."""
+    """One machine of a batch: simulation, source of episodes, and the present episode."""
 
     simulation: Simulation
     episodes: Episodes
@@ -60,12 +60,12 @@ class Batch:
     Args:
         plan: Settings.
         episodes: Draws what differs between episodes, one a machine.
-        threads: That step machines; None for one a core.
+        threads: Number of threads that step machines; None for one per core.
 
     Attributes:
         count: Number of machines.
         joints: Names of the joints.
-        observation: As one array of `LegEnv` with `flat_observation=True`, float32.
+        observation: That of `LegEnv` with `flat_observation=True`, float32, (machines, size).
         limits: Bounds of an observation, infinite where there is none, (size,).
         torque_limit: Torque [N m] that an action of 1 stands for, (joints,); None for others.
         command: Commands that were sent last, in [-1, 1], (machines, joints).
@@ -81,7 +81,7 @@ class Batch:
     def __init__(self, plan: Plan, episodes: Sequence[Episodes], *, threads: int | None) -> None:
         self._plan, self._scale, preparation = plan, plan.residual_scale, plan.preparation
         self._machines = [BatchMachine(preparation.machine(), each) for each in episodes]
-        for machine in self._machines:  # their outputs are not looked at
+        for machine in self._machines:  # sensor outputs are not used
             machine.simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         sensors, nominal = preparation.sensors, preparation.nominal
         self.period = plan.period
@@ -155,7 +155,7 @@ class Batch:
         return self.steps * self.period
 
     def loop(self, machine: int) -> Loop:
-        """The closed loop of a machine in its present episode."""
+        """Returns the closed loop of a machine in its present episode."""
         loop = self._machines[machine].loop
         assert loop is not None
         return loop
@@ -168,7 +168,7 @@ class Batch:
         """Starts the next episode of some machines.
 
         Args:
-            chosen: Which, (machines,) of bool.
+            chosen: Mask of these machines, (machines,) of bool.
         """
         for i in np.flatnonzero(chosen).tolist():
             self._begin(i)
@@ -189,7 +189,7 @@ class Batch:
             action: In [-1, 1], clipped otherwise, (machines, joints).
 
         Returns:
-            Rewards, (machines,), 0 of those that begin; and which do, (machines,) of bool.
+            Rewards, (machines,), 0 where an episode begins; mask of these, (machines,) of bool.
 
         Raises:
             LeglabError: The action has another shape, or is not finite.
@@ -206,7 +206,7 @@ class Batch:
         self.previous, self.command = self.command, wish.clip(-1.0, 1.0)
         self.command[rests] = self.previous[rests]
         self.steps[moves] += 1
-        # The time of a period as the loop reckons it.
+        # Time of a period with the rounding of the loop.
         late = self._due <= self.steps * self.period
         self._core.step(commands=self.command, late=late, rests=rests)
         for i in np.flatnonzero(late & moves & ~self.diverged).tolist():
@@ -230,7 +230,7 @@ class Batch:
         return np.where(moves & ~self.diverged, reward, 0.0), rests
 
     def transition(self) -> Transition:
-        """Transition of the last step; arrays have a row a machine."""
+        """Returns the transition of the last step; arrays have a row per machine."""
         return Transition(
             time=self.time,
             position=self.true_position,
@@ -281,7 +281,7 @@ class Batch:
         self._core.measure(number)
 
     def _change(self, number: int) -> None:
-        """Has a machine's scenario do what is due in the present period."""
+        """Applies the changes of a machine's scenario that are due in the present period."""
         sampled = self.loop(number).machine
         assert sampled is not None
         now = int(self.steps[number])
@@ -290,7 +290,7 @@ class Batch:
         self._due[number] = sampled.schedule.next
 
     def _begin_controller(self, preparation: Preparation, threads: int) -> None:
-        """Makes one controller for all machines, where the controller can be shared."""
+        """Makes one controller for all machines, or a team of threads, where possible."""
         self._shared: Controller | None = None
         self._team: Team | None = None
         self._feedforward = False
@@ -316,7 +316,7 @@ class Batch:
             probe.observe()
             self._feedforward = "feedforward" in probe.diagnostics()
             kind = type(probe.controller)
-            # Its control period is the compiled core's, unless somebody gave it another.
+            # The compiled core does its control period, unless a subclass overrides `command`.
             if issubclass(kind, AdaptiveController) and kind.command is AdaptiveController.command:
                 self._team = Team(threads)
                 self._adaptive: dict[int, AdaptiveController] = {}
@@ -324,7 +324,7 @@ class Batch:
             probe.close()
 
     def _command_of_controllers(self, chosen: np.ndarray, *, first: bool) -> None:
-        """Asks the controllers for the commands of the present period."""
+        """Computes the controllers' commands of the present period."""
         if self._scale is None:
             return
         if self._shared is not None:
@@ -354,7 +354,7 @@ class Batch:
                 self._forward[i] = diagnostics_of(controller)["feedforward"]
 
     def _command_of_team(self, team: Team, chosen: np.ndarray, first: bool) -> None:
-        """The same of controllers that are compiled, in threads."""
+        """Computes the commands of compiled controllers, in threads."""
         time = self.time
         if first:
             for i in chosen.tolist():
@@ -372,14 +372,14 @@ class Batch:
         step_together(team, learning, chosen, self.command, measured, self.reference, out)
 
     def _measurement(self, i: int) -> Measurement:
-        """What the controller of a machine sees: rows of the arrays."""
+        """Returns the measurement for a machine's controller: rows of the arrays."""
         row, hydraulic = self._pressure[i], self._pressure.shape[1] // 2
         pressures = (row[:hydraulic], row[hydraulic:-1], float(row[-1])) if hydraulic else ()
         now = float(self.steps[i] * self.period)
         return Measurement(now, self.position[i], self.velocity[i], *pressures)
 
     def _complete(self) -> None:
-        """Writes the last columns of the observation: commands, and what a controller tells."""
+        """Writes the last columns of the observation: commands and the controller's outputs."""
         joints = len(self.joints)
         parts = [self.command]
         if self._scale is not None:
@@ -394,7 +394,7 @@ class Batch:
             self.observation = self._scaled(self._raw)
 
     def _sizes(self, hydraulic: int) -> dict[str, int]:
-        """Numbers of each part of an observation, in their order."""
+        """Returns the number of values of each part of an observation, in order."""
         joints = len(self.joints)
         found = {"position": joints, "velocity": joints}
         if hydraulic:
@@ -409,7 +409,7 @@ class Batch:
         return found
 
     def _command_of_torques(self, torque: np.ndarray, rests: np.ndarray) -> np.ndarray:
-        """Valve commands for torques [N m], (machines, joints) each, by what was measured last."""
+        """Computes valve commands for torques [N m], (machines, joints), by the last readings."""
         joints = len(self.joints)
         wish = self._torque.command(
             torque.ravel(),
@@ -423,11 +423,11 @@ class Batch:
 
 
 class ManyMachines(NominalMachine):
-    """The same nominal machine many times, for a controller that commands joint by joint.
+    """A nominal machine repeated, for a controller that commands joint by joint.
 
     Args:
         one: The machine.
-        count: How many there are.
+        count: Number of repetitions.
     """
 
     def __init__(self, one: NominalMachine, count: int) -> None:
@@ -435,7 +435,7 @@ class ManyMachines(NominalMachine):
         self._one, self._count = one, count
 
     def find(self, name: str) -> Any:
-        """As of one machine, for the joints of all."""
+        """Repeats a value of one machine for the joints of all."""
         match name:
             case "direction":
                 return np.tile(self._one.direction, self._count)

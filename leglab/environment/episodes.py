@@ -1,4 +1,4 @@
-"""Draws the episodes of an environment: seed, scenario, size and time of its change, specimen."""
+"""Random episodes of an environment: seed, scenario, severity and time of a change, specimen."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from leglab.runs.preparation import RunSettings, scenario_of
 RANDOM = ("seed", "scenario", "severity", "onset", "ramp_duration", "tolerance")
 _SEEDS = 2**31 - 1
 
-# Draws values by the names in `RANDOM`.
+# Function that draws values by the names in `RANDOM`.
 Draw = Callable[[np.random.RandomState], Mapping[str, Any]]
 
 
@@ -22,11 +22,11 @@ Draw = Callable[[np.random.RandomState], Mapping[str, Any]]
 class Episode:
     """One episode."""
 
-    #: Of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
+    #: Settings of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
     settings: RunSettings
     #: When the first change begins [s]; None for the scenario's own time.
     onset: float | None = None
-    #: Whether the scenario was drawn: one that changes nothing then has no onset.
+    #: Whether the scenario was drawn: `onset` is then ignored for a scenario without changes.
     drawn: bool = False
 
     def scenario(self) -> Scenario:
@@ -52,7 +52,7 @@ class Episode:
 
 
 class Episodes:
-    """Draws episodes.
+    """Source of random episodes.
 
     Args:
         base: The episode to vary.
@@ -87,7 +87,7 @@ class Episodes:
         self.random = np.random.RandomState(base.settings.seed)
 
     def _try_ends(self, name: str, value: Any) -> None:
-        """Refuses what a later episode would refuse."""
+        """Raises the errors that later episodes would raise, by trying the ends of a range."""
         for end in (value,) if isinstance(value, str) else value:
             drawn: dict[str, Any] = {name: int(end) if name == "seed" else end}
             try:
@@ -122,7 +122,7 @@ class Episodes:
 
 
 def _checked(name: str, value: Any) -> Callable[[np.random.RandomState], Any]:
-    """Returns what draws one quantity."""
+    """Checks the range of a quantity; returns a function that draws it."""
     if name not in RANDOM:
         raise SettingsError.unknown("random quantity of an episode", name, RANDOM)
     if name == "scenario":

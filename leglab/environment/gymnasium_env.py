@@ -1,4 +1,4 @@
-"""The environment as Gymnasium knows it."""
+"""Gymnasium interface of the environment."""
 
 import time
 from typing import TYPE_CHECKING, Any
@@ -28,8 +28,8 @@ class LegEnv(gymnasium.Env):
 
     Observations are float32: one array with `flat_observation=True`, otherwise a dict of arrays.
 
-    A seed given to `reset` is that of the episode's run, as of `leglab run --seed`, and of what
-    later episodes draw. An episode ends by truncation at its duration, by termination where the
+    A seed passed to `reset` is that of the episode's run, as in `leglab run --seed`, and of the
+    draws of later episodes. An episode is truncated at its duration, and terminated where the
     simulation blows up or an error exceeds the limit.
 
     `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the `command` in [-1, 1]
@@ -91,7 +91,7 @@ class LegEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts the next episode; with a seed, the first of that seed's."""
+        """Starts the next episode; with a seed, the first episode of that seed."""
         super().reset(seed=seed)
         if seed is not None:
             self.task.reseed(seed)
@@ -175,6 +175,6 @@ class LegEnv(gymnasium.Env):
 
 
 def _box(spec: specs.Array) -> spaces.Box:
-    """The float32 space of a specification."""
+    """Returns the float32 space of a specification."""
     low, high = (end.astype(np.float32) for end in ends(spec))
     return spaces.Box(low=low, high=high, dtype=np.float32)

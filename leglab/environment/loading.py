@@ -57,8 +57,8 @@ def load(
         scenario: Name of the scenario; its changes happen in the episode as in a run.
         model: Name of a model or path of an MJCF file.
         action: "valve": valve commands in [-1, 1]. "residual": `residual_scale` times the action
-            is added to the command of a controller, and the sum clipped to [-1, 1]. "torque": times
-            `torque_limit` of the task, that of each joint; a loop of force turns it into commands.
+            is added to the command of a controller, and the sum clipped to [-1, 1]. "torque": the
+            action times the task's `torque_limit` per joint; a force loop turns it into commands.
         controller: Name of the controller of a residual action; None for static_feedforward.
         controller_config: Its settings.
         residual_scale: Valve command that a residual action of 1 stands for, in (0, 2].
@@ -88,7 +88,7 @@ def load(
     Raises:
         LeglabError: If a name or a setting does not fit, or dm_control is missing.
     """
-    settings = dict(locals())  # what was given; copied, since a debugger writes into the original
+    settings = dict(locals())  # the arguments; copied, since a debugger writes into the original
     del settings["randomize"], settings["flat_observation"]
     _require("dm_control.mujoco")
     from dm_control.rl import control
@@ -102,7 +102,7 @@ def load(
     return control.Environment(
         LegPhysics.of(simulation),
         TrackingTask(plan, simulation, episodes, flat=flat_observation),
-        # Half a period short: the limit is a quotient of floats.
+        # Half a period less, so that rounding of the limit cannot add a period.
         time_limit=(plan.periods - 0.5) * plan.period,
         control_timestep=plan.period,
         flat_observation=flat_observation,
@@ -122,12 +122,12 @@ def make_batch(
     """Makes many environments that are stepped together in threads, as Gymnasium vectorises them.
 
     Machine i has the episodes of `load_gymnasium(scenario, seed=seed + i, flat_observation=True)`,
-    bit for bit, with any number of threads. `.dm_env` is the same batch as dm_env knows it.
+    bit for bit, with any number of threads. `.dm_env` is the same batch with dm_env's interface.
 
     Args:
-        num_envs: How many machines.
+        num_envs: Number of machines.
         scenario: Name of the scenario.
-        threads: That step machines; None for one a core.
+        threads: Number of threads that step machines; None for one per core.
         autoreset: "next_step": the step after an episode's last one begins the next episode;
             "same_step": the last step does, and `info` has what it observed.
         randomize: As for `load`.
@@ -163,9 +163,9 @@ def load_gymnasium(
     height: int = 480,
     **settings: Any,
 ) -> "gymnasium.Env":
-    """Makes a Gymnasium environment of the one that `load` makes.
+    """Makes the environment of `load` with the interface of Gymnasium.
 
-    Registered as "leglab/SealWear-v0" and alike, one a scenario.
+    Registered as "leglab/SealWear-v0" and alike, one per scenario.
 
     Args:
         scenario: Name of the scenario.
@@ -192,7 +192,7 @@ def load_gymnasium(
 
 
 def register() -> None:
-    """Registers one environment a scenario, where Gymnasium is installed."""
+    """Registers one environment per scenario, where Gymnasium is installed."""
     if importlib.util.find_spec("gymnasium") is None:
         return
     import gymnasium
@@ -207,9 +207,9 @@ def register() -> None:
 
 
 def _choose_renderer() -> None:
-    """Has dm_control draw without a display where there is none and MUJOCO_GL does not say how.
+    """Makes dm_control render off-screen where there is no display and MUJOCO_GL is not set.
 
-    By itself it takes GLFW, with which the first picture ends the process.
+    By default it uses GLFW, with which the first picture ends the process.
     """
     if has_display() or os.environ.get("MUJOCO_GL") or "dm_control._render" in sys.modules:
         return
@@ -217,7 +217,7 @@ def _choose_renderer() -> None:
         os.environ["MUJOCO_GL"] = backend
         try:
             importlib.import_module("dm_control._render")
-        except Exception:  # Of a library that is not there: PyOpenGL raises several kinds.
+        except Exception:  # A missing library: PyOpenGL raises several kinds.
             os.environ.pop("PYOPENGL_PLATFORM", None)  # which dm_control has set
             continue
         finally:

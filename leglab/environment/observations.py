@@ -1,4 +1,4 @@
-"""Observations as numbers of about one: a scale for each part, and finite bounds."""
+"""Normalisation of observations: a scale and finite bounds for each part."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,17 +23,17 @@ class Scale:
     limit: np.ndarray | float  #: [1], as offset
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Scales values in SI units, (..., size); float32, in which a batch reckons as well."""
+        """Scales values in SI units, (..., size), in float32 arithmetic, as a batch does."""
         scaled = np.asarray(value, dtype=np.float32) - self.offset
         scaled /= self.unit
         return scaled.clip(-self.limit, self.limit, out=scaled)
 
 
 def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
-    """Scales of all parts that an observation may have, by the nominal machine.
+    """Computes the scales of all possible parts of an observation from the nominal machine.
 
-    Positions by half the joint's range about its middle, speeds by the full speed of its drive,
-    accelerations by that in 0.1 s, pressures by the supply pressure; commands are in [-1, 1].
+    Positions are scaled by half the joint's range about its middle, speeds by its drive's full
+    speed, accelerations by full speed in 0.1 s, pressures by the supply; commands are in [-1, 1].
     """
     nominal = preparation.nominal
     joints = reference_joints(nominal)
@@ -64,11 +64,11 @@ def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
 
 
 def flat_scale(scales: Mapping[str, Scale], sizes: Mapping[str, int]) -> Scale:
-    """The scale of an observation that is one array.
+    """Joins scales into that of an observation that is one array.
 
     Args:
-        scales: By part.
-        sizes: Numbers of each part, in the order of the observation.
+        scales: Scales by part.
+        sizes: Number of values of each part, in the order of the observation.
     """
 
     def joined(field: str) -> np.ndarray:

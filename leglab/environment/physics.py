@@ -11,8 +11,8 @@ from leglab.machine.simulation import Simulation
 class LegPhysics(Physics):
     """The physics of an environment, on the data of a `Simulation`.
 
-    Its state, `get_state()`, holds the plugins' states and parameters too. A copy is a physics of
-    its own that steps by time steps, without sensors and scenario.
+    Its state, `get_state()`, contains the plugins' states and parameters too. A copy is independent
+    and advances by time steps, without sensors and scenario.
     """
 
     # A copy, too, makes whole steps from its state.
@@ -25,7 +25,7 @@ class LegPhysics(Physics):
         return cls(wrapper.MjData(simulation.data))
 
     def drive(self, advance: Callable[[], None]) -> None:
-        """Has `step` call this function, which ends a control period."""
+        """Sets the function by which `step` advances one control period."""
         self._advance = advance
 
     def step(self, nstep: int = 1) -> None:
@@ -33,11 +33,11 @@ class LegPhysics(Physics):
         if self._advance is None:
             super().step(nstep)
             return
-        with without_warnings():  # the task checks what they warn of
+        with without_warnings():  # the task itself checks for their causes
             self._advance()
 
     def after_reset(self) -> None:
-        """Recomputes what follows from the state; valves stay open as they are.
+        """Recomputes the quantities that follow from the state; valve openings are unchanged.
 
         The solver starts the first step where it would have started without this.
         """

@@ -1,4 +1,4 @@
-"""What an environment is made of: its settings, checked, and what follows from them."""
+"""Validated settings of an environment, and the objects that follow from them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,14 +23,14 @@ PREVIEW = (0.02, 0.05, 0.1)
 class Plan:
     """Settings of an environment or a batch of them."""
 
-    preparation: Preparation  #: Of the runs
+    preparation: Preparation  #: Preparation of the runs
     base: Episode  #: The episode to vary
     periods: int  #: Control periods of an episode
     #: Valve command that an action of 1 adds to the controller's; None without a controller.
     residual_scale: float | None
     #: Data sheets, where an action is a torque; None where it is a valve command.
     cylinders: NominalCylinders | None
-    reward: Reward  #: Of a transition
+    reward: Reward  #: Reward of a transition
     #: Control periods ahead of now at which the observation shows the reference, (n,).
     ahead: np.ndarray
     error_limit: float  #: True error of a joint [rad] beyond which an episode terminates
@@ -42,7 +42,7 @@ class Plan:
         return self.preparation.sensors.control_period
 
     def loop(self, episode: Episode, simulation: Simulation, *, controlled: bool) -> Loop:
-        """The closed loop of an episode; `controlled`: whether it has a controller of its own."""
+        """Makes the closed loop of an episode; `controlled`: whether it runs a controller."""
         return Loop(
             episode.settings,
             preparation=self.preparation,
@@ -73,7 +73,7 @@ def made_plan(
     normalize: bool = True,
     **run: Any,
 ) -> Plan:
-    """Checks settings, as of `leglab.environment.load`; `run` are those of a run."""
+    """Checks the settings of `leglab.environment.load` and makes the plan; `run`: of the run."""
     if action not in ACTIONS:
         told = f"action {action!r} is not allowed; choose one of "
         raise SettingsError(told, given=action, allowed=ACTIONS)
@@ -107,7 +107,7 @@ def made_plan(
     period = preparation.sensors.control_period
     return Plan(
         preparation=preparation,
-        # A scenario that is drawn has no duration of its own here.
+        # Every episode has this duration, whichever scenario is drawn.
         base=Episode(settings=replace(settings, duration=length), onset=onset),
         periods=round(length / period),
         residual_scale=residual_scale if action == "residual" else None,
@@ -120,7 +120,7 @@ def made_plan(
 
 
 def _cylinders(preparation: Preparation) -> NominalCylinders:
-    """Data sheets for torque actions; refuses a machine with other drives."""
+    """Returns data sheets for torque actions; raises `ModelError` for drives without a cylinder."""
     if preparation.nominal.native:
         name = next(iter(preparation.nominal.native))
         raise ModelError(
@@ -133,7 +133,7 @@ def _cylinders(preparation: Preparation) -> NominalCylinders:
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """An action as an array of this shape: (joints,), or of a batch (machines, joints).
+    """Converts an action to an array of a shape: (joints,), or for a batch (machines, joints).
 
     Raises:
         SettingsError: It has another shape or is not finite.

@@ -1,4 +1,4 @@
-"""Rewards of an environment, by name; a user may give a function of his own."""
+"""Rewards of an environment, by name; users may pass their own function instead."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,10 +21,10 @@ class Transition(NamedTuple):
         time: Time at the end of the step [s].
         position: True joint positions at its end [rad]. Shape (joints,).
         velocity: True joint velocities at its end [rad/s]. Shape (joints,).
-        reference: Where the joints should be at its end.
+        reference: Reference of the joints at its end.
         command: Valve commands held during the step, in [-1, 1]. Shape (joints,).
-        previous_command: Those of the step before. Shape (joints,).
-        action: What the agent gave, in [-1, 1]. Shape (joints,).
+        previous_command: Valve commands of the step before. Shape (joints,).
+        action: The agent's action, in [-1, 1]. Shape (joints,).
     """
 
     time: Any
@@ -45,20 +45,20 @@ Reward = Callable[[Transition], Any]
 
 
 def tracking(transition: Transition) -> Any:
-    """Mean over the joints of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
+    """Computes the joints' mean of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
-    1 up to 1 mrad, 0.1 at 51 mrad, and a long tail: the 0.001 at half a radian still tells the
-    better of two bad actions. The same numbers, to the bit, as of dm_control in fewer passes.
+    1 up to 1 mrad, 0.1 at 51 mrad, and a long tail: the 0.001 at half a radian still ranks two bad
+    actions. The values equal those of dm_control to the bit, in fewer passes.
     """
     beyond = np.maximum(np.abs(transition.error) - GOOD_ERROR, 0.0) / POOR_ERROR
     return (1.0 / ((3.0 * beyond) ** 2 + 1.0)).mean(axis=-1)
 
 
 def smooth_tracking(transition: Transition) -> Any:
-    """`tracking` times a factor in [0.8, 1] for small changes of the valve commands, in [0, 1].
+    """Computes `tracking` times a factor in [0.8, 1] for small changes of the valve commands.
 
-    As the suite of dm_control weighs effort: 0.8 + 0.2 of a quadratic that is 0 for a change of
-    0.1 of full opening in one step.
+    The factor weights effort as the suite of dm_control does: 0.8 + 0.2 times a quadratic that is
+    0 for a change of 0.1 of full opening in one step. The product is in [0, 1].
     """
     from dm_control.utils import rewards
 

@@ -21,13 +21,13 @@ from leglab.runs.preparation import reference_joints
 
 
 class TrackingTask(Task):
-    """Valve commands, or corrections of a controller's, against the tracking error.
+    """Tracking task; an action is a valve command, a correction of a controller's, or a torque.
 
     Args:
         plan: Settings.
         simulation: The machine, which the physics shares.
         episodes: Draws what differs between episodes.
-        flat: Whether the environment makes one array of an observation.
+        flat: Whether the environment joins an observation into one array.
 
     Attributes:
         episode: The present episode.
@@ -67,8 +67,8 @@ class TrackingTask(Task):
         self._first = None
 
     def initialize_episode(self, physics: LegPhysics) -> None:
-        """Puts the machine where the next episode starts and measures it."""
-        # The first episode was begun for its specifications; the reset of the data undid that.
+        """Puts the machine into the initial state of the next episode and measures it."""
+        # The constructor began the first episode for the specifications; the data was reset since.
         self._begin(self._first or self._episodes.next())
         self._first = None
         physics.drive(self._loop.advance)
@@ -98,24 +98,24 @@ class TrackingTask(Task):
             self._measure()
 
     def get_observation(self, physics: LegPhysics) -> dict[str, np.ndarray]:
-        """Measurements, reference and commands; see docs/guides/environments.md."""
+        """Returns measurements, reference and commands; see docs/guides/environments.md."""
         return collections.OrderedDict(self._observation)
 
     def get_reward(self, physics: LegPhysics) -> float:
-        """Reward of the step; 0 where the simulation blew up."""
+        """Returns the reward of the step; 0 where the simulation blew up."""
         if self.diverged:
             return 0.0
         return float(self._plan.reward(self.transition()))
 
     def get_termination(self, physics: LegPhysics) -> float | None:
-        """Discount 0 where the simulation blew up or an error is beyond the limit."""
+        """Returns discount 0 where the simulation blew up or an error is beyond the limit."""
         if self.diverged:
             return 0.0
         error = self._simulation.position() - self._period.reference.position
         return 0.0 if np.abs(error).max() > self._plan.error_limit else None
 
     def transition(self) -> Transition:
-        """Transition of the last step."""
+        """Returns the transition of the last step."""
         return Transition(
             time=self.time,
             position=self._simulation.position(),
@@ -127,14 +127,14 @@ class TrackingTask(Task):
         )
 
     def action_spec(self, physics: LegPhysics) -> specs.BoundedArray:
-        """One number in [-1, 1] a joint."""
+        """Returns the specification of an action: one number in [-1, 1] per joint."""
         names = "\t".join(joint.name for joint in self._joints)
         return specs.BoundedArray(self._zero.shape, float, -1.0, 1.0, name=names)
 
     def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
-        """Bounds of all parts; in SI units of those that are known.
+        """Returns shapes and bounds of all parts; in SI units, bounds only where they are known.
 
-        Of references by the joints, of commands by the valves.
+        References are bounded by the limits of the joints, commands by those of the valves.
         """
         low, high = np.array([(joint.lower, joint.upper) for joint in self._joints]).T
         speed = np.array([joint.velocity_limit for joint in self._joints])
@@ -206,7 +206,7 @@ def _spec(name: str, value: np.ndarray, bounds: _Bounds | None) -> specs.Array:
 
 
 def ends(spec: specs.Array) -> list[np.ndarray]:
-    """Lower and upper bounds of a specification, infinite where it has none."""
+    """Returns lower and upper bounds of a specification, infinite where it has none."""
     found = getattr(spec, "minimum", -np.inf), getattr(spec, "maximum", np.inf)
     return [np.broadcast_to(end, spec.shape) for end in found]
 

@@ -1,4 +1,4 @@
-"""A batch of machines as Gymnasium and dm_env know it."""
+"""Gymnasium and dm_env interfaces of a batch of machines."""
 
 from typing import Any
 
@@ -59,17 +59,17 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
     @property
     def dm_env(self) -> "BatchEnvironment":
-        """The same machines as dm_env knows them."""
+        """The same machines with dm_env's interface."""
         return BatchEnvironment(self.batch)
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts episodes; with a seed the first of that seed's, of seed + i in machine i.
+        """Starts episodes; with a seed, the first episode of seed + i in machine i.
 
         Args:
-            seed: One number, or one a machine; None goes on with the next episodes.
-            options: "reset_mask", (machines,) of bool: which machines; all without.
+            seed: One number, or one per machine; None continues with the next episodes.
+            options: "reset_mask", (machines,) of bool: machines to reset; all if it is absent.
         """
         chosen = np.ones(self.num_envs, dtype=bool)
         if options and options.get("reset_mask") is not None:
@@ -122,7 +122,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         return batch.observation.copy(), reward, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Gives the models back as they were."""
+        """Closes the loops, which restores their models."""
         if self._begun:
             for i in range(self.num_envs):
                 self.batch.loop(i).close()
@@ -134,7 +134,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         return found | {f"_{name}": every for name in found}
 
     def _told(self, chosen: np.ndarray) -> dict[str, Any]:
-        """Entries of `info` for the episodes that begin."""
+        """Returns the entries of `info` for the episodes that begin."""
         count = self.num_envs
         found: dict[str, Any] = {
             "scenario": np.full(count, None, dtype=object),
@@ -163,10 +163,10 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
 
 class BatchEnvironment:
-    """Machines of a batch as dm_env has one: time steps whose parts have a row a machine.
+    """dm_env interface of a batch of machines: time steps whose parts have a row per machine.
 
-    A step of a machine whose last one was the last of an episode begins the next episode, as in
-    dm_env; its reward is then 0 and its discount 1.
+    A machine's step after the last one of an episode begins the next episode, as in dm_env; its
+    reward is then 0 and its discount 1.
 
     Args:
         batch: The machines.
@@ -197,12 +197,12 @@ class BatchEnvironment:
         return self._time_step(*self.batch.step(action))
 
     def observation_spec(self) -> specs.BoundedArray:
-        """Of one machine."""
+        """Returns the specification of one machine's observation."""
         ends = self.batch.limits
         return specs.BoundedArray(ends.shape, np.float32, -ends, ends, name="observations")
 
     def action_spec(self) -> specs.BoundedArray:
-        """Of one machine."""
+        """Returns the specification of one machine's action."""
         names = "\t".join(self.batch.joints)
         return specs.BoundedArray((len(self.batch.joints),), float, -1.0, 1.0, name=names)
 

@@ -1,4 +1,4 @@
-"""Quadratic B-spline bases: knots, kind and what happens outside them."""
+"""Quadratic B-spline bases: knots, kind and continuation outside the knots."""
 
 import math
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class Basis(checks.Settings):
 
     Attributes:
         knots: Knots k_1 < ... < k_p in units of the input; equidistant or not.
-        kind: "full" extends the knots by two at each end and has p + 1 splines, which sum to one
-            on all of [k_1, k_p]. "paper" has the p - 3 splines supported within the knots.
+        kind: "full" adds two knots at each end and has p + 1 splines, which sum to one on all of
+            [k_1, k_p]. "paper" has the p - 3 splines whose support lies within the knots.
         outside: How the basis continues outside the knots: "clamp" holds the value at the end,
             "linear" follows the tangent, "quadratic" the outermost polynomial piece.
         middle_piece: "corrected" is the standard B-spline; "printed" has (u - k_i + dk) in the
@@ -85,8 +85,8 @@ class Basis(checks.Settings):
     ) -> "Basis":
         """Builds a full basis with knots dense around a centre: evenly spaced on an asinh scale.
 
-        They are equidistant in asinh of (x - centre) / width, so dense within about `width` of
-        `centre` and sparse far from it: what friction and valve overlap need around zero.
+        Equidistant knots in asinh((x - centre) / width) are dense within about `width` of `centre`
+        and sparse far from it, which suits friction and valve overlap around zero.
         """
         checks.interval("basis range", (lower, upper))
         checks.number("basis width", width, above=0.0)
@@ -102,19 +102,19 @@ class Basis(checks.Settings):
 
     @property
     def equidistant(self) -> bool:
-        """Whether all gaps between knots agree to 1e-9 of their mean."""
+        """True if all gaps between knots agree to 1e-9 of their mean."""
         gaps = np.diff(self.knots)
         return bool(np.all(np.abs(gaps - gaps.mean()) <= 1e-9 * gaps.mean()))
 
     @property
     def extended_knots(self) -> NDArray[np.float64]:
-        """Knots with two more at each end, at the distance of the outermost gap, (p + 4,)."""
+        """Knots with two more at each end, spaced like the outermost gap, (p + 4,)."""
         k = np.asarray(self.knots)
         head, tail = k[1] - k[0], k[-1] - k[-2]
         return np.concatenate(([k[0] - 2 * head, k[0] - head], k, [k[-1] + tail, k[-1] + 2 * tail]))
 
     def identity_weights(self) -> NDArray[np.float64]:
-        """Weights that make the network return its input (Greville abscissae), (count,)."""
+        """Returns the weights that make the network the identity (Greville abscissae), (count,)."""
         t = self.extended_knots if self.kind == "full" else np.asarray(self.knots)
         return (t[1 : 1 + self.count] + t[2 : 2 + self.count]) / 2
 
@@ -124,7 +124,7 @@ class Basis(checks.Settings):
         It agrees with the network within the knots; SciPy continues it quadratically outside.
 
         Args:
-            weights: One weight a spline, (count,).
+            weights: One weight per spline, (count,).
             bias: Added to the output.
 
         Raises:

@@ -27,12 +27,12 @@ class Bsnn(checks.Settings):
     """B-spline network, Eqs. 10 to 15.
 
     Attributes:
-        basis: One basis an input.
+        basis: One basis per input.
         learning_constant: eta of Eq. 12 for each input (eta_1j of Eq. 15).
         two_layers: Eq. 13, a second-layer weight for each input.
         output_learning_constant: eta_2 of Eq. 14.
         bias: Whether the output has a bias, learned by Eq. 12 with the first constant.
-        saturation: Whether steps carry the factor (1 - |w|).
+        saturation: Whether learning steps are multiplied by (1 - |w|).
     """
 
     owner: ClassVar = "bsnn"
@@ -57,7 +57,7 @@ class Bsnn(checks.Settings):
 
     @property
     def neurons(self) -> int:
-        """Splines of all inputs."""
+        """Number of splines of all inputs."""
         return sum(basis.count for basis in self.basis)
 
 
@@ -68,7 +68,7 @@ class BsnnArxSettings(checks.Settings):
     Attributes:
         na: Past outputs in the regressor (n of Eq. 1).
         nb: Past network outputs in the regressor (m of Eq. 1).
-        nk: Delay of the first of them [samples]; 1 in Eq. 3.
+        nk: Smallest lag of the network outputs [samples]; 1 in Eq. 3.
         network: The static part.
         rls: Recursive least squares of the linear part.
         guard: Which samples are refused.
@@ -101,10 +101,10 @@ class BsnnArxSettings(checks.Settings):
 
     @classmethod
     def paper_mode(cls) -> "BsnnArxSettings":
-        """The constants adopted for the paper's experiment (docs: identification).
+        """Returns the settings adopted for the paper's experiment (docs: identification).
 
-        Eight splines on 11 knots over [0, 0.8], the range of Sec. 3.1; the paper does not
-        publish F(0) = 5.6 I and eta = 0.14: they are fitted to its Table 1.
+        Eight splines on 11 knots over [0, 0.8], the range of Sec. 3.1. F(0) = 5.6 I and
+        eta = 0.14 are not published: they are fitted to Table 1 of the paper.
         """
         basis = Basis.uniform(0.0, 0.8, 8, kind="paper")
         return cls(network=Bsnn(basis=(basis,)), rls=Rls(initial_gain=5.6))
@@ -127,20 +127,20 @@ class BsnnArx(Identifier):
 
     @property
     def weights(self) -> Array:
-        """First-layer weights of all inputs one behind the other, (..., neurons)."""
+        """First-layer weights of all inputs, concatenated, (..., neurons)."""
         start = self.settings.na + self.settings.nb
         return self.parameters[..., start : start + self.settings.network.neurons]
 
     @property
     def bias(self) -> Array:
-        """Bias of the network, (...,); zero where it has none."""
+        """Bias of the network, (...,); zero if the network has none."""
         at = self.settings.na + self.settings.nb + self.settings.network.neurons
         if not self.settings.network.bias:
             return np.zeros(self.parameters.shape[:-1])
         return self.parameters[..., at]
 
     def static_spline(self, joint: int = 0, *, network_input: int = 0) -> "BSpline":
-        """Static map from one input to the ARX part's input as a SciPy spline.
+        """Returns the static map from one network input to the ARX input as a SciPy spline.
 
         With several inputs the bias belongs to none of them and is left out.
         """
@@ -157,7 +157,7 @@ class BsnnArx(Identifier):
     def transfer_function(
         self, joint: int = 0, *, timestep: float | bool = True
     ) -> "control.TransferFunction":
-        """ARX part (Eq. 1) from the network's output n to y; timestep in seconds."""
+        """Returns the ARX part (Eq. 1) from the network's output n to y; timestep in seconds."""
         theta = np.atleast_2d(self.theta)[joint]
         na, nk = self.settings.na, self.settings.nk
         return linear.transfer_function(
@@ -165,5 +165,5 @@ class BsnnArx(Identifier):
         )
 
     def poles(self, joint: int = 0) -> NDArray[np.complex128]:
-        """Poles of the ARX part, complex, (na,)."""
+        """Returns the poles of the ARX part, complex, (na,)."""
         return linear.poles(-np.atleast_2d(self.theta)[joint, : self.settings.na])

@@ -1,4 +1,4 @@
-"""A model as a C header: one step and free run, without heap or library, for a microcontroller."""
+"""C headers of models for microcontrollers: one step and free run, without heap or library."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -146,15 +146,15 @@ _STATES_TAIL = """\
 
 
 def c_header(model: SplineNarx | SplineStateSpace, name: str, period: float) -> str:
-    """Returns the header.
+    """Returns the C header of a model with its current parameters.
 
     Args:
-        model: A state space; or of lags, terms, curves and a constant; its present parameters.
-        name: What functions and types begin with; signs that C forbids become _.
+        model: A state-space model, or a NARX model of lags, terms, splines and a constant.
+        name: Prefix of functions and types; characters that C forbids become _.
         period: Sampling period [s], for the comment.
 
     Raises:
-        SettingsError: The model has a feature that adapts itself (Hammerstein).
+        SettingsError: The model has a Hammerstein feature, which has no C form.
     """
     settings = model.settings
     name = re.sub(r"\W", "_", name)
@@ -210,7 +210,7 @@ def _state_space(model: SplineStateSpace, words: dict[str, object]) -> str:
 
 
 def _pieces(spline: "BSpline", ends: np.ndarray) -> list[list[float]]:
-    """Coefficients of a spline between its knots, from the constant on."""
+    """Returns the polynomial coefficients of a spline between its knots, constant term first."""
     return [[float(spline(a)), float(spline(a, 1)), float(spline(a, 2)) / 2] for a in ends[:-1]]
 
 
@@ -276,7 +276,7 @@ def _rows(table: Iterable[Sequence[float] | np.ndarray]) -> str:
 
 
 def _number(value: float) -> str:
-    """A number with all its bits, as a floating-point constant."""
+    """Returns a number as a C floating-point constant that reproduces all its bits."""
     text = repr(float(value))
     text = text if any(sign in text for sign in ".en") else f"{text}.0"
     return f"({text})" if text.startswith("-") else text

@@ -26,12 +26,12 @@ class Settings:
 
 
 def a_number(default: float, **limits: Any) -> Any:
-    """Field of a `Settings` that holds a `number`."""
+    """Returns a field of a `Settings` that `number` checks."""
     return field(default=default, metadata={"check": partial(number, **limits)})
 
 
 def a_whole(default: int, **limits: Any) -> Any:
-    """Field of a `Settings` that holds a `whole` number."""
+    """Returns a field of a `Settings` that `whole` checks."""
     return field(default=default, metadata={"check": partial(whole, **limits)})
 
 

@@ -1,4 +1,4 @@
-"""Feature blocks of the deployed identifier's regressor, and the signals they are made of."""
+"""Feature blocks of the regressor of `SplineNarx`, and the signals that they depend on."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -12,10 +12,10 @@ Curve = Literal["power", "hinge", "sign"]
 
 @dataclass(frozen=True, kw_only=True)
 class Signal(checks.Settings):
-    """A signal and its declared range, which is scaled to [-1, 1] (never from data seen later).
+    """A signal and its declared range, which is scaled to [-1, 1] and never adapted to data.
 
     Attributes:
-        name: How features refer to it.
+        name: Name by which features refer to the signal.
         lower: Lower end of the range in units of the signal.
         upper: Upper end.
     """
@@ -45,7 +45,7 @@ class Lags(checks.Settings):
     Attributes:
         signal: Name of x.
         first: Smallest lag [samples]; at least 1 for the output.
-        count: How many.
+        count: Number of lags.
     """
 
     signal: str
@@ -68,7 +68,7 @@ class Spline(checks.Settings):
 
     Attributes:
         signal: Name of x.
-        lag: Samples; at least 1 for the output.
+        lag: Lag [samples]; at least 1 for the output.
         basis: The splines, with knots in units of x.
         times: Optional (signal, lag) that multiplies every spline: a gain that depends on x.
     """
@@ -86,16 +86,16 @@ class Spline(checks.Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Hammerstein(checks.Settings):
-    """Features n(t - first), ... of n = sum_i w_i N_i(x); w learns through their sensitivity.
+    """Features n(t - first), ... of n = sum_i w_i N_i(x); gradient steps adapt the weights w.
 
-    The weights start as the identity and follow the gradient of the squared error with
-    respect to them, d y / d w_i = sum_k theta_k N_i(x(t - k)), unlike the paper's rule, which
-    trains the network towards y itself.
+    The weights start as the identity and follow the gradient of the squared error, with
+    d y / d w_i = sum_k theta_k N_i(x(t - k)). The paper's rule differs: it trains the network
+    towards y itself.
 
     Attributes:
         signal: Name of the input x.
         first: Smallest lag [samples].
-        count: How many.
+        count: Number of lags.
         basis: The splines, full, with knots in units of x.
         learning_constant: mu in [0, 2) of the gradient step.
     """
@@ -119,17 +119,17 @@ class Term(checks.Settings):
 
     Attributes:
         signal: Name of x.
-        lag: Samples; at least 1 for the output.
-        curve: g: "power" is x^degree of the scaled x, "hinge" max(x - at, 0), "sign"
-            q / (q + 1/2) with s = |x - at| / width and q = s (s + 1/2), and the sign of x - at: as
-            smooth as s / sqrt(1 + s^2), without a root.
-        degree: Of "power".
-        at: Of "hinge" and "sign", in units of x.
-        width: Of "sign", in units of x: at that distance it is three quarters.
-        change: Takes the change x(t - lag) - x(t - lag - 1) in place of x: its sign is what
-            friction and hysteresis depend on. `at` is then in units of the change.
-        times: Optional (signal, lag) that multiplies g; a product of two lags is a power of
-            degree one times the other.
+        lag: Lag [samples]; at least 1 for the output.
+        curve: g: "power" is x^degree of the scaled x; "hinge" is max(x - at, 0); "sign" is
+            q / (q + 1/2) with the sign of x - at, s = |x - at| / width and q = s (s + 1/2): as
+            smooth as s / sqrt(1 + s^2), but without a square root.
+        degree: Exponent of "power".
+        at: Kink of "hinge" or zero of "sign", in units of x.
+        width: Width of "sign" in units of x: |g| is 3/4 at this distance from `at`.
+        change: Whether g is a function of the change x(t - lag) - x(t - lag - 1), on whose sign
+            friction and hysteresis depend. `at` is then in units of the change.
+        times: Optional (signal, lag) that multiplies g. A product of two lags is a "power" of
+            degree one, multiplied by the second lag.
     """
 
     owner: ClassVar = "term"

@@ -1,4 +1,4 @@
-"""Front-end of all identifiers: takes samples and arrays, returns predictions."""
+"""Front-end of all identifiers, from samples and arrays to predictions."""
 
 import math
 from typing import Any, ClassVar, Self
@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 class Identifier:
     """Online identifier of one joint or of several of the same structure.
 
-    Axes: N samples, J joints (missing where there is one), M inputs (missing where there is
-    one). So u of `run` has shape (N,), (N, M), (N, J) or (N, J, M); y has (N,) or (N, J).
+    Axes: N samples, J joints, M inputs; the axis of joints or inputs is left out if its length is
+    one. So u of `run` has shape (N,), (N, M), (N, J) or (N, J, M); y has (N,) or (N, J).
 
     A sample is (u(t), y(t)); its prediction uses y up to t - 1 only. Bad samples (see `Guard`)
-    teach nothing and are counted in `diagnostics`.
+    are not learned; `diagnostics` counts them.
     """
 
     _banks: ClassVar[dict[str, Any]]
@@ -42,7 +42,7 @@ class Identifier:
 
         Args:
             u: Input at this sample: a number, (M,), (J,) or (J, M).
-            y: Output measured at this sample: a number or (J,). NaN (or None) where it is missing.
+            y: Output measured at this sample: a number or (J,). NaN (or None) marks a missing one.
 
         Returns:
             A number, or (J,) for several joints.
@@ -50,7 +50,7 @@ class Identifier:
         Raises:
             LeglabError: A shape is wrong or a value is no number; nothing has been learned.
         """
-        try:  # without copies or checks where the arguments are what they should be
+        try:  # fast path: no copies or checks if types and shapes fit already
             if self._single:
                 return self._update(u, y)
             if u.shape == self._u_one:
@@ -69,10 +69,10 @@ class Identifier:
         return prediction if self.joints > 1 else float(prediction[0])
 
     def predict(self, u: Any) -> Any:
-        """Predicts the next y for an input u that is not taken; changes nothing.
+        """Predicts the next y for an input u; neither stores u nor changes the identifier.
 
-        So a model without lags is a map that learns from one input and is asked at another, as
-        feed-forward does: it learns from the measurement and is asked at the reference.
+        A model without lags can thus learn at one input and be evaluated at another: feed-forward
+        learns at the measured motion and is evaluated at the reference.
 
         Args:
             u: As in `update`.
@@ -80,7 +80,7 @@ class Identifier:
         Raises:
             LeglabError: The shape is wrong or a value is not finite.
         """
-        # One dot product instead of a search: NaN and infinity survive it.
+        # One dot product replaces a search: NaN and infinity propagate through it.
         prediction = np.empty(self.joints)
         if getattr(u, "shape", None) == self._u_one and u.dtype == np.float64:
             flat = u.ravel()  # a view where u is contiguous
@@ -92,13 +92,13 @@ class Identifier:
         return prediction if self.joints > 1 else float(prediction[0])
 
     def run(self, u: ArrayLike, y: ArrayLike, *, missing: str = "raise") -> Array:
-        """Updates with every sample of the arrays; returns the a-priori predictions.
+        """Learns from every sample of the arrays in turn; returns the a-priori predictions.
 
         Args:
             u: Inputs; see the class for the shape.
             y: Outputs, (N,) or (N, J).
-            missing: What a sample with NaN or infinity does: "raise" before anything is
-                learned, or "skip" it as `update` does.
+            missing: Treatment of samples with NaN or infinity: "raise" before anything is
+                learned, or "skip" them as `update` does.
 
         Returns:
             Predictions, the shape of y.
@@ -114,7 +114,7 @@ class Identifier:
     def run_recorded(
         self, u: ArrayLike, y: ArrayLike, *, missing: str = "raise"
     ) -> tuple[Array, Array]:
-        """As `run`; also returns all parameters after each sample, (N, P) or (N, J, P)."""
+        """Runs `run`; also returns all parameters after each sample, (N, P) or (N, J, P)."""
         u_array, y_array = self._arrays(u, y, missing)
         prediction = np.empty(y_array.shape)
         trajectory = np.empty((*y_array.shape, self._bank.parameter_count))
@@ -127,17 +127,17 @@ class Identifier:
 
     @property
     def frozen(self) -> bool:
-        """Whether adaptation is switched off."""
+        """True if adaptation is switched off."""
         return bool(self._bank.frozen)
 
     def one_step(self, u: ArrayLike, y: ArrayLike, *, resume: bool = False) -> Array:
-        """Predicts each y one step ahead with the present parameters; changes nothing.
+        """Predicts each y one step ahead with the current parameters; changes nothing.
 
         Args:
             u: Inputs; see the class for the shape.
             y: Measured outputs, (N,) or (N, J).
-            resume: Whether the arrays follow directly on what the identifier saw last. If not,
-                the first `lags` samples only fill the regressor and their predictions are y.
+            resume: Whether the arrays directly continue the identifier's last samples. If not,
+                the first `lags` samples only fill the regressor, and their predictions are y.
 
         Returns:
             Predictions, the shape of y.
@@ -149,12 +149,12 @@ class Identifier:
         return self._drop_joints(prediction)
 
     def free_run(self, u: ArrayLike, y_initial: ArrayLike | None = None) -> Array:
-        """Simulates y from the input alone with the present parameters; changes nothing.
+        """Simulates y from the input alone with the current parameters; changes nothing.
 
         Args:
             u: Inputs; see the class for the shape.
-            y_initial: The first outputs, (K,) or (K, J) with K >= lags; they are returned as
-                they are. None resumes from what the identifier saw last.
+            y_initial: The first outputs, (K,) or (K, J) with K >= lags, which are returned
+                unchanged. None continues from the identifier's last samples.
 
         Returns:
             Outputs, (N,) or (N, J). They may overflow to infinity where the model is unstable.
@@ -195,14 +195,14 @@ class Identifier:
         self._bank.set_parameters(array)
 
     def gain(self, joint: int = 0) -> Array:
-        """Gain matrix F of one joint, (n, n)."""
+        """Returns the gain matrix F of one joint, (n, n)."""
         return self._bank.gain(joint)
 
     def set_gain(self, value: ArrayLike, joint: int = 0) -> None:
         """Sets the gain matrix F of one joint.
 
         Args:
-            value: Symmetric and positive definite, (n, n); the upper triangle counts.
+            value: Symmetric and positive definite, (n, n); only the upper triangle is read.
             joint: Which joint.
 
         Raises:
@@ -213,19 +213,19 @@ class Identifier:
         self._bank.set_gain(joint, array)
 
     def hold_alarm(self, joint: int = 0) -> None:
-        """Keeps the change detector of one joint silent for its hold-off, as after an alarm."""
+        """Suppresses alarms of one joint's change detector for its hold-off, as after an alarm."""
         self._bank.hold_alarm(joint)
 
     def diagnostics(self, joint: int = 0) -> dict[str, float]:
-        """Counts of samples by what became of them, changes, forgetting and gain of one joint.
+        """Returns one joint's counts of samples by outcome, changes, forgetting and gain.
 
-        In the output-error stage also `simulation_rms`, the error of the model's own simulation
-        over about 500 samples in units of the output: free run before it is learned from.
+        In the output-error stage also `simulation_rms`: the RMS error of the model's simulation
+        over about 500 samples in units of the output, each taken before the sample is learned.
         """
         return dict(self._bank.diagnostics(joint))
 
     def project_poles(self, radius: float = 0.999) -> bool:
-        """Moves the poles of the linear part inside the radius, all by one factor.
+        """Scales the poles of the linear part by one factor, if needed, to lie within the radius.
 
         Returns:
             Whether any joint's poles had to move.

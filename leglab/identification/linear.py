@@ -1,4 +1,4 @@
-"""Linear part of an identifier: transfer functions and poles from coefficients of lags."""
+"""Transfer functions and poles of an identifier's linear part, from its coefficients of lags."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def transfer_function(
     output: ArrayLike, inputs: ArrayLike, timestep: float | bool = True
 ) -> "control.TransferFunction":
-    """Transfer function of y(t) = sum_k output_k y(t-k) + sum_k inputs_k u(t-k).
+    """Returns the transfer function of y(t) = sum_k output_k y(t-k) + sum_k inputs_k u(t-k).
 
     Args:
         output: Coefficients of y(t - 1), y(t - 2), ...
@@ -29,6 +29,6 @@ def transfer_function(
 
 
 def poles(output: ArrayLike) -> NDArray[np.complex128]:
-    """Poles of the same difference equation, complex, (lags of y,)."""
+    """Returns the poles of y(t) = sum_k output_k y(t-k), complex, (lags of y,)."""
     roots = np.roots(np.concatenate(([1.0], -np.asarray(output, dtype=float))))
     return roots.astype(np.complex128)

@@ -1,4 +1,4 @@
-"""Settings that both identifiers share: forgetting, change detection and sample guards."""
+"""Settings that the identifiers share: forgetting, change detection and sample guards."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -12,7 +12,7 @@ Forgetting = Literal["none", "exponential", "directional", "variable"]
 ChangeAction = Literal["reset", "inflate"]
 Scalar = Literal["float64", "float32"]
 MAX_INPUTS = 40  # of any identifier, as in the core (guard.h)
-# Least squares keeps half the square of them: 64 MiB.
+# The factor of least squares holds half the square of this number: 64 MiB in float64.
 MAX_PARAMETERS = 4096
 
 
@@ -20,13 +20,13 @@ MAX_PARAMETERS = 4096
 class ChangeDetection(checks.Settings):
     """Opens the gain when the a-priori error grows: fast at first, slow later.
 
-    A change is seen where the mean squared error over about `fast_window` samples exceeds `ratio`
-    times that over `slow_window`. A ratio of 2 false-alarms, 4 misses.
+    A change is declared where the mean squared error over about `fast_window` samples exceeds
+    `ratio` times that over `slow_window`. A ratio of 2 gives false alarms, 4 misses changes.
 
     Attributes:
-        fast_window: Samples of the quick exponential mean.
+        fast_window: Samples of the fast exponential mean.
         slow_window: Samples of the slow exponential mean.
-        ratio: Of the means of squares at which a change is declared.
+        ratio: Ratio of the fast to the slow mean square at which a change is declared.
         hold_off: Samples after the start and after a change without (another) alarm.
         action: "reset" sets F to gain * I, "inflate" adds gain * I.
         gain: See action.
@@ -47,22 +47,21 @@ class ChangeDetection(checks.Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Rls(checks.Settings):
-    """Recursive least squares (Eqs. 6 to 8) and how it forgets.
+    """Recursive least squares (Eqs. 6 to 8) with forgetting.
 
     Attributes:
-        initial_gain: F(0) is this times the identity.
+        initial_gain: F(0) is this factor times the identity.
         forgetting: "none" is Eq. 8. "exponential" has a constant factor. "directional" forgets
             only along the regressor (Kulhavy 1987). "variable" chooses the factor from the
             error (Fortescue, Kershenbaum and Ydstie 1981).
         forgetting_factor: Lambda in [0.5, 1]; the least one allowed in variable forgetting.
         memory: N_0 of variable forgetting [samples].
-        noise_variance: Of variable forgetting, in squared (scaled) output units; 0 uses the
-            slow mean of the squared error.
-        gain_bound: trace(F) never exceeds this times the number of parameters; None takes ten
-            times the initial gain.
-        restore_interval: Every so many updates one parameter, in turn, gets back what was
-            forgotten of its prior (Gunnarsson 1996): without excitation the model returns to the
-            prior instead of wandering. 0 never.
+        noise_variance: Variance that variable forgetting assumes, in squared (scaled) output
+            units; 0 uses the slow mean of the squared error.
+        gain_bound: Bound of trace(F) per parameter; None takes ten times the initial gain.
+        restore_interval: Updates from one restoration to the next. Each restores the forgotten
+            prior information of one parameter in turn (Gunnarsson 1996): without excitation the
+            model returns to the prior instead of drifting. 0: never.
         restore_gain: Variance of that prior, whose mean is zero; None takes the initial gain.
         change: Change detection, or None.
     """
@@ -92,7 +91,7 @@ class Rls(checks.Settings):
 
     @classmethod
     def adaptive(cls, initial_gain: float = 1e4) -> "Rls":
-        """Variable forgetting (N_0 400) with reset on change: what re-adapts fastest."""
+        """Returns variable forgetting (N_0 = 400) with reset on change, which re-adapts fastest."""
         return cls(
             initial_gain=initial_gain,
             forgetting="variable",
@@ -103,16 +102,16 @@ class Rls(checks.Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Guard(checks.Settings):
-    """Which samples teach nothing. They are counted, and the last good value stands in.
+    """Rules for samples that are counted but not learned; the last good value replaces a bad one.
 
     NaN and infinite values are always refused. After a bad sample learning waits until the
     regressor holds only good ones.
 
     Attributes:
-        stuck_samples: Output bit-identical for so many samples while an input moves counts as a
-            stuck sensor; 0 never.
-        input_limits: (lower, upper) for each input in its units: a command at or beyond them is
-            saturated. Empty for none.
+        stuck_samples: Number of samples with bit-identical output, while an input moves, after
+            which the sensor counts as stuck; 0: never.
+        input_limits: (lower, upper) for each input in its units: a command at or beyond a limit
+            is saturated. Empty: no limits.
     """
 
     owner: ClassVar = "guard"
@@ -127,7 +126,7 @@ class Guard(checks.Settings):
             checks.interval(f"guard input_limits[{j}]", limit)
 
     def check_inputs(self, inputs: int) -> None:
-        """Requires limits for all of `inputs` inputs or for none."""
+        """Requires limits for all inputs, whose number is `inputs`, or for none."""
         if self.input_limits and len(self.input_limits) != inputs:
             told = f"guard has limits for {len(self.input_limits)} inputs: the model has "
             raise SettingsError(told, given=len(self.input_limits), allowed=str(inputs))
@@ -135,17 +134,17 @@ class Guard(checks.Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SignalSettings(checks.Settings):
-    """What identifiers of scaled signals have alike.
+    """Settings common to identifiers of scaled signals.
 
     Attributes:
         output: The output and its declared range.
-        inputs: Inputs in the order in which samples carry them.
+        inputs: Inputs in the order of their columns in a sample.
         rls: Recursive least squares; errors and gains are in scaled units.
         guard: Which samples are refused.
-        plausible_range: A signal farther from the middle of its declared range than this many
-            half ranges is refused as implausible; 0 allows any.
-        free_run_limits: The model's own output is held within them in validation and free run
-            (in units of the output), as a stop or an overflow holds the machine's; None: any.
+        plausible_range: Largest distance of a signal from the middle of its declared range, in
+            half ranges; samples beyond are refused as implausible. 0 allows any.
+        free_run_limits: Bounds of the simulated output in validation and free run, in units of
+            the output, as a stop or an overflow bounds the machine's output; None: no bounds.
         scalar: Arithmetic of the core.
     """
 
@@ -179,5 +178,5 @@ class SignalSettings(checks.Settings):
         return [signal.name for signal in self.signals]
 
     def check_count(self, count: int) -> None:
-        """Requires a number of parameters that least squares can hold."""
+        """Requires between 1 and `MAX_PARAMETERS` parameters."""
         checks.whole("number of parameters", count, least=1, most=MAX_PARAMETERS)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ParameterBlock:
-    """A feature as the core reads it: signals by number, knots scaled."""
+    """A feature in the form that the C++ core takes: signals by index, knots scaled."""
 
     feature: str
     signal: int = 0
@@ -50,12 +50,12 @@ class ParameterBlock:
 
     @property
     def count(self) -> int:
-        """Parameters in theta."""
+        """Number of parameters in theta."""
         return self.basis.count if self.feature == "spline" and self.basis else self.lags
 
     @property
     def weights(self) -> int:
-        """Weights of a hammerstein block."""
+        """Number of weights of a Hammerstein block; 0 for other features."""
         return self.basis.count if self.feature == "hammerstein" and self.basis else 0
 
 
@@ -66,12 +66,12 @@ class SplineNarxSettings(SignalSettings):
     Attributes:
         features: Blocks of the regressor; theta has their parameters in this order.
         output_error_after: Learned samples after which learning minimises the error of the
-            model's own simulation (recursive prediction error method); 0 never.
+            model's own simulation (recursive prediction error method); 0: never.
         resynchronise_above: Simulation error, in units of the output, at which the simulation
-            restarts from the measurements; that sample teaches through its one-step error. None
+            restarts from the measurements; this sample is learned by its one-step error. None
             takes a quarter of the output's range.
-        pole_limit: Largest allowed radius of the poles of the lags of the output; they are moved
-            inside after each update. 0 allows any.
+        pole_limit: Largest allowed radius of the poles of the output's lags; poles beyond are
+            moved inside after each update. 0 allows any.
     """
 
     features: tuple[Feature, ...]
@@ -94,7 +94,7 @@ class SplineNarxSettings(SignalSettings):
 
     @cached_property
     def blocks(self) -> tuple[ParameterBlock, ...]:
-        """Features as the core reads them."""
+        """Features in the form that the C++ core takes."""
         return tuple(self._block(feature) for feature in self.features)
 
     @cached_property
@@ -170,15 +170,15 @@ class SplineNarx(Identifier):
         return self.parameters[..., :count]
 
     def linearise(self, joint: int = 0, at: Mapping[str, float] | None = None) -> Array:
-        """Gain of every lag of every signal: d y(t) / d x(t - k), in physical units.
+        """Returns the gain of every lag of every signal, d y(t) / d x(t - k), in physical units.
 
         Args:
             joint: Which joint.
-            at: Value of every signal at the operating point, by name. None takes the `Lags` and
-                `Hammerstein` features alone, the latter with slope one.
+            at: Value of every signal at the operating point, by name. None takes only linear
+                features and `Hammerstein` features, the latter with slope one.
 
         Returns:
-            (1 + inputs, lags + 1); row 0 is the output, its first entry zero.
+            (1 + inputs, lags + 1); row 0 belongs to the output and begins with zero.
 
         Raises:
             SettingsError: A signal is missing in `at`, or unknown.
@@ -221,7 +221,7 @@ class SplineNarx(Identifier):
         at: Mapping[str, float] | None = None,
         timestep: float | bool = True,
     ) -> "control.TransferFunction":
-        """Transfer function from one input (the first by default) to y; see `linearise`."""
+        """Returns the transfer function from an input, or the first, to y; see `linearise`."""
         names = [s.name for s in self.settings.inputs]
         name = names[0] if signal is None else signal
         if name not in names:
@@ -232,15 +232,15 @@ class SplineNarx(Identifier):
     def poles(
         self, joint: int = 0, at: Mapping[str, float] | None = None
     ) -> NDArray[np.complex128]:
-        """Poles of the output's lags, complex; see `linearise` for `at`."""
+        """Returns the poles of the output's lags, complex; see `linearise` for `at`."""
         return linear.poles(np.trim_zeros(self.linearise(joint, at)[0, 1:], "b"))
 
     def static_spline(self, feature: int = 0, joint: int = 0) -> "BSpline":
-        """Static map of one feature as a SciPy spline in physical units.
+        """Returns the static map of one feature as a SciPy spline in physical units.
 
         Args:
-            feature: Position among the settings' features: a `Spline` gives its share of y, a
-                `Hammerstein` n in units of its input.
+            feature: Index among the settings' features. The map of a `Spline` is what it adds to
+                y, that of a `Hammerstein` is n in units of its input.
             joint: Which joint.
 
         Raises:
@@ -257,7 +257,7 @@ class SplineNarx(Identifier):
         return chosen.basis.spline(weights * signal.half_range, signal.centre)
 
     def learned_blocks(self, joint: int = 0) -> Iterator[tuple[ParameterBlock, Array, Array]]:
-        """Yields every block with its parameters and its weights, which most have none of."""
+        """Yields every block with its parameters and its weights (Hammerstein blocks only)."""
         theta = np.atleast_2d(self.theta)[joint]
         weights = np.atleast_2d(self.parameters)[joint, len(theta) :]
         for block in self.settings.blocks:
@@ -269,7 +269,7 @@ class SplineNarx(Identifier):
 def _add_term(
     gains: Array, block: ParameterBlock, theta: float, point: NDArray[np.float64] | None
 ) -> None:
-    """Adds the gains of a term; without a point those of terms that are linear alone."""
+    """Adds the gains of a term at an operating point; without a point only of a linear term."""
     linear = block.curve == "power" and block.degree == 1 and block.factor_signal < 0
     if point is None and not linear:
         return

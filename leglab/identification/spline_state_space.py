@@ -1,4 +1,4 @@
-"""Identifier with inner states: a linear state-space model in feedback with static curves."""
+"""State-space identifier: a linear state-space model in feedback with static curves."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ from leglab.identification.settings import SignalSettings
 if TYPE_CHECKING:
     import control
 
-_OBSERVED = 10  # samples a state that tell the state of a free run's start
-# A model rests where its scaled states move by less than this in a round of samples.
+_OBSERVED = 10  # measured samples per state that estimate the initial state of a free run
+# Simulation to rest: largest change of a scaled state in a round, samples a round, most rounds.
 _RESTS, _ROUND, _ROUNDS = 1e-9, 1000, 100
-REACH = 2.0  # a state is held within it, as in the core (state_space.h); for the C header
+REACH = 2.0  # bound of the scaled states in the C header, as in the core (state_space.h)
 
 
 class Curve(NamedTuple):
@@ -31,8 +31,8 @@ class Curve(NamedTuple):
 
     Attributes:
         v: Weights of the states and inputs in z, (n + M,).
-        w: What f adds to the next states, (n,).
-        o: What f adds to the output.
+        w: Weights of f in the next states, (n,).
+        o: Weight of f in the output.
         e: Weights of the splines, (K,).
     """
 
@@ -69,15 +69,15 @@ class StateSpace(checks.Settings):
     x(t+1) = A x + B u + sum_c w_c f_c(z_c) and y(t) = C x + D u + d + sum_c o_c f_c(z_c), with
     z_c = v_c' [x; u]: a nonlinear linear-fractional representation (Schoukens and Toth 2020), of
     which Hammerstein, Wiener and Wiener-Hammerstein models and a linear system with nonlinear
-    feedback are cases. Signals are scaled to [-1, 1], inputs late by their delays.
+    feedback are special cases. Signals are scaled to [-1, 1], inputs delayed by their delays.
 
     Attributes:
         states: Order n of the linear system.
-        delays: Of each input [samples].
-        curves: Static curves.
-        splines: Of a curve, over [-1, 1] of z.
-        noise: Variance of the output's error, in squares of half the output's range: what the
-            predictor weighs a measurement with.
+        delays: Delay of each input [samples].
+        curves: Number of static curves.
+        splines: Number of splines of a curve, over [-1, 1] of z.
+        noise: Variance of the output error in scaled units (half the output's range is 1), by
+            which the predictor weighs a measurement.
     """
 
     owner: ClassVar = "state space"
@@ -94,37 +94,37 @@ class StateSpace(checks.Settings):
 
     @cached_property
     def basis(self) -> Basis:
-        """Splines of a curve."""
+        """Spline basis of a curve."""
         return Basis.uniform(-1.0, 1.0, self.splines, outside="linear")
 
     @property
     def signals(self) -> int:
-        """States and inputs."""
+        """Number of states and inputs."""
         return self.states + len(self.delays)
 
     @property
     def linear(self) -> int:
-        """Parameters of A, B, C, D and d."""
+        """Number of parameters of A, B, C, D and d."""
         return (self.states + 1) * self.signals + 1
 
     @property
     def curve(self) -> int:
-        """Parameters of a curve."""
+        """Number of parameters of a curve."""
         return self.signals + self.states + 1 + self.splines
 
     @property
     def count(self) -> int:
-        """All parameters."""
+        """Number of all parameters."""
         return self.linear + self.curves * self.curve
 
     @property
     def spline_weights(self) -> NDArray[np.int64]:
-        """Places of e of each curve among the parameters, (curves, splines)."""
+        """Indices of each curve's spline weights e among the parameters, (curves, splines)."""
         ends = self.linear + self.curve * np.arange(1, self.curves + 1)
         return ends[:, None] + np.arange(-self.splines, 0)
 
     def parts(self, theta: Array) -> Parts:
-        """Splits the parameters, (count,)."""
+        """Splits a parameter vector, (count,), into matrices and curves."""
         n, m = self.states, len(self.delays)
         a, b, c, d, constant = np.split(theta[: self.linear], np.cumsum([n * n, n * m, n, m]))
         curves = []
@@ -140,8 +140,8 @@ class SplineStateSpaceSettings(SignalSettings):
 
     Attributes:
         structure: States, delays and curves.
-        process_noise: Variance that disturbances add to each scaled state in a sample; 0 says that
-            the inputs alone drive the machine, so that learning minimises the free run's error.
+        process_noise: Variance that disturbances add to each scaled state per sample. At 0 the
+            inputs alone drive the machine, so that learning minimises the free-run error.
     """
 
     structure: StateSpace
@@ -158,28 +158,28 @@ class SplineStateSpaceSettings(SignalSettings):
 
     @property
     def lags(self) -> int:
-        """Measured samples from which the state of a free run's start is found."""
+        """Measured samples from which the initial state of a free run is estimated."""
         return _OBSERVED * self.structure.states + max(self.structure.delays)
 
 
 class SplineStateSpace(Identifier):
-    """Follows the state by an extended Kalman predictor and learns by its error; see the settings.
+    """Identifier that estimates state and parameters by an extended Kalman predictor.
 
-    Parameters start at zero, where nothing can be learned: assign those of a fit.
+    Parameters start at zero, from where nothing can be learned: assign fitted parameters first.
     """
 
     _banks: ClassVar = {"float64": native.SplineStateSpace64, "float32": native.SplineStateSpace32}
     settings: SplineStateSpaceSettings
 
     def parts(self, joint: int = 0) -> Parts:
-        """Parameters by name, in scaled units."""
+        """Returns the parameters of one joint by name, in scaled units."""
         return self.settings.structure.parts(np.atleast_2d(self.parameters)[joint])
 
     def at_rest(self, inputs: Mapping[str, float], joint: int = 0) -> tuple[float, Array]:
-        """Output and scaled states (n,) at rest under constant inputs, by a simulation.
+        """Simulates constant inputs until the model rests; returns output and scaled states (n,).
 
         Raises:
-            SettingsError: An input is missing, or unknown.
+            SettingsError: An input is missing.
         """
         u = self._scaled(inputs)
         parts = self.parts(joint)
@@ -200,12 +200,12 @@ class SplineStateSpace(Identifier):
     def linearise(
         self, joint: int = 0, at: Mapping[str, float] | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        """A (n, n), B (n, M), C (1, n), D (1, M) at rest, from inputs to output in their units.
+        """Returns A (n, n), B (n, M), C (1, n) and D (1, M); inputs and output in their units.
 
         Args:
             joint: Which joint.
-            at: Inputs at the operating point, by name; others are ignored. None takes the linear
-                part alone.
+            at: Inputs by name, under which the model rests at the operating point; other names
+                are ignored. None takes the linear part alone.
         """
         parts = self.parts(joint)
         a, b, c, d = parts.A.copy(), parts.B.copy(), parts.C.copy(), parts.D.copy()
@@ -232,7 +232,7 @@ class SplineStateSpace(Identifier):
         at: Mapping[str, float] | None = None,
         timestep: float | bool = True,
     ) -> "control.TransferFunction":
-        """Transfer function from one input (the first by default) to y; see `linearise`."""
+        """Returns the transfer function from an input, or the first, to y; see `linearise`."""
         import control  # takes a second
         from scipy.signal import ss2tf
 
@@ -248,11 +248,11 @@ class SplineStateSpace(Identifier):
     def poles(
         self, joint: int = 0, at: Mapping[str, float] | None = None
     ) -> NDArray[np.complex128]:
-        """Poles, complex, (n,); see `linearise` for `at`."""
+        """Returns the poles, complex, (n,); see `linearise` for `at`."""
         return np.linalg.eigvals(self.linearise(joint, at)[0]).astype(np.complex128)
 
     def project_poles(self, radius: float = 0.999) -> bool:
-        """Moves the poles of the linear part inside the radius, all by one factor.
+        """Scales the poles of the linear part by one factor, if needed, to lie within the radius.
 
         Returns:
             Whether any joint's poles had to move.
@@ -277,7 +277,7 @@ class SplineStateSpace(Identifier):
         return np.array([(inputs[s.name] - s.centre) / s.half_range for s in self.settings.inputs])
 
     def _curves(self, parts: Parts, x: Array, u: Array) -> tuple[list[float], list[float]]:
-        """Values and slopes of all curves."""
+        """Returns values and slopes of all curves."""
         signals = np.concatenate([x, u])
         found = [self._curve(c.e, float(c.v @ signals)) for c in parts.curves]
         return [f for f, _ in found], [slope for _, slope in found]

@@ -1,7 +1,7 @@
-"""One file that holds an identifier: settings, parameters and state, resuming bit-exactly.
+"""Files of identifiers: settings, parameters and state, from which they resume bit-exactly.
 
 Layout: the line `leglab-identifier VERSION`, one line of JSON (model, joints, settings, size and
-SHA-256 of the state), then the state of the core as it lies in memory.
+SHA-256 of the state), then the memory image of the core's state.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ MAGIC = b"leglab-identifier"
 _MODELS: dict[str, type[Identifier]] = {
     model.__name__: model for model in (BsnnArx, SplineNarx, SplineStateSpace)
 }
-# What settings of the wrong types raise in Python and in the core.
+# Exceptions that settings of wrong types raise in Python and in the core.
 _MALFORMED = (
     ArithmeticError,
     AttributeError,
@@ -52,7 +52,7 @@ _PARTS: dict[str, Any] = {part.__name__: part for part in _kinds(Settings)}
 
 
 def save(identifier: Identifier, path: str | Path) -> None:
-    """Writes the identifier to `path`, all or nothing: an interrupted write leaves the old file.
+    """Writes the identifier to `path` atomically: an interrupted write leaves the old file.
 
     Raises:
         FileError: The file cannot be written.
@@ -79,9 +79,9 @@ def save(identifier: Identifier, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Identifier:
-    """Builds the identifier that `save` wrote; it goes on exactly where the saved one stopped.
+    """Builds the identifier that `save` wrote; it continues exactly where the saved one stopped.
 
-    The file may come from anywhere: what no identifier can be is refused.
+    The file need not be trusted: contents that no identifier can have are refused.
 
     Raises:
         FileError: The file is missing, truncated, damaged or of another version.
@@ -93,7 +93,7 @@ def load(path: str | Path) -> Identifier:
 
 
 def restore(identifier: Identifier, path: str | Path) -> None:
-    """Puts the saved state into an identifier of the same settings; untouched if it fails.
+    """Sets an identifier of the same settings to the saved state; on failure it stays unchanged.
 
     Raises:
         FileError: As `load`, or the file is of another model, settings or number of joints.
@@ -143,7 +143,7 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
     if hashlib.sha256(state).hexdigest() != digest:
         told = f"{path} is damaged: the checksum of its state does not agree"
         raise FileError(told, given=path)
-    # One joint tells the size of all, before memory is taken for them.
+    # The state of one joint gives the size for all joints before their memory is allocated.
     joint = len(_build(path, header, 1)._bank.state())
     if joint * header["joints"] != len(state):
         raise FileError(
@@ -171,7 +171,7 @@ def _set_state(identifier: Identifier, state: bytes, path: str | Path) -> None:
 
 
 def encode(value: Any) -> Any:
-    """Settings as JSON holds them."""
+    """Returns settings as JSON values."""
     if dataclasses.is_dataclass(value):
         fields = {f.name: encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"type": type(value).__name__, **fields}
@@ -181,7 +181,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """What `encode` was given."""
+    """Rebuilds settings from the JSON values that `encode` returned."""
     if isinstance(value, dict):
         fields = {name: decode(item) for name, item in value.items() if name != "type"}
         return _PARTS[value["type"]](**fields)

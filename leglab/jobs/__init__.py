@@ -1,1 +1,1 @@
-"""Many pieces of work in processes beside this one, here or on a cluster."""
+"""Parallel execution of tasks in worker processes, on this machine or on a cluster."""

@@ -1,7 +1,7 @@
-"""Work on an existing Dask cluster; each worker's threads have processes do it.
+"""Execution of tasks on an existing Dask cluster, in subprocesses of its workers.
 
-What ends its process, hangs or takes too much memory so leaves the cluster's workers alone.
-What travels is text: what a function is given there, results back.
+So a task that ends its process, hangs or uses too much memory does not harm a worker of the
+cluster. Arguments and results are sent as JSON text.
 """
 
 import itertools
@@ -21,33 +21,33 @@ from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.input import parse_json
 from leglab.jobs.runner import Answered, Executor, Runner, Task, Terms
 
-# Batches of work that the cluster knows of, for each of its threads: one is being done.
+# Batches submitted for each thread of the cluster: one is running, the others wait.
 _AHEAD = 3
 _PATIENCE = 60.0  # s, for the scheduler and its first worker
-# Pieces that are shorter travel together, about so long in all [s].
+# Short tasks are sent in batches of about this total duration [s], and of at most this count.
 _TOGETHER, _MOST_TOGETHER = 0.3, 50
-# Looks at how many threads there are, in answers.
+# Batches of answers between two queries of the number of threads.
 _LOOK = 50
 
-# Numbers of the pieces of a batch and its future, by key.
+# Task numbers of a batch and its future, by Dask key.
 Waiting = dict[str, tuple[list[int], Any]]
-# Processes of this worker that have nothing to do just now, by their terms.
+# Idle processes of this worker, by their terms.
 _idle: defaultdict[str, list[Runner]] = defaultdict(list)
 _lock = threading.Lock()
 
 
 def answers(requests: str, terms: str) -> str:
-    """Has work done by a process beside this worker of a cluster.
+    """Runs tasks in a subprocess of this Dask worker.
 
     Args:
-        requests: As JSON, a list of what the function is given.
-        terms: As JSON, on what terms.
+        requests: List of the function's arguments, as JSON.
+        terms: The `Terms` of the process, as JSON.
 
     Returns:
-        The answers in their order and the worker's address as `by`, as JSON.
+        JSON with `answers` in the order of the requests, and the worker's address as `by`.
 
     Raises:
-        LeglabError: The process cannot be started, or has other code.
+        LeglabError: The process cannot be started, or has another version of the code.
     """
     from distributed import get_worker
 
@@ -71,14 +71,14 @@ def cluster(address: str, terms: Terms) -> Iterator[Executor]:
     """Connects to an existing Dask cluster.
 
     Args:
-        address: Of its scheduler.
-        terms: On what terms processes work.
+        address: Address of its scheduler.
+        terms: Conditions under which the processes work.
 
     Yields:
-        What has requests answered by its workers; it may be called again.
+        An executor that runs tasks on the cluster's workers; it may be called repeatedly.
 
     Raises:
-        LeglabError: distributed is missing, or there is no scheduler or no worker.
+        LeglabError: The package distributed is missing, or no scheduler or worker responds.
     """
     try:
         from distributed import Client
@@ -86,7 +86,7 @@ def cluster(address: str, terms: Terms) -> Iterator[Executor]:
         raise LeglabError(
             "--scheduler needs the package distributed: pip install 'leglab[cluster]'"
         ) from error
-    # What it would log of lost connections is told in one line.
+    # Silences its log of lost connections, which are reported in one line here.
     log = logging.getLogger("distributed")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -108,7 +108,7 @@ def cluster(address: str, terms: Terms) -> Iterator[Executor]:
                 raise SettingsError(told, given=address) from error
             yield partial(_answers, client, address, json.dumps(asdict(terms)), waiting)
         finally:
-            with suppress(Exception):  # It may be gone, and something else is being raised.
+            with suppress(Exception):  # The scheduler may be gone; keep the original exception.
                 client.cancel([future for _, future in waiting.values()], force=True)
             with suppress(Exception):
                 client.close(timeout=5)
@@ -125,7 +125,7 @@ def _answers(
     token, count, most, together = uuid4().hex, 0, 0, 1
     while True:
         try:
-            if count % _LOOK == 0:  # Workers come and go.
+            if count % _LOOK == 0:  # The number of workers may change.
                 most = _AHEAD * max(sum(client.nthreads().values()), 1)
             while len(waiting) < most:
                 tasks = list(itertools.islice(requests, together))
@@ -154,7 +154,7 @@ def _answers(
 
 
 def _found(future: Any, count: int, address: str) -> tuple[list[dict[str, Any]], str]:
-    """So many answers, and what made them."""
+    """Returns the `count` answers of a future and the worker that made them."""
     from distributed import KilledWorker
 
     if future.status == "cancelled":

@@ -1,7 +1,7 @@
-"""Makes what is missing: in this process, in several of this machine, or on a Dask cluster.
+"""Computation of missing results: in this process, in several local ones, or on a Dask cluster.
 
-A piece of work that ends its process, hangs or takes too much memory is answered like one that
-raises: with an error and its kind. Nothing else is lost, and what is kept is not made again.
+A task that ends its process, hangs or uses too much memory gets an answer like one that raises: an
+error and its kind. Other tasks are not affected, and stored results are not computed again.
 """
 
 import os
@@ -19,33 +19,33 @@ from leglab.jobs.fingerprint import fingerprint
 from leglab.jobs.runner import Answered, Executor, Runner, Task, Terms
 from leglab.jobs.work import Work, answer_of, error_of, name_of
 
-# Told after each result: how many are there, how many there will be, which one came.
+# Called after each result with the number of results, the total number, and the latest one's name.
 Progress = Callable[[int, int, str], None]
 
-# A piece may take so long [s].
+# Default time-out of a task [s].
 TIMEOUT = 3600.0
 _HERE = os.uname().nodename
 
 
 class Store(Protocol):
-    """Results by key: those that are there are not made again."""
+    """Storage of results by key; stored results are not computed again."""
 
     def __contains__(self, key: Any, /) -> bool:
-        """Whether there is a result that counts."""
+        """Tests whether there is a valid result."""
 
     def add(self, key: Any, answer: dict[str, Any], by: str, /) -> LeglabError | None:
-        """Keeps an answer of `leglab.jobs.work.answer_of`, or returns why it does not count."""
+        """Stores an answer of `leglab.jobs.work.answer_of`, or returns why it is not valid."""
 
 
 class Results(dict[Any, Any]):
-    """Results by key: those found, and those that `keep` returns, given key and result."""
+    """In-memory results by key: existing ones, and new ones as returned by `keep(key, result)`."""
 
     def __init__(self, found: Mapping[Any, Any], keep: Callable[[Any, Any], Any]) -> None:
         super().__init__(found)
         self._keep = keep
 
     def add(self, key: Any, answer: dict[str, Any], _: str) -> LeglabError | None:
-        """As `Store.add`."""
+        """Implements `Store.add`."""
         if "result" not in answer:
             return error_of(answer)
         self[key] = self._keep(key, answer["result"])
@@ -62,26 +62,26 @@ def make_missing(
     told: Callable[[Any], str] = str,
     progress: Progress | None = None,
 ) -> dict[Any, LeglabError]:
-    """Has the results made that a store lacks, and keeps each as soon as it comes.
+    """Computes the results that a store lacks, and stores each as soon as it arrives.
 
-    So after an end at any moment the same call makes exactly what is missing.
+    So after an interruption at any moment the same call computes exactly the missing results.
 
     Args:
-        made_by: From `executor`; not entered where nothing is missing.
-        keys: Of all results.
-        store: Where they are kept.
-        given: What the function is given for a key, as JSON can hold it.
-        ready: Keys that can be made now; called again when they are made, until none is missing.
-            None for all keys at once.
-        told: What progress says of a key.
+        made_by: Context manager from `executor`; not entered if no result is missing.
+        keys: Keys of all results.
+        store: Storage of the results.
+        given: Returns the function's argument for a key, JSON-serialisable.
+        ready: Returns the keys that can be computed now; called again after these are done, until
+            none of them is missing. None for all keys at once.
+        told: Returns the text that progress shows for a key.
         progress: Called at the start and after each result.
 
     Returns:
-        Why results do not count, by key.
+        Errors of the results that are not valid, by key.
 
     Raises:
         LeglabError: A process cannot be started, the scheduler cannot be reached, or a result
-            cannot be kept.
+            cannot be stored.
         KeyboardInterrupt: The user interrupts; the processes are ended.
     """
     problems: dict[Any, LeglabError] = {}
@@ -115,16 +115,16 @@ def executor(
     memory: float | None = None,
     apart: bool = False,
 ) -> AbstractContextManager[Executor]:
-    """Returns what has requests answered, as long as it is entered.
+    """Returns a context manager that yields an executor of tasks.
 
     Args:
-        work: Defined at the top of a module or file, unless it is done in this process.
-        workers: Processes of this machine at a time; -1 is one a core, 1 this process, without
+        work: Function defined at the top level of a module or file, unless run in this process.
+        workers: Number of local processes; -1 for one per core, 1 for this process, without
             limits of time and memory. Not with a scheduler.
         scheduler: Address of a Dask scheduler, for instance "tcp://10.0.0.1:8786"; or None.
-        timeout: Wall time that a piece may take [s].
-        memory: Memory that a process may take [MB]; None for its share of its machine.
-        apart: Whether one worker is a process of its own, too.
+        timeout: Maximum wall time of a task [s].
+        memory: Maximum memory of a process [MB]; None for its share of its machine.
+        apart: Whether a single worker is also a separate process.
 
     Raises:
         LeglabError: Both workers and a scheduler are given, or as `name_of`.
@@ -137,7 +137,7 @@ def executor(
     terms = Terms(work=name_of(work), luggage=luggage, code=code, timeout=timeout, memory=memory)
     if scheduler is None:
         count = (os.cpu_count() or 1) if workers == -1 else workers
-        if memory is None:  # What asks for too much ends before the system ends any process.
+        if memory is None:  # A task that uses too much fails before the system kills any process.
             total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
             terms = replace(terms, memory=max(0.9 * total / count, 1000.0))
         return _processes(count, terms)
@@ -153,11 +153,11 @@ def _answered_here(work: Work, requests: Iterator[Task]) -> Iterator[Answered]:
 
 @contextmanager
 def _processes(count: int, terms: Terms) -> Iterator[Executor]:
-    """So many processes of this machine, each asked by a thread of this one."""
+    """Yields an executor with `count` local processes, each served by a thread of this one."""
     runners = [Runner(terms) for _ in range(count)]
     threads: list[threading.Thread] = []
     lock, over = threading.Lock(), threading.Event()
-    # Bounded: whoever keeps the rows may be slower for a while.
+    # Bounded, since the consumer that stores the rows may be slower for a while.
     answers: queue.Queue[Answered | BaseException | None] = queue.Queue(1000)
 
     def serve(number: int, requests: Iterator[Task]) -> None:
@@ -193,12 +193,12 @@ def _processes(count: int, terms: Terms) -> Iterator[Executor]:
 
     try:
         yield answered
-    finally:  # All processes end, in the middle of a run as well.
+    finally:  # Ends all processes, also in the middle of a task.
         over.set()
         for runner in runners:
             runner.stop()
         while any(thread.is_alive() for thread in threads):
-            with suppress(queue.Empty):  # A thread may wait for room.
+            with suppress(queue.Empty):  # A thread may wait for room in the queue.
                 answers.get(timeout=0.05)
         for runner in runners:
             runner.close()

@@ -1,4 +1,4 @@
-"""Digest of the code, by which kept results are known to be of it."""
+"""Digest of the code, which tells whether stored results were made by this version."""
 
 import hashlib
 import importlib
@@ -7,18 +7,18 @@ from pathlib import Path
 
 from leglab.base import plugins
 
-# Some lie elsewhere than below the first: the source checkout has links.
+# Listed one by one, since in a source checkout some are links to folders outside `leglab`.
 _PACKAGES = ("leglab", "leglab.controllers", "leglab.scenarios", "leglab.models", "leglab._native")
 
 
 def fingerprint() -> str:
-    """Digest of all code and data that a result may depend on, plug-ins included."""
+    """Returns a digest of all code and data that a result may depend on, including plug-ins."""
     return own_fingerprint() + plugins.code_digest()
 
 
 @cache
 def own_fingerprint() -> str:
-    """Digest of all code and data of leglab."""
+    """Returns a digest of all code and data of leglab, without plug-ins."""
     packages = [importlib.import_module(name) for name in _PACKAGES]
     folders = {Path(folder) for package in packages for folder in package.__path__}
     files = {

@@ -1,4 +1,4 @@
-"""A process that works, seen from the one that asks: it may die, hang, or say nonsense."""
+"""Client side of a worker process, which may die, hang, or send invalid answers."""
 
 import json
 import os
@@ -17,36 +17,36 @@ from leglab.base import plugins
 from leglab.base.errors import SimulationError
 from leglab.base.input import parse_json
 
-_START_TIME = 120.0  # s: a process that has imported nothing by then never will
+_START_TIME = 120.0  # s: maximum time for a process to start and import
 _MOST_ANSWER = 100_000_000  # bytes
-_MOST_SAID = 1_000_000  # bytes on standard error that are kept for the message of a death
-# Work that is shorter [s] has its successor sent ahead, if that is no longer [bytes].
+_MOST_SAID = 1_000_000  # bytes of standard error kept for the error message if the process dies
+# After a task shorter than this [s] the next is sent ahead, if its request is no longer [bytes].
 _SHORT, _MOST_AHEAD = 0.5, 30_000
-_TRIES = 2  # of work whose process dies
-# Several processes share the cores: within one, linear algebra has one thread. The bits of a result
-# do not depend on how many are made beside it, then.
+_TRIES = 2  # attempts at a task whose process dies
+# Several processes share the cores, so each uses one thread for linear algebra. Then the rounding
+# of a result does not depend on the number of processes either.
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-# Number of a piece of work, and what the function is given.
+# Number of a task, and the argument of the function.
 Task = tuple[int, dict[str, Any]]
-# Number of the piece, answer as `leglab.jobs.work.answer_of` has it, and what made it.
+# Number of the task, answer in the form of `leglab.jobs.work.answer_of`, and the worker's name.
 Answered = tuple[int, dict[str, Any], str]
-# Has requests answered, several at a time; yields answers as they come. May be called again.
+# Runs tasks, several in parallel, and yields answers as they arrive. May be called repeatedly.
 Executor = Callable[[Iterator[Task]], Iterator[Answered]]
 
 
 class DiedError(Exception):
-    """The process ended in the middle of its work; the message says how."""
+    """The process ended or failed during a task; the message says how."""
 
 
 class TimedOutError(Exception):
-    """Work took longer than it may."""
+    """A task took longer than its time-out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Terms:
-    """On what terms processes work; JSON can hold them."""
+    """Conditions under which worker processes work; JSON-serialisable."""
 
     work: str  #: Name of the function that they call, of `leglab.jobs.work.name_of`
     luggage: plugins.Carried  #: What plug-ins they load
@@ -56,10 +56,10 @@ class Terms:
 
 
 class Runner:
-    """One process that works; it is started when it is first asked, and again when it died.
+    """One worker process; started with the first task, and again after it has died.
 
     Args:
-        terms: On what terms.
+        terms: Conditions under which it works.
     """
 
     def __init__(self, terms: Terms) -> None:
@@ -71,20 +71,20 @@ class Runner:
         self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
 
     def answers(self, tasks: Iterator[Task]) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Has work done, one piece after the other.
+        """Runs tasks one after the other.
 
-        A process that dies gets a second try in a new one: it may have been somebody else's doing.
+        A task whose process dies is tried again in a new process, since the cause may be external.
 
         Args:
-            tasks: Number of each piece, and what the function is given.
+            tasks: Number of each task, and the argument of the function.
 
         Yields:
-            The numbers with their answers.
+            Number and answer of each task.
 
         Raises:
-            LeglabError: The process cannot be started, or has other code.
+            LeglabError: The process cannot be started, or has another version of the code.
         """
-        # The first of them is being done; a short one has its successor at hand.
+        # The first is running; after a short task the next one is sent ahead.
         asked: deque[Task] = deque()
         ahead, tries = 1, 0
         while True:
@@ -114,27 +114,27 @@ class Runner:
             yield asked.popleft()[0], found
 
     def stop(self) -> None:
-        """Has the process end in the middle of its work; may be called from any thread."""
+        """Kills the process, also during a task; may be called from any thread."""
         self._closed = True
         if (process := self._process) is not None:
             process.kill()
 
     def close(self) -> None:
-        """Ends the process; not while `answers` waits in another thread."""
+        """Ends the process; must not be called while `answers` waits in another thread."""
         self._closed = True
         self._end()
         self._errors.close()
 
     def _send_all(self, requests: Sequence[dict[str, Any]]) -> None:
-        """Sends what has not been sent to this process."""
+        """Sends the requests that this process does not have yet."""
         if self._process is not None and self._process.poll() is not None and not self._sent:
-            self._end()  # Idle for long, it has ended by itself.
+            self._end()  # It has ended by itself after its idle time.
         if self._process is None:
             self._start()
         for request in requests[self._sent :]:
             text = _line_of(request)
             if self._sent and len(text) > _MOST_AHEAD:
-                return  # Both sides could wait for the other to read.
+                return  # Deadlock risk: both sides could wait for the other to read.
             self._send(text)
             self._sent += 1
 
@@ -142,13 +142,13 @@ class Runner:
         terms = self._terms
         self._rest = b""
         process = subprocess.Popen(
-            # -P: Python would look for modules in the working folder first.
+            # -P: keeps Python from importing modules from the working folder.
             [sys.executable, "-P", "-m", "leglab.jobs.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
             bufsize=0,
-            start_new_session=True,  # Ctrl-C is for the process that asks.
+            start_new_session=True,  # Ctrl-C shall interrupt the parent process only.
             env={**os.environ, **_THREADS},
         )
         self._process = process
@@ -185,7 +185,7 @@ class Runner:
             raise DiedError(self._death()) from error
 
     def _line(self, timeout: float) -> dict[str, Any]:
-        """One line of the process."""
+        """Returns the next answer of the process, one line of JSON."""
         assert self._process is not None
         assert self._process.stdout is not None
         end = time.monotonic() + timeout

@@ -1,4 +1,4 @@
-"""A piece of work: a function by its name and what it is given, both as JSON can hold them."""
+"""Tasks: a function by its name and its argument, both JSON-serialisable."""
 
 import json
 import sys
@@ -10,16 +10,16 @@ from typing import Any
 from leglab.base import plugins
 from leglab.base.errors import LeglabError, SettingsError, SimulationError, origin
 
-# Takes and gives what JSON can hold.
+# Function with a JSON-serialisable argument and result.
 Work = Callable[[dict[str, Any]], Any]
 
 
 class WorkError(Exception):
-    """Work that failed in a way that it names itself.
+    """A task failed and names the kind of failure itself.
 
     Args:
-        kind: How it failed, in a word or two: "ended early".
-        message: Why, in one line.
+        kind: Kind of failure in a word or two, for instance "ended early".
+        message: Reason in one line.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -28,10 +28,10 @@ class WorkError(Exception):
 
 
 def name_of(work: Work) -> str:
-    """Returns by what name another process finds a function: MODULE:NAME, or FILE:NAME of a script.
+    """Returns the name by which another process can import a function: MODULE:NAME or FILE:NAME.
 
     Raises:
-        LeglabError: It is not defined at the top of a module or file.
+        LeglabError: The function is not defined at the top level of a module or file.
     """
     module = sys.modules.get(work.__module__)
     name = getattr(work, "__qualname__", "")
@@ -49,10 +49,10 @@ def name_of(work: Work) -> str:
 
 
 def work_of(name: str) -> Work:
-    """Returns the function of this name, as `name_of` gives it.
+    """Imports and returns the function of a name from `name_of`.
 
     Raises:
-        LeglabError: There is none.
+        LeglabError: The module cannot be imported or has no such function.
     """
     place, _, function = name.rpartition(":")
     try:
@@ -66,12 +66,12 @@ def work_of(name: str) -> Work:
 
 
 def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
-    """Does a piece of work.
+    """Runs a task and returns its answer.
 
     Returns:
-        `result` as JSON can hold it, or `error` with its `kind`: that of a `WorkError`, "memory",
-        "refused" (a `LeglabError`, with its `class` and attributes) or "exception"; `wall_s` and
-        `cpu_s` that it took.
+        `result`, JSON-serialisable, or `error` with its `kind`: that of a `WorkError`, "memory",
+        "refused" (a `LeglabError`, with its `class` and attributes) or "exception"; and the times
+        `wall_s` and `cpu_s` of the task [s].
     """
     started, used = time.perf_counter(), time.process_time()
     found = _found(work)
@@ -85,7 +85,7 @@ def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
 def error_of(answer: Mapping[str, Any]) -> LeglabError:
     """Returns the error of an answer without a result.
 
-    That which the work raised, in this class; a `SimulationError` for whatever else went wrong.
+    It has the class of the `LeglabError` that the task raised, or is a `SimulationError`.
     """
     kinds: list[type[LeglabError]] = [LeglabError, *LeglabError.__subclasses__()]
     classes = {kind.__name__: kind for kind in kinds}
@@ -98,7 +98,7 @@ def error_of(answer: Mapping[str, Any]) -> LeglabError:
 
 
 def _plain(value: Any) -> Any:
-    """A value, as text if JSON cannot hold it."""
+    """Returns a value, converted to text if it is not JSON-serialisable."""
     try:
         json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):

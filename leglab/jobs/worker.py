@@ -1,7 +1,7 @@
-"""The process that does work, one piece after the other: `python -m` with this module.
+"""Main module of a worker process, which runs tasks one after the other; started by `python -m`.
 
-It reads a line of JSON a piece from standard input and writes one back, so that nothing it says can
-be more than data. Whatever a piece does to it, the process that asked lives on: see `runner`.
+It reads one line of JSON per task from standard input and writes one line back, so that its answers
+are data only. A task may crash this process without harm to the parent process: see `runner`.
 """
 
 import json
@@ -21,14 +21,14 @@ from leglab.base.errors import LeglabError
 from leglab.jobs.fingerprint import fingerprint
 from leglab.jobs.work import answer_of, work_of
 
-# A process that nobody has asked for so long ends [s].
+# A process ends after this time without a request [s].
 _IDLE = 300.0
-# Between two looks at the process that started this one [s].
+# Interval of checks whether the parent process is alive [s].
 _WATCH_PERIOD = 0.5
 
 
 def _lines(place: int) -> Iterator[bytes]:
-    """Lines from a file descriptor, until it ends or has nothing to say for long."""
+    """Yields lines from a file descriptor until its end, or until the idle time is over."""
     rest = b""
     while select.select([place], [], [], _IDLE)[0]:
         part = os.read(place, 1 << 16)
@@ -61,7 +61,7 @@ def _serve(requests: int, answers: BinaryIO) -> None:
 
 
 def _end_with(user: int) -> None:
-    """Has this process end soon after the one that started it, however that one ended."""
+    """Makes this process end soon after its parent process, however that one ended."""
 
     def watch() -> None:
         while os.getppid() == user:
@@ -72,7 +72,7 @@ def _end_with(user: int) -> None:
 
 
 def main() -> None:
-    """Serves standard input until it ends; what work prints goes to standard error."""
+    """Serves requests from standard input until its end; redirects prints to standard error."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -1,4 +1,4 @@
-"""Changes of a machine: a scenario's over time, loads on its bodies, one specimen's tolerances."""
+"""Changes of a machine: scenarios over time, loads on bodies, and tolerances of specimens."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -23,33 +23,33 @@ from leglab.machine.simulation import Simulation
 
 
 class Target(Protocol):
-    """A machine, its bodies or its sensors: elements with parameters that a scenario changes."""
+    """Elements with parameters that a scenario can change: a machine, its bodies or sensors."""
 
     @property
     def elements(self) -> Iterable[str]:
         """Names of the elements."""
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether a change of this parameter of the element has an effect."""
+        """Tests whether a change of this parameter of the element has an effect."""
 
     def parameter(self, element: str, name: str) -> float:
-        """Current value in the parameter's own unit."""
+        """Returns the current value in the parameter's unit."""
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
         """Sets the value from now on."""
 
 
 class Schedule:
-    """Writes a scenario's parameter changes into a simulation and what belongs to it.
+    """Schedule of a scenario's parameter changes of a simulation and other targets.
 
     Args:
-        scenario: Says what changes.
-        simulation: The machine, unchanged.
-        others: What else can change, unchanged.
+        scenario: The changes.
+        simulation: The machine, with nominal parameters.
+        others: Other targets of changes, with nominal parameters.
 
     Attributes:
-        parameters: Element and parameter of everything in the simulation that changes.
-        others: The same of everything else that changes.
+        parameters: Elements and names of the parameters of the simulation that change.
+        others: Elements and names of the parameters of the other targets that change.
         values: Present values of `others`, (len(others),).
 
     Raises:
@@ -64,14 +64,14 @@ class Schedule:
 
     @property
     def next(self) -> float:
-        """When `apply` has something to do again [s]; infinite if never."""
+        """Next time at which `apply` changes a parameter [s]; infinite if never."""
         return self._next
 
     def follow(self, scenario: Scenario, now: float) -> None:
-        """Carries out another scenario from now on; what only the last one changed is undone.
+        """Switches to another scenario; changes that only the previous one made are undone.
 
         Args:
-            scenario: Takes the place of the present one.
+            scenario: Replaces the present one.
             now: Time [s].
 
         Raises:
@@ -81,7 +81,7 @@ class Schedule:
         last = self._scenario
         self._begin(scenario)
         for (element, parameter), nominal in self._nominal.items():
-            # What stays as it was is not written: oil that has warmed up stays warm.
+            # Values that stay the same are not written, so that oil that has warmed up stays warm.
             wanted = scenario.value_at(now, parameter, element, nominal)
             if wanted != last.value_at(now, parameter, element, nominal):
                 self._target[element, parameter].set_parameter(element, parameter, wanted)
@@ -118,12 +118,12 @@ class Schedule:
         self._next = 0.0 if scenario.changes else np.inf
 
     def _done(self, now: float) -> None:
-        """Notes that the parameters are those of this time [s]."""
+        """Records that the parameters have been set for this time [s]."""
         self.values = np.array([self._target[key].parameter(*key) for key in self.others])
         self._previous = now
 
     def apply(self, now: float) -> None:
-        """Sets the parameters of this time [s]; cheap while nothing changes."""
+        """Sets the parameters for this time [s]; cheap while nothing changes."""
         if now < self._next:
             return
         scenario = self._scenario
@@ -139,11 +139,11 @@ class Schedule:
 
 
 def fitted(scenario: Scenario, simulation: Simulation) -> Scenario:
-    """Returns a scenario as a machine can carry it out.
+    """Adapts a scenario to a machine.
 
-    Changes with `fallback` find their element, those with `optional` go where the machine has no
-    such parameter. What names elements that the machine does not have is left as it is, for
-    `Schedule` to refuse.
+    A change with `fallback` whose element the machine lacks goes to the last element with that
+    parameter; a change with `optional` that matches no element is dropped. Other changes that match
+    no element stay, for `Schedule` to reject.
 
     Raises:
         LeglabError: The machine has none of the parameters that the scenario changes; lists the
@@ -166,7 +166,7 @@ def fitted(scenario: Scenario, simulation: Simulation) -> Scenario:
 def _fit(
     scenario: Scenario, simulation: Simulation
 ) -> tuple[tuple[ParameterChange, ...], ParameterChange | None]:
-    """The changes that a machine can carry out, and the first that it needs and cannot."""
+    """Returns the changes that a machine can carry out, and the first required one it cannot."""
     kept = []
     for asked in scenario.changes:
         change = replace(asked, element=_own(asked.element, simulation.joints))
@@ -187,7 +187,7 @@ def _fit(
 
 
 def _own(pattern: str, joints: Sequence[str]) -> str:
-    """The pattern "JOINT,JOINT_*" of a change, without joints whose names begin with JOINT's."""
+    """Excludes other joints that begin with "JOINT_" from a pattern "JOINT,JOINT_*"."""
     for joint in joints:
         if pattern == joint_pattern(joint):
             others = [escape(o) for o in joints if o.startswith(f"{joint}_")]
@@ -202,13 +202,13 @@ def healthy_values(
     joint: str | None = None,
     placed: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> tuple[float, ...]:
-    """Reads a parameter of a machine.
+    """Returns the values of a parameter over the elements of a machine.
 
     Args:
-        simulation: The machine, unchanged.
+        simulation: The machine, with nominal parameters.
         parameter: Name of the parameter.
-        joint: Whose elements count; None for all that have the parameter.
-        placed: Values by element and name that take the place of the machine's.
+        joint: Joint whose elements are read; None for all elements with the parameter.
+        placed: Values by element and name that replace the machine's.
     """
     pattern = _own("*" if joint is None else joint_pattern(joint), simulation.joints)
     where = ParameterChange(parameter=parameter, element=pattern, value=1.0, start=0.0)
@@ -221,7 +221,7 @@ def healthy_values(
 
 
 def _able(simulation: Simulation, parameter: str) -> list[str]:
-    """Elements of a machine, its bodies, joints and encoders that have a parameter."""
+    """Returns the elements of a machine, its bodies, joints and encoders with a parameter."""
     found = [e for e in simulation.elements if simulation.has(e, parameter)]
     native = NativeJoints(simulation)
     found += [e for e in native.elements if native.has(e, parameter)]
@@ -237,7 +237,7 @@ ADDED_MASS = Parameter(
 
 
 def parameter_units() -> dict[str, str]:
-    """Units of all that a scenario can change, by name of the parameter; "1" for none."""
+    """Returns the units of all parameters that a scenario can change, by name; "1" for none."""
     own = (ADDED_MASS, ACTUATOR_GAIN, *FAULTS.values())
     units = {entry.name: entry.unit for entry in own}
     for table in plugin_tables().values():
@@ -249,11 +249,11 @@ def parameter_units() -> dict[str, str]:
 class Bodies:
     """Point masses at the centres of mass of the moving bodies of a model.
 
-    There they change neither the centre of mass nor the inertia about it, so that the body's frame
-    of principal axes stays as it was compiled. The model itself changes: `restore` gives it back.
+    A mass there changes neither the centre of mass nor the inertia about it, so that the compiled
+    frame of principal axes stays valid. The model itself is modified; `restore` undoes it.
 
     Args:
-        model: The model to change; nobody else may use it meanwhile.
+        model: The model to modify; it must not be used elsewhere meanwhile.
 
     Attributes:
         elements: Names of the bodies that move.
@@ -272,11 +272,11 @@ class Bodies:
         self.elements = tuple(self._ids)
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether a body has a parameter of this name."""
+        """Tests whether a body has a parameter of this name."""
         return element in self._ids and name == ADDED_MASS.name
 
     def parameter(self, element: str, name: str) -> float:
-        """Mass that a body carries [kg]."""
+        """Returns the mass that a body carries [kg]."""
         self._check(element, name)
         return self._added[element]
 
@@ -294,7 +294,7 @@ class Bodies:
         body = self._ids[element]
         self._model.body_mass[body] = self._nominal[body] + value
         # Inverse weights, subtree masses and the like follow from the masses (MuJoCo, "Modeling",
-        # "Changing inertial properties"). On data of its own: mj_setConst overwrites the state.
+        # "Changing inertial properties"). On separate data, as mj_setConst overwrites the state.
         if self._scratch is None:
             self._scratch = mujoco.MjData(self._model)
         mujoco.mj_setConst(self._model, self._scratch)
@@ -314,8 +314,8 @@ class Bodies:
 ACTUATOR_GAIN = Parameter(
     "actuator_gain", "1", 1.0, 0.0, 10.0, True, "factor on the force of a native actuator"
 )
-# Fields of a joint by the names that the plugins give the same quantities; the second ones hold
-# the higher orders of a polynomial.
+# Model fields of a joint by the plugins' names of the same quantities; the second field holds the
+# higher orders of a polynomial.
 _JOINT_FIELDS = {
     "viscous": ("dof_damping", "dof_dampingpoly"),
     "coulomb": ("dof_frictionloss",),
@@ -328,12 +328,12 @@ NATIVE_FIELDS = tuple(f for fields in _JOINT_FIELDS.values() for f in fields) + 
 class NativeJoints:
     """Damping, dry friction, stiffness and drive of the joints that native actuators drive.
 
-    MuJoCo's own fields under the plugins' names: `viscous` [N m s/rad], `coulomb` [N m], `k1`
-    [N m/rad], and `actuator_gain`, a factor on the actuator's force, its own loop included. The
-    model itself changes: `restore` gives it back.
+    MuJoCo's fields have the plugins' names: `viscous` [N m s/rad], `coulomb` [N m], `k1` [N m/rad];
+    `actuator_gain` is a factor on the actuator's force, including its internal control loop. The
+    model itself is modified; `restore` undoes it.
 
     Args:
-        simulation: The machine, unchanged.
+        simulation: The machine, with nominal parameters.
 
     Attributes:
         elements: Names of the joints.
@@ -350,7 +350,7 @@ class NativeJoints:
         self._gain = dict.fromkeys(self.elements, 1.0)
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether a change of this parameter of the joint has an effect: it is not zero."""
+        """Tests whether a parameter of a joint can be changed; those that are zero cannot."""
         if element not in self.elements:
             return False
         if name == ACTUATOR_GAIN.name:
@@ -358,7 +358,7 @@ class NativeJoints:
         return name in _JOINT_FIELDS and self.parameter(element, name) != 0.0
 
     def parameter(self, element: str, name: str) -> float:
-        """Present value, SI units."""
+        """Returns the present value, in SI units."""
         if name == ACTUATOR_GAIN.name:
             return self._gain[element]
         return float(getattr(self._model, _JOINT_FIELDS[name][0])[self._place(element, name)])
@@ -367,7 +367,7 @@ class NativeJoints:
         """Sets a parameter from now on.
 
         Raises:
-            LeglabError: The value is negative or no finite number.
+            LeglabError: The value is negative or not finite.
         """
         drive = self._drives[element]
         if name == ACTUATOR_GAIN.name:
@@ -380,13 +380,13 @@ class NativeJoints:
             raise SettingsError(told, given=value, allowed="0 or more")
         place = self._place(element, name)
         first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
-        for field in higher:  # a polynomial grows as a whole
+        for field in higher:  # all orders of a polynomial are scaled alike
             factor = value / self._nominal[first][place] if self._nominal[first][place] else 1.0
             getattr(self._model, field)[place] = factor * self._nominal[field][place]
         getattr(self._model, first)[place] = value
 
     def restore(self) -> None:
-        """Gives the joints and drives back as they were."""
+        """Restores the nominal parameters of joints and drives."""
         for name, values in self._nominal.items():
             getattr(self._model, name)[:] = values
         self._gain = dict.fromkeys(self.elements, 1.0)
@@ -397,12 +397,12 @@ class NativeJoints:
 
 
 def _present(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Fields of `NATIVE_FIELDS` that this version of MuJoCo has."""
+    """Returns the fields of `NATIVE_FIELDS` that this version of MuJoCo has."""
     return tuple(name for name in NATIVE_FIELDS if hasattr(model, name))
 
 
-# Parameters that differ from one specimen to the next, by element, each by a factor of its own.
-# Geometry, pressures and the oil's grade are known well and left alone.
+# Parameters that vary between specimens, each by an independent factor per element. Geometry,
+# pressures and the oil's grade are known well and do not vary.
 _VARIED = (
     "rated_flow",
     "lap",
@@ -417,7 +417,7 @@ _VARIED = (
     "d1",
 )
 
-# Largest relative tolerance: a third and more would be another machine.
+# Largest relative tolerance: a third or more would describe a different machine.
 LARGEST = 0.3
 
 
@@ -432,9 +432,9 @@ def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:
     """Scales mass and inertia of every body by a factor exp(tolerance N(0, 1)), in place.
 
     Args:
-        model: Changed; make its `MjData` afterwards.
+        model: Modified in place; make its `MjData` afterwards.
         tolerance: Relative standard deviation [1].
-        seed: Of the specimen.
+        seed: Seed of the specimen.
     """
     factor = np.exp(tolerance * np.random.default_rng([seed, 11]).standard_normal(model.nbody))
     model.body_mass[:] *= factor
@@ -443,22 +443,22 @@ def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:
 
 
 def vary_parameters(simulation: Simulation, tolerance: float, seed: int) -> None:
-    """Scales hydraulic, friction and spring parameters of every element, each by its own factor.
+    """Scales hydraulic, friction and spring parameters of all elements by independent factors.
 
-    The breakaway friction keeps its ratio to the Coulomb friction. Of joints with native actuators
-    it scales friction, stiffness and the actuator's force, in the model itself.
+    The breakaway friction keeps its ratio to the Coulomb friction. For joints with native
+    actuators, damping, friction, stiffness and actuator force are scaled in the model itself.
 
     Args:
-        simulation: Changed.
+        simulation: Modified in place.
         tolerance: Relative standard deviation [1].
-        seed: Of the specimen.
+        seed: Seed of the specimen.
     """
     rng = np.random.default_rng([seed, 12])
     for element in simulation.elements:
         for name in _VARIED:
             factor = float(np.exp(tolerance * rng.standard_normal()))
             names = (name, "static") if name == "coulomb" else (name,)
-            # The larger first where they grow: static friction is never below Coulomb's.
+            # When scaling up, static first: static friction must never be below Coulomb friction.
             for each in reversed(names) if factor > 1 else names:
                 if simulation.has(element, each):
                     value = simulation.parameter(element, each)

@@ -37,11 +37,11 @@ class SteadyState:
 
 
 class Cylinder:
-    """The plugin's cylinder by its parameters: `leglab.cylinder` attributes, SI units.
+    """The plugin's cylinder, defined by its `leglab.cylinder` attributes in SI units.
 
     Args:
-        parameters: Attribute values over the nominal ones; `bore`, `rod`, `stroke` are required,
-            `mid_length` is not used here.
+        parameters: Values of attributes that differ from the nominal ones; `bore`, `rod` and
+            `stroke` are required, `mid_length` has no effect.
 
     Raises:
         LeglabError: If a name is unknown, a value is out of bounds or contradicts another, or a
@@ -67,14 +67,14 @@ class Cylinder:
         load: float = 0.0,
         blocked: bool = False,
     ) -> np.ndarray:
-        """Time derivative of the continuous state, shape (13,), order `CONTINUOUS_STATES`.
+        """Returns the time derivative of the continuous state, (13,), order `CONTINUOUS_STATES`.
 
         Args:
             state: Continuous state, shape (13,).
             command: Valve command in [-1, 1].
             mass: Moving mass [kg].
             load: Force against extension [N].
-            blocked: The piston is held.
+            blocked: Whether the piston is locked in place.
         """
         out = np.empty(len(CONTINUOUS_STATES))
         state = np.ascontiguousarray(state, dtype=float)
@@ -83,7 +83,7 @@ class Cylinder:
         return out
 
     def initial_state(self, **values: float) -> np.ndarray:
-        """Continuous state, shape (13,), zero but for the named entries."""
+        """Returns a continuous state, shape (13,), zero except for the named entries."""
         state = np.zeros(len(CONTINUOUS_STATES))
         for name, value in values.items():
             state[CONTINUOUS_STATES.index(name)] = value
@@ -123,7 +123,7 @@ class Cylinder:
         return out
 
     def steady_state(self, velocity: float, force: float) -> SteadyState:
-        """Spool and pressures that move the piston at a constant speed against a load.
+        """Computes spool position and pressures for a constant piston speed against a load.
 
         Solves Q_A = A_A v, Q_B = -A_B v and p_A A_A - p_B A_B = force + friction(v).
 
@@ -132,7 +132,7 @@ class Cylinder:
             force: Force of the piston on the mechanism [N].
 
         Raises:
-            LeglabError: If no valve opening reaches it; the message names speed and force.
+            LeglabError: If no valve opening gives that speed; the message names speed and force.
         """
         from scipy.optimize import brentq, root  # slow to import, and seldom needed
 
@@ -150,7 +150,7 @@ class Cylinder:
 
         guess = np.array([0.4, 0.6])
         low, high = -1.0, 1.0
-        # Without flow enough, pressures run away: then the force is off by far, with the same sign.
+        # With too little flow the pressures diverge; the force residual is large, its sign right.
         if balance(low, guess)[1] > 0 or balance(high, guess)[1] < 0:
             raise ModelError(
                 f"no steady state at {velocity:g} m/s and {force:g} N: the valve is too small "

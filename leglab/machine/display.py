@@ -1,4 +1,4 @@
-"""MuJoCo's window: whether one can be opened, and how it is closed for good."""
+"""MuJoCo's window: a test for a usable display, and a viewer whose thread ends on closing."""
 
 import os
 import threading
@@ -9,21 +9,21 @@ from leglab.base.errors import LeglabError
 
 
 def has_display() -> bool:
-    """Whether the environment names a display; `check_display` tries it."""
+    """Tests whether the environment names a display; `check_display` tries to use it."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_display(what: str, without: str) -> None:
-    """Raises where no window can be opened.
+    """Raises an error if no window can be opened.
 
-    MuJoCo's viewer opens its window in a thread of its own and would wait there for ever.
+    MuJoCo's viewer opens its window in a separate thread and would wait there for ever.
 
     Args:
-        what: What needs the window, for the message.
-        without: The way without one, for the message.
+        what: Name of the feature that needs the window, for the message.
+        without: Alternative without a window, for the message.
 
     Raises:
-        LeglabError: Names DISPLAY and the way without a window.
+        LeglabError: No window can be opened; names DISPLAY and the alternative.
     """
     where = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not where:
@@ -47,19 +47,19 @@ def check_display(what: str, without: str) -> None:
 
 
 class LiveWindow:
-    """MuJoCo's viewer in a thread of its own.
+    """MuJoCo's viewer in a separate thread.
 
     Args:
-        model: `mujoco.MjModel` to be shown.
+        model: `mujoco.MjModel` to show.
         data: Its `mujoco.MjData`.
-        camera: Name of the camera; the free one where the model has none of this name.
-        options: As of `mujoco.viewer.launch_passive`.
+        camera: Name of the camera; the free camera if the model has none of this name.
+        options: Options of `mujoco.viewer.launch_passive`.
 
     Attributes:
         handle: MuJoCo's handle of the window.
     """
 
-    # How long the window's thread may take to end [s].
+    # Longest wait for the window's thread to end [s].
     _FAREWELL = 10.0
 
     def __init__(self, model: Any, data: Any, *, camera: str, **options: Any) -> None:

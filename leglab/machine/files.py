@@ -15,24 +15,24 @@ from leglab.base.errors import LeglabError, ModelError
 from leglab.machine.library import is_shipped, model_path
 from leglab.machine.plugin import load_error, load_plugin
 
-# A file whose times are younger than this may change again without new ones: clocks of file
-# systems tick every few milliseconds [s].
+# A file with time stamps younger than this [s] may change again without new time stamps: the clocks
+# of file systems tick every few milliseconds.
 _TICK = 0.1
-_MOST = 8  # models whose content is remembered
+_MOST = 8  # largest number of models whose content is cached
 _XML = (".xml", ".mjcf", ".urdf")
 # Attributes of MJCF that name a file or a folder of assets.
 _NAMED = re.compile(rb"""\b(file\w*|\w*dir)(\s*=\s*["'])([^"']*)(?=["'])""")
-_APART = "absolute"  # folder for files that MJCF names by absolute paths
+_APART = "absolute"  # folder for copies of files that MJCF names by absolute paths
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFiles:
-    """A model as its files had it at one time.
+    """Snapshot of the files of a model.
 
     Attributes:
         main: The MJCF file, absolute.
-        content: Of it, of what it includes and of its assets, by absolute path.
-        digest: Of all that, wherever it lies.
+        content: Contents of the MJCF file, its includes and its assets, by absolute path.
+        digest: Digest of all contents and relative paths, independent of the model's folder.
     """
 
     main: Path
@@ -40,16 +40,16 @@ class ModelFiles:
     digest: str
 
     def write(self, folder: Path) -> Path:
-        """Writes the files as they lie to each other, so that the model loads from anywhere.
+        """Writes the files with their relative paths, so that the model loads from anywhere.
 
-        What MJCF names from the root of the file system gets other names, and lies wherever a name
-        may count from: beside each MJCF file and in the folders of assets.
+        Absolute paths in MJCF are replaced by relative ones; files that they name are copied to
+        every folder a path may be relative to: that of each MJCF file and the folders of assets.
 
         Args:
-            folder: To be made.
+            folder: Folder to create.
 
         Returns:
-            The MJCF file, below the folder.
+            Path of the MJCF file relative to the folder.
 
         Raises:
             OSError: It cannot be written.
@@ -74,26 +74,26 @@ class ModelFiles:
         return self.main.relative_to(root)
 
     def _renamed(self, path: bytes) -> bytes:
-        """A path in MJCF as the copy names it: another one if it is absolute and of this model."""
+        """Returns a path in MJCF as written in the copy: relative if absolute and of this model."""
         known = any(_is_below(file, {Path(os.fsdecode(path))}) for file in self.content)
         return _APART.encode() + path if path.startswith(b"/") and known else path
 
 
 def _is_below(file: Path, places: Set[Path]) -> bool:
-    """Whether a file is one of some, or lies below one."""
+    """Tests whether a file is one of the places or lies below one of them."""
     return not places.isdisjoint((file, *file.parents))
 
 
 def model_files(model: str | Path) -> ModelFiles | None:
-    """Reads the files of a model; None of one that ships with leglab, which its code stands for.
+    """Reads a model's files; None for a shipped model, which leglab's version determines.
 
-    Files that are as they were at the last call are not read again.
+    Files that have not changed since the last call are not read again.
 
     Args:
         model: A name from `model_names()` or the path of an MJCF file.
 
     Raises:
-        LeglabError: There is no such model, MuJoCo refuses it, or a file cannot be read.
+        LeglabError: There is no such model, MuJoCo rejects it, or a file cannot be read.
     """
     if is_shipped(model):
         return None
@@ -132,7 +132,7 @@ def model_digest(model: str | Path) -> str:
 
 
 def since(source: Path, digest: str) -> str:
-    """Returns "was removed", "has changed", or nothing if the digest still holds."""
+    """Returns "was removed", "has changed", or "" if the model still has the digest."""
     if not source.is_file():
         return "was removed"
     try:
@@ -143,12 +143,12 @@ def since(source: Path, digest: str) -> str:
 
 
 def changed_meanwhile(model: str | Path) -> ModelError:
-    """Returns the error of a model whose files changed while a command worked with them."""
+    """Returns the error for a model whose files changed while a command used them."""
     told = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
     return ModelError(told, given=model)
 
 
-# Models with the state of their files, by their MJCF file.
+# Cached models with the state of their files, by MJCF file.
 _remembered: dict[Path, tuple[tuple[tuple[int, ...], ...] | None, ModelFiles]] = {}
 
 
@@ -162,10 +162,10 @@ def _state(files: Mapping[Path, bytes]) -> tuple[tuple[int, ...], ...] | None:
 
 
 def _files(main: Path) -> set[Path]:
-    """The files of a model.
+    """Returns the files of a model.
 
-    MuJoCo lists what the text names, without the folder of height fields, and what the compiled
-    model was made of, without the sides of cubes: so both.
+    MuJoCo's list of dependencies of the text lacks the folder of height fields, its list of paths
+    of the compiled model lacks the sides of cube textures: so both lists are combined.
     """
     load_plugin()
     try:
@@ -173,7 +173,7 @@ def _files(main: Path) -> set[Path]:
         names = mujoco.mju_getXMLDependencies(str(main))
     except (ValueError, mujoco.FatalError) as error:
         raise load_error(error, main.name) from error
-    # What does not compile by itself may do so with the time step or parameters of a run.
+    # A model that does not compile as it is may compile with a run's time step or parameters.
     with suppress(ValueError, mujoco.FatalError):
         names += [os.fsdecode(name) for name in spec.compile().paths.split(b"\0") if name]
     found = {Path(os.path.abspath(main.parent / name)) for name in names}

@@ -1,4 +1,4 @@
-"""Models by name: those that ship with leglab, and those of plug-ins."""
+"""Registry of models by name: those that ship with leglab, and those of plug-ins."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +23,11 @@ def register_model(name: str, path: str | Path, *, summary: str | None = None) -
 
     Args:
         name: Name that users give.
-        path: Of the file.
+        path: The file.
         summary: One line for listings; None for the first sentence of the file's first comment.
 
     Raises:
-        LeglabError: There is no such file, or the name stands for another one.
+        LeglabError: There is no such file, or the name is already taken by another one.
     """
     path = Path(path).resolve()
     if not path.is_file():
@@ -37,16 +37,16 @@ def register_model(name: str, path: str | Path, *, summary: str | None = None) -
 
 
 def model_names() -> tuple[str, ...]:
-    """Names of all models."""
+    """Returns the names of all models."""
     return MODELS.names()
 
 
 def model_summary(name: str) -> str:
-    """The line that describes a model."""
+    """Returns the one-line description of a model."""
     return MODELS.get(name).summary
 
 
-# Files of models that no specification can be read from, and the way out.
+# Suffixes of model files that MuJoCo's parser cannot read, with the remedy for the message.
 _NO_TEXT = {
     ".mjb": "a compiled model cannot be edited; allowed: the .xml that it was compiled from",
     ".xacro": "write the URDF that it stands for: xacro MODEL.xacro > MODEL.urdf",
@@ -54,7 +54,7 @@ _NO_TEXT = {
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a model.
+    """Returns the path of a model's file.
 
     Args:
         model: A name from `model_names()` or the path of an MJCF file.
@@ -75,7 +75,7 @@ def model_path(model: str | Path) -> Path:
 
 
 def is_shipped(model: str | Path) -> bool:
-    """Whether a model is one that ships with leglab, by name."""
+    """Tests whether a model is given by the name of one that ships with leglab."""
     names = MODELS.names()
     return str(model) in names and MODELS.get(str(model)).path.parent in _shipped()
 

@@ -1,4 +1,4 @@
-"""Changes of an MJCF file as text: what does not change keeps its order, comments and includes."""
+"""Edits of an MJCF file as text: unchanged parts keep their order, comments and includes."""
 
 import difflib
 import math
@@ -16,25 +16,25 @@ _TAG = re.compile(
     re.DOTALL,
 )
 _ATTRIBUTE = re.compile(r"\s*([\w:]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
-# By which elements are found, the first that they have.
+# Attributes that identify an element, in order of preference.
 _NAMES = ("name", "key", "instance", "plugin")
-# Sections whose elements have one name space, whatever their tag.
+# Sections whose elements share one name space, whatever their tags.
 _ONE_SPACE = ("actuator", "sensor")
-# What only `general` has; of its shortcuts `position` and `velocity` by other names.
+# Attributes of `general` alone; its shortcuts `position` and `velocity` name them differently.
 _OF_GENERAL = {"gainprm", "biasprm", "gaintype", "biastype", "dyntype", "dynprm", "input"}
 _SAME = 2e-5  # MuJoCo writes six digits
 
-# Tag, name and number among those without another; from the section on.
+# Path from the section down: tag, name, and index among siblings with the same tag and name.
 Place = tuple[tuple[str, str, int], ...]
-# Where an element is or is to be added, the element, and its changed attributes: None of all.
+# Path (of the parent if new), element (None: removed), changed attributes (None: new element).
 Difference = tuple[Place, ElementTree.Element | None, dict[str, str | None] | None]
 
 
 class MjcfPatch:
-    """An MJCF file with what it includes, to be changed as one MuJoCo specification from another.
+    """An MJCF file and its includes, edited by the differences of two MuJoCo specifications.
 
-    Paths of includes, and folders of assets by attribute of `compiler`, become absolute: the text
-    loads from anywhere. Springs of the hinges `in_degrees` are written so.
+    Paths of includes and the folders of assets in `dirs` (by attribute of `compiler`) become
+    absolute: the text loads from anywhere. `springref` of hinges `in_degrees` is in degrees.
     """
 
     def __init__(
@@ -50,10 +50,10 @@ class MjcfPatch:
             self._root.placed_inside = ElementTree.Element("compiler", dict(dirs))
 
     def apply(self, base: str, wanted: str) -> None:
-        """Changes the file by what differs between two specifications, as MuJoCo writes them.
+        """Applies the differences between two specifications, as written by MuJoCo, to the file.
 
         Raises:
-            LookupError: An element is not in the file as in MuJoCo: replicated, or attached.
+            LookupError: The file lacks an element of the specification: replicated or attached.
         """
         trees = ElementTree.fromstring(base), ElementTree.fromstring(wanted)
         for place, element, changed in differences(*trees):
@@ -68,7 +68,7 @@ class MjcfPatch:
                 self._change(nodes[0], element, changed)
 
     def texts(self) -> tuple[str, str]:
-        """The file before and after, both with the includes in place that have changed."""
+        """Returns the text before and after; in both, changed includes are replaced by content."""
         return self._document.text(before=True), self._document.text()
 
     def _found(self, place: Place) -> list["_Node"]:
@@ -108,7 +108,7 @@ class MjcfPatch:
 def differences(
     base: ElementTree.Element, wanted: ElementTree.Element, place: Place = ()
 ) -> Iterator[Difference]:
-    """What differs between two specifications as MuJoCo writes them, wherever assets lie."""
+    """Yields the differences of two specifications as MuJoCo writes them, except `compiler`'s."""
     names = {**base.attrib, **wanted.attrib} if base.tag != "compiler" else {}
     changed = {k: wanted.get(k) for k in names if not _same(base.get(k), wanted.get(k))}
     if changed:
@@ -124,7 +124,7 @@ def differences(
 
 
 def difference_lines(before: str, after: str, name: str) -> tuple[str, ...]:
-    """Unified diff of a file and its improved version, without lines around."""
+    """Returns the unified diff of a file and its improved version, without context lines."""
     texts = before.splitlines(), after.splitlines()
     return tuple(difflib.unified_diff(*texts, name, "improved.xml", n=0, lineterm=""))
 
@@ -153,13 +153,13 @@ def _same(old: str | None, new: str | None) -> bool:
         pairs = [*zip(map(float, old.split()), map(float, new.split()), strict=True)]
     except ValueError:
         return False
-    # A component of a vector is compared with the whole: leakages are of 1e-13, directions round.
+    # Vectors: relative to the largest component, as directions round; scalars may be about 1e-13.
     rounding = _SAME * max((abs(a) for a, _ in pairs), default=0.0) if len(pairs) > 1 else 0.0
     return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=rounding) for a, b in pairs)
 
 
 def _six_digits(old: str, new: str) -> str:
-    """A number in six digits, rounded towards the old one to keep its bounds; other text as is."""
+    """Rounds a number to six digits towards the old one, to keep bounds; returns text as it is."""
     try:
         value = Decimal(new)
         rounding = ROUND_FLOOR if value > Decimal(old or "0") else ROUND_CEILING
@@ -169,7 +169,7 @@ def _six_digits(old: str, new: str) -> str:
 
 
 def _parsed(text: str, folder: Path, file: Path | None = None) -> "_Node":
-    """The text as nodes, with those of the files that it includes; of an included file by path."""
+    """Parses a text and the files it includes into nodes; `file` is the path of an include."""
     document = _Node(text, "", {}, 0, 0)
     document.close = document.stop = len(text)
     stack = [document]
@@ -194,14 +194,14 @@ def _parsed(text: str, folder: Path, file: Path | None = None) -> "_Node":
 
 
 class _Node:
-    """An element of a text, and what becomes of it."""
+    """An element of a text, with the edits to make to it."""
 
     def __init__(
         self, source: str, tag: str, attributes: dict[str, str], start: int, end: int
     ) -> None:
         self.source, self.tag, self.attributes = source, tag, attributes
         self.start, self.end = start, end  #: of the opening tag
-        self.close = self.stop = end  #: where the closing tag begins and ends; of none the end
+        self.close = self.stop = end  #: start and end of the closing tag; `end` if there is none
         self.children: list[_Node] = []
         self.included: _Node | None = None
         self.nested = False  #: whether it is an include of an included file
@@ -216,7 +216,7 @@ class _Node:
         return _name(self.attributes)
 
     def inner(self, *, everywhere: bool = False) -> Iterator["_Node"]:
-        """Its children, or all below it; of included files as if they stood here."""
+        """Yields the children, or all descendants; included files count as part of this one."""
         for child in self.children:
             if child.included:
                 yield from child.included.inner(everywhere=everywhere)
@@ -233,7 +233,7 @@ class _Node:
         return bool(own or placed) or any(one._changes for one in inner)
 
     def text(self, *, before: bool = False) -> str:
-        """As it is written after all changes, or before those of the model."""
+        """Returns the element's text after all edits, or `before` those of the model."""
         if self.included and self.included._changes:
             return self.included._inside(before).strip()
         if self.removed and not before:

@@ -1,9 +1,9 @@
-"""MuJoCo's own actuators as drives of one joint: the force that a command gives, and its inverse.
+"""MuJoCo's built-in actuators as drives of one joint: force of a command, command of a force.
 
 MuJoCo computes force = gain x input + bias, gain and bias affine in length and velocity of the
 transmission, clipped to `forcerange` (MuJoCo documentation, "Computation", "Actuation model"). A
 motor has a constant gain and no bias; position and velocity servos have a bias that closes a loop.
-Controllers send commands in [-1, 1]: the two ends of the range of the actuator's control.
+Controllers send commands in [-1, 1]; -1 and 1 are the two ends of the actuator's control range.
 """
 
 import math
@@ -22,10 +22,10 @@ _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT
 _DYNAMICS = (int(mujoco.mjtDyn.mjDYN_NONE), *_FILTERS)
 _ALLOWED = "allowed: motor, position, velocity or general actuators and leglab.cylinder"
 
-# Where a model gives a joint no range, motions are made within so much about its rest position
-# [rad or m]: choices of this project.
+# Travel to either side of the rest position of a joint to which the model gives no range
+# [rad or m]; chosen for leglab.
 HINGE_TRAVEL, SLIDE_TRAVEL = math.pi / 2, 0.5
-# Largest share of its lever that an actuator may have on another joint.
+# Largest lever arm of an actuator on another joint, relative to that on the joint it drives.
 _LEVER_ELSEWHERE = 1e-6
 
 
@@ -33,12 +33,12 @@ _LEVER_ELSEWHERE = 1e-6
 class NativeActuator:
     """A motor, position, velocity or general actuator that drives one joint.
 
-    Values are read from the model when they are asked for: a fault may have changed them.
+    Values are read from the model at each call, because a fault may have changed them.
     """
 
     model: mujoco.MjModel  #: The MuJoCo model
     id: int  #: Number of the actuator
-    name: str  #: Its name; that of its joint where it has none
+    name: str  #: Name of the actuator; that of its joint if it has none
     joint: int  #: Number of the joint that it drives
     centre: float  #: Control in the middle of its range, in the control's own unit
     half: float  #: Half the width of that range: control = centre + half x command
@@ -49,12 +49,12 @@ class NativeActuator:
 
         Args:
             model: The model.
-            number: Of the actuator.
+            number: Number of the actuator.
             moments: Its lever arms in the rest pose, (nv,).
 
         Raises:
-            ModelError: It is of a kind that a run cannot command, moves several joints, or has no
-                limit; one line names it and what is allowed.
+            ModelError: A run cannot command this kind of actuator, it moves several joints, or it
+                has no limit; one line names the actuator and what is allowed.
         """
         joint = _joint_of(model, number, moments)
         name = model.actuator(number).name or model.joint(joint).name
@@ -79,24 +79,24 @@ class NativeActuator:
 
     @property
     def time_constant(self) -> float:
-        """Of the first-order filter between control and force [s]; 0 without one."""
+        """Time constant of the first-order filter from control to force [s]; 0 without a filter."""
         if int(self.model.actuator_dyntype[self.id]) in _FILTERS:
             return float(self.model.actuator_dynprm[self.id, 0])
         return 0.0
 
     def gain(self, data: mujoco.MjData) -> float:
-        """Force per control at the present length and velocity of the transmission."""
+        """Returns force per control at the present length and velocity of the transmission."""
         affine = int(self.model.actuator_gaintype[self.id]) == mujoco.mjtGain.mjGAIN_AFFINE
         return self._affine(self.model.actuator_gainprm[self.id], affine, data)
 
     def bias(self, data: mujoco.MjData) -> float:
-        """Force at control 0, at the present length and velocity."""
+        """Returns the force at control 0, at the present length and velocity."""
         if int(self.model.actuator_biastype[self.id]) == mujoco.mjtBias.mjBIAS_NONE:
             return 0.0
         return self._affine(self.model.actuator_biasprm[self.id], True, data)
 
     def slopes(self, command: float) -> tuple[float, float]:
-        """Force per length and per velocity of the transmission while a command is held."""
+        """Returns force per transmission length and per velocity at a fixed command."""
         control = self.centre + self.half * command
         found = np.zeros(2)
         if int(self.model.actuator_biastype[self.id]) != mujoco.mjtBias.mjBIAS_NONE:
@@ -106,9 +106,9 @@ class NativeActuator:
         return float(found[0]), float(found[1])
 
     def command(self, force: float, data: mujoco.MjData) -> float:
-        """Steady command that gives a force at the present length and velocity.
+        """Returns the steady command that gives a force at the present length and velocity.
 
-        Beyond what the actuator can give it is the nearer end of [-1, 1].
+        For a force beyond the actuator's range it is the nearer end of [-1, 1].
         """
         gain = self.gain(data)
         if gain == 0.0:
@@ -121,7 +121,7 @@ class NativeActuator:
         return min(max((control - self.centre) / self.half, -1.0), 1.0)
 
     def force_range(self, data: mujoco.MjData) -> tuple[float, float]:
-        """Least and greatest force that commands in [-1, 1] give in the present state."""
+        """Returns the smallest and largest force of commands in [-1, 1] in the present state."""
         ends = [
             self.gain(data) * (self.centre + self.half * end) + self.bias(data) for end in (-1, 1)
         ]
@@ -137,18 +137,18 @@ class NativeActuator:
         return low, high
 
     def lever(self, data: mujoco.MjData) -> float:
-        """Lever arm on its joint, gear included [m/rad or 1]."""
+        """Returns the lever arm on its joint, gear included [m/rad or 1]."""
         first, count = int(data.moment_rowadr[self.id]), int(data.moment_rownnz[self.id])
         row = slice(first, first + count)
         places = np.flatnonzero(data.moment_colind[row] == self.dof)
         return float(data.actuator_moment[row][places[0]]) if places.size else 0.0
 
     def setpoint(self, data: mujoco.MjData) -> tuple[float, float, float]:
-        """Command that asks a servo for a position and velocity of its joint.
+        """Returns a servo's command as an affine function of desired joint position and velocity.
 
         Returns:
-            The command at position 0 in the present lever, and its slopes over position and
-            velocity [1/rad, s/rad]; zeros for an actuator without a loop of its own.
+            The command for position 0 at the present lever arm, and its slopes over position and
+            velocity [1/rad, s/rad]; zeros for an actuator without an internal control loop.
         """
         per_length, per_velocity = self.slopes(0.0)
         gain = self.gain(data) * self.half
@@ -165,7 +165,7 @@ class NativeActuator:
         return 0.0, 0.0, 0.0
 
     def description(self) -> dict[str, Any]:
-        """Its parameters as `run.json` has them."""
+        """Returns the actuator's parameters as they are stored in `run.json`."""
         model = self.model
         return {
             "joint": model.joint(self.joint).name,
@@ -185,7 +185,7 @@ class NativeActuator:
 
 
 def joint_range(model: mujoco.MjModel, joint: int, rest: float) -> tuple[float, float]:
-    """Range of a joint [rad or m]; of one without a range, some travel about its rest position."""
+    """Returns a joint's range [rad or m]; without one, the default travel about its rest."""
     if model.jnt_limited[joint]:
         low, high = model.jnt_range[joint].tolist()
         return low, high
@@ -195,7 +195,7 @@ def joint_range(model: mujoco.MjModel, joint: int, rest: float) -> tuple[float, 
 
 
 def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
-    """Joint that an actuator moves."""
+    """Returns the joint that an actuator moves."""
     levers = np.abs(moments)
     name = model.actuator(number).name
     where = f"actuator {name!r}" if name else f"actuator {number}"
@@ -215,7 +215,7 @@ def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
 
 
 def _not_supported(model: mujoco.MjModel, number: int) -> str:
-    """Says why an actuator cannot be commanded; empty if it can."""
+    """Returns the reason why an actuator cannot be commanded; empty if it can."""
     if int(model.actuator_plugin[number]) >= 0:
         return "is of a plugin that runs do not know"
     if int(model.actuator_gaintype[number]) not in _GAINS:
@@ -232,10 +232,10 @@ def _not_supported(model: mujoco.MjModel, number: int) -> str:
 def _control_range(
     model: mujoco.MjModel, number: int, joint: int, where: str, moments: np.ndarray
 ) -> tuple[float, float]:
-    """Ends of the control that commands of -1 and 1 stand for.
+    """Returns the control range whose ends are the commands -1 and 1.
 
-    The actuator's `ctrlrange`; without one a position servo's joint range, and a force's
-    `forcerange` over its gain.
+    It is the actuator's `ctrlrange`; without one, the joint range for a position servo and
+    `forcerange` divided by the gain for a force actuator.
     """
     if model.actuator_ctrllimited[number]:
         low, high = model.actuator_ctrlrange[number].tolist()

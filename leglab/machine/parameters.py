@@ -18,9 +18,9 @@ from leglab._native import hydraulics as _native
 from leglab.base.errors import ModelError, SettingsError
 
 RESIDUAL = "leglab.residual"
-# What a learned residual may depend on, in the order of its coefficients.
+# Input variables of a learned residual, in the order of its coefficients.
 RESIDUAL_VARIABLES = ("position", "velocity", "load", "command")
-# How plugins and core tell them: "attribute 'bore' = 9 m is out of range; allowed: ..."
+# Format in plugins and core: "attribute 'bore' = 9 m is out of range; allowed: ..."
 _GIVEN = re.compile(r" = ('[^']*'|[^\s;]+)")
 _ALLOWED = re.compile(r"; allowed:? (.*)")
 
@@ -95,7 +95,7 @@ class PluginTable:
         raise SettingsError.unknown(f"{self.plugin} parameter", name, known)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the table as JSON can hold it; a default or bound that there is not is None."""
+        """Returns the table for JSON; a missing default and an infinite bound are None."""
         return {
             "parameters": {
                 row.name: {
@@ -125,7 +125,7 @@ _SOURCES = {
 
 
 def _sourced(description: str) -> str:
-    """A description with its source in words."""
+    """Replaces the abbreviation of the source in a description by words."""
     for short, told in _SOURCES.items():
         description = description.replace(short, told)
     return description
@@ -133,7 +133,7 @@ def _sourced(description: str) -> str:
 
 @functools.cache
 def plugin_tables() -> Mapping[str, PluginTable]:
-    """Tables of all plugins that carry parameters, by plugin name."""
+    """Returns the tables of all plugins with parameters, by plugin name."""
     tables = {}
     for plugin, (parameters, states, _) in _native.parameter_tables().items():
         if not parameters:
@@ -149,7 +149,7 @@ def plugin_tables() -> Mapping[str, PluginTable]:
 
 
 def table_at_slide(table: PluginTable) -> PluginTable:
-    """Table of an instance that acts on a slide joint: N where a hinge has N m, m for rad."""
+    """Returns the table of an instance on a slide joint: N in place of N m, m in place of rad."""
     parameters, states = _at_slide(table.parameters), _at_slide(table.states)
     return replace(table, parameters=parameters, states=states)
 
@@ -160,12 +160,12 @@ def _at_slide(rows: Mapping[str, Row]) -> Mapping[str, Row]:
 
 
 def residual_table(table: PluginTable, counts: Mapping[str, int], unit: str) -> PluginTable:
-    """Table of one learned residual: its coefficients, "position_0" and so on, follow the states.
+    """Returns the table of a learned residual; coefficients ("position_0" ...) follow the states.
 
     Args:
-        table: Of the plugin.
+        table: Table of the plugin.
         counts: Number of coefficients by variable.
-        unit: Of the coefficients: that of the joint's force, "1" where they count in commands.
+        unit: Unit of the coefficients: that of the joint's force, or "1" for a cylinder's command.
     """
     place = len(table.parameters) + len(table.states)
     rows = dict(table.parameters)
@@ -183,7 +183,7 @@ def _finite(value: float) -> float | None:
 
 
 def refused(where: str, text: str) -> ModelError:
-    """Turns what MuJoCo, a plugin or the compiled core says of a model into one line."""
+    """Turns a message of MuJoCo, a plugin or the compiled core into a one-line error."""
     line = " ".join(text.split())
     given, allowed = _GIVEN.search(line), _ALLOWED.search(line)
     return ModelError(
@@ -192,7 +192,7 @@ def refused(where: str, text: str) -> ModelError:
 
 
 def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
-    """Parameters of one instance in table order, shape (n,): `values` over the nominal ones.
+    """Returns parameters of an instance in table order, (n,): `values`, else the nominal ones.
 
     Raises:
         SettingsError: If a name is unknown, a value is out of bounds, or a required one is missing.
@@ -213,12 +213,12 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
 def placed_parameters(
     parameters: Mapping[str, float], elements: Mapping[str, str]
 ) -> dict[tuple[str, str], float]:
-    """Finds the elements whose parameters are meant.
+    """Assigns parameter values to the elements that have the parameters.
 
     Args:
-        parameters: Values by NAME, for all elements that have it, or by ELEMENT.NAME, which goes
-            before.
-        elements: Plugin by name of the element.
+        parameters: Values by NAME, for all elements with that parameter, or by ELEMENT.NAME, which
+            takes precedence.
+        elements: Plugin names by element name.
 
     Returns:
         Values by element and name, in the parameter's own unit.
@@ -246,7 +246,7 @@ def placed_parameters(
 
 
 def markdown_tables(tables: Iterable[PluginTable]) -> str:
-    """Parameters and states as Markdown, the content of docs/reference/parameters.md."""
+    """Returns parameters and states as Markdown, the content of docs/reference/parameters.md."""
     lines = [
         "# Parameters and states of the plugins",
         "",

@@ -29,13 +29,13 @@ from leglab.machine.parameters import (
 
 @functools.cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's shared library, for what its Python bindings do not expose."""
+    """Returns MuJoCo's shared library, for functions that its Python bindings do not expose."""
     (path,) = Path(mujoco.__path__[0]).glob("libmujoco.so.*")
     return ctypes.CDLL(str(path))
 
 
 def library_path() -> Path:
-    """Path of the shared library with leglab's MuJoCo plugins.
+    """Returns the path of the shared library with leglab's MuJoCo plugins.
 
     Raises:
         FileNotFoundError: It has not been built; lists the folders searched.
@@ -53,11 +53,11 @@ def library_path() -> Path:
 def load_plugin() -> None:
     """Registers leglab's plugins with MuJoCo; further calls do nothing.
 
-    From then on MuJoCo's warnings go to Python's logger "mujoco", once each, instead of into a
-    file MUJOCO_LOG.TXT wherever the process works.
+    From then on each MuJoCo warning goes once to Python's logger "mujoco" instead of to a file
+    MUJOCO_LOG.TXT in the working directory.
 
     Raises:
-        LeglabError: The library does not load, as with a MuJoCo that it was not built against.
+        LeglabError: The library does not load, e.g. because it was built for another MuJoCo.
     """
     path = library_path()
     mujoco.set_mju_user_warning(_log)
@@ -82,7 +82,7 @@ def _log(warning: str) -> None:
 
 
 def slots(names: Iterable[str]) -> dict[int, str]:
-    """Finds the registration slots of plugins: number, as in `MjModel.plugin`, to name."""
+    """Returns the names of registered plugins by slot number, as in `MjModel.plugin`."""
     load_plugin()
     # MuJoCo's Python bindings do not expose mjp_getPlugin.
     look_up = library().mjp_getPlugin
@@ -96,15 +96,15 @@ def slots(names: Iterable[str]) -> dict[int, str]:
 
 
 def text_attribute(model: mujoco.MjModel, instance: int, index: int = 0) -> str:
-    """Reads an attribute of a plugin instance by its place among the plugin's attributes."""
+    """Reads an attribute of a plugin instance by its index among the plugin's attributes."""
     start = int(model.plugin_attradr[instance])
     return bytes(model.plugin_attr[start:]).split(b"\0", index + 1)[index].decode()
 
 
 def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
-    """Lists instances with parameters: their place in `plugin_state` and their table, by name.
+    """Returns address in `plugin_state` and table of the instances with parameters, by name.
 
-    A cylinder goes by the name of its actuator, every other instance by its own.
+    A cylinder has the name of its actuator, every other plugin instance its instance name.
     """
     tables = plugin_tables()
     names = slots(tables)
@@ -128,7 +128,7 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
     return found
 
 
-# Attributes that name an element, and its kind.
+# Attributes that name an element of the model, and the element's kind.
 _NAMING = {
     "joint": mujoco.mjtObj.mjOBJ_JOINT,
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
@@ -139,10 +139,10 @@ _NAMING = {
 
 
 def _named(model: mujoco.MjModel, instance: int, plugin: str, attribute: str) -> int:
-    """Number of the element that an attribute of an instance names; -1 for none.
+    """Returns the id of the element that an attribute of an instance names; -1 for none.
 
-    The plugins find it (`element_named` in leglab/csrc/plugin/config.h): names in attributes keep
-    their form where a model is attached to another one with a prefix.
+    The plugins' `element_named` (leglab/csrc/plugin/config.h) looks it up: when a model is attached
+    to another one with a prefix, names in attributes stay without that prefix.
     """
     name = _text(model, instance, plugin, attribute).encode()
     if not name:
@@ -153,9 +153,9 @@ def _named(model: mujoco.MjModel, instance: int, plugin: str, attribute: str) ->
 
 
 def full_names(model: mujoco.MjModel) -> dict[tuple[str, str], str]:
-    """Names of elements that attributes of plugin instances give without prefix or suffix.
+    """Returns full names of elements that attributes give without their prefix or suffix.
 
-    By the name that the instance's element has in the specification, and the attribute.
+    Keys are the name of the actuator or plugin instance in the specification, and the attribute.
     """
     found = {}
     plugins = slots(parameter_tables())
@@ -172,23 +172,23 @@ def full_names(model: mujoco.MjModel) -> dict[tuple[str, str], str]:
 
 
 def _text(model: mujoco.MjModel, instance: int, plugin: str, name: str) -> str:
-    """Text attribute of a plugin instance; empty where the plugin has none of this name."""
+    """Returns a text attribute of a plugin instance; empty if the plugin has no such attribute."""
     texts = parameter_tables()[plugin][2]
     return text_attribute(model, instance, texts.index(name)) if name in texts else ""
 
 
 def attribute_names(plugin: str) -> tuple[str, ...]:
-    """Names of the MJCF attributes of one of leglab's plugins; empty for any other plugin."""
+    """Returns the names of the MJCF attributes of a leglab plugin; empty for any other plugin."""
     parameters, _, texts = parameter_tables().get(plugin, ([], [], []))
     return (*texts, *(row[0] for row in parameters))
 
 
 def to_xml(spec: mujoco.MjSpec, referred: Iterable[str] = ()) -> str:
-    """Writes a compiled specification as MJCF, with the plugin instances that were added to it.
+    """Writes a compiled specification as MJCF, including the plugin instances added to it.
 
-    `MjSpec.to_xml` of MuJoCo 3.17 leaves out instances that were added through `add_plugin`, and
-    copying or attaching a specification those that no element refers to. So each of these gets a
-    massless body that refers to it, on or beside the body of its joint; not those in `referred`.
+    `MjSpec.to_xml` of MuJoCo 3.17 omits instances added through `add_plugin`; copying or attaching
+    a specification drops instances that no element refers to. Each of these, except those in
+    `referred`, gets a massless body that refers to it, a child or sibling of its joint's body.
     """
     root = ElementTree.fromstring(spec.to_xml())
     for plugin in spec.plugins:
@@ -229,7 +229,7 @@ def _refer_to_instances(root: ElementTree.Element, referred: Iterable[str]) -> N
             text = {one.get("key"): one.get("value") for one in instance.findall("config")}
             joint = text.get("joint") or joint_of.get(text.get("actuator"))
             parent = body_of.get(joint, bodies[0])
-            if parent.find("body") is None:  # MuJoCo softens constraints of what has no child
+            if parent.find("body") is None:  # MuJoCo softens constraints of childless bodies
                 parent = above.get(parent, world)
             place = ElementTree.SubElement(parent, "body", name=name + "_plugin" * (name in names))
             ElementTree.SubElement(place, "plugin", instance=name)
@@ -239,7 +239,7 @@ _UNKNOWN_ATTRIBUTE = re.compile(
     r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
 )
 _MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
-# Where shapes that are there to be seen only were left out; true, and no help with the error.
+# MuJoCo's note that visual shapes were discarded: true, but irrelevant to the error.
 _DISCARDED = re.compile(r"\s*The visual elements of the spec were discarded.*", re.DOTALL)
 _ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
@@ -250,11 +250,11 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
     Args:
         error: What `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
         where: The file or model.
-        spec: The model's specification, where it could be read.
+        spec: The model's specification; None if it could not be read.
 
     Returns:
-        The error with the element's name; a wrong plugin attribute or a missing anchor lists those
-        that exist.
+        The error with the element's name; for a wrong plugin attribute or a missing anchor the
+        message lists the existing ones.
     """
     text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
     text = _DISCARDED.sub("", text)
@@ -277,10 +277,10 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
 
 
 class _Suspension:
-    """Takes a setting of the whole process away while any thread wants that.
+    """Context manager that removes a process-wide setting while any thread is inside it.
 
     Args:
-        swap: Sets a value and returns the one before; called with None to take the setting away.
+        swap: Sets a value and returns the previous one; None removes the setting.
     """
 
     def __init__(self, swap: Callable[[Any], Any]) -> None:
@@ -305,7 +305,7 @@ class _Suspension:
 
 
 def _swap_clock(clock: int | None) -> int | None:
-    # The bindings set a clock that their `set_mjcb_time` does not take away.
+    # The Python bindings install a clock that their `set_mjcb_time` cannot remove.
     place = ctypes.c_void_p.in_dll(library(), "mjcb_time")
     before, place.value = place.value, clock
     return before
@@ -313,18 +313,18 @@ def _swap_clock(clock: int | None) -> int | None:
 
 def _swap_warnings(handler: Any) -> Any:
     mujoco.set_mju_user_warning(handler or (lambda warning: None))
-    return _log  # the bindings do not give out the one before
+    return _log  # the bindings do not return the previous handler
 
 
-# Whoever suppresses MuJoCo's warnings checks what they warn of.
+# Callers that suppress MuJoCo's warnings check for the causes themselves.
 without_warnings, _without_clock = _Suspension(_swap_warnings), _Suspension(_swap_clock)
 
 
 @contextlib.contextmanager
 def headless(model: mujoco.MjModel) -> Iterator[None]:
-    """Steps a model without warnings, its sensors and the times that MuJoCo takes of itself.
+    """Turns off MuJoCo's warnings, sensors and profiling timers while a model is stepped.
 
-    The motion is the same, to the bit, in about four fifths of the time.
+    The motion is bit-identical and takes about four fifths of the time.
     """
     flags = model.opt.disableflags
     with without_warnings(), _without_clock():

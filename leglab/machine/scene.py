@@ -1,4 +1,4 @@
-"""A model for log viewers: its URDF, and the poses of its links over a recording."""
+"""Scenes for log viewers: a model's URDF, and the poses of its links over a recording."""
 
 import base64
 import struct
@@ -27,16 +27,16 @@ _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
-    """Returns links, poses and efforts of a model that moves as a recording says.
+    """Returns links, poses and efforts of a model that replays the motion of a recording.
 
-    Joints stand where they were (`<joint>_truth`), else where they were measured
-    (`<joint>_position`), joints without either where the model's first keyframe has them. Efforts
-    of cylinders are the forces of the measured pressures on both sides of the piston times the
-    lever arms of the model, without friction; columns `<joint>_effort` go before them.
+    Joint positions are the true ones (`<joint>_truth`), else the measured ones
+    (`<joint>_position`), else those of the model's first keyframe. Efforts of cylinders are the
+    forces of the measured pressures on both sides of the piston times the lever arms of the model,
+    without friction; columns `<joint>_effort` take precedence over them.
 
     Args:
-        model: That the recording is of, compiled.
-        recording: Of a run or a machine.
+        model: Compiled model of the machine in the recording.
+        recording: Recording of a run or a machine.
 
     Raises:
         LeglabError: No joint of the model is in the recording, or the model has a ball joint.
@@ -78,9 +78,9 @@ def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
 def urdf(model: mujoco.MjModel) -> str:
     """Returns a model as URDF: links with masses and shapes, joints with their ranges.
 
-    Links are called like the bodies. Capsules are a cylinder and two spheres, ellipsoids meshes;
-    planes and what MuJoCo's viewer hides are left out. Meshes are `data:` URIs, so that the text
-    needs no other file. Tendons, actuators and constraints have no place in a URDF.
+    Links have the names of the bodies. A capsule becomes a cylinder and two spheres, an ellipsoid a
+    mesh; planes and geoms that MuJoCo's viewer hides are omitted. Meshes are `data:` URIs, so that
+    the text needs no other file. URDF cannot hold tendons, actuators and constraints.
 
     Raises:
         LeglabError: The model has a ball joint.
@@ -99,7 +99,7 @@ def _name(model: mujoco.MjModel, body: int) -> str:
 
 
 def _shown(time: np.ndarray) -> np.ndarray:
-    """Rows at no more than `_RATE`, the first and the last among them."""
+    """Selects rows at a rate of at most `_RATE`, including the first and the last."""
     ticks = np.floor((time - time[0]) * _RATE + 1e-6)
     first = np.concatenate([[True], np.diff(ticks) > 0])
     first[-1] = True
@@ -107,7 +107,7 @@ def _shown(time: np.ndarray) -> np.ndarray:
 
 
 def _poses(model: mujoco.MjModel, recording: Recording) -> np.ndarray:
-    """Coordinates of the model over the recording, (n, nq)."""
+    """Returns the model's coordinates over the recording, (n, nq)."""
     start = model.key_qpos[0] if model.nkey else model.qpos0
     poses = np.tile(start, (len(recording), 1))
     known = 0
@@ -143,7 +143,7 @@ def _relative(
 
 
 def _cylinder_forces(simulation: Simulation, recording: Recording) -> dict[int, np.ndarray]:
-    """Forces of measured pressures [N] by actuator, (n,) each; extending is positive."""
+    """Computes forces of measured pressures [N] by actuator, (n,); extending is positive."""
     forces = {}
     for actuator, joint in zip(simulation.actuators, simulation.joints, strict=True):
         columns = [f"{joint}_pressure_{side}" for side in "ab"]
@@ -187,10 +187,10 @@ def _link(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
 
 
 def _joints(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
-    """Writes the joints of a body, with a link between two of them, from parent to body.
+    """Writes the joints of a body from parent to body, with a link between each two of them.
 
-    MuJoCo turns a body about an anchor anywhere in its frame, from the coordinates that the model
-    was drawn in; URDF turns a link about its origin, from 0.
+    MuJoCo rotates a body about an anchor anywhere in its frame, relative to the reference
+    coordinates `qpos0`; URDF rotates a link about its origin, relative to 0.
     """
     link = _name(model, int(model.body_parentid[body]))
     start, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -242,14 +242,14 @@ def _connect(
 
 
 def _origin(element: Xml.Element, position: np.ndarray, quat: np.ndarray) -> None:
-    """Writes a pose; URDF's angles turn about the fixed axes x, y, z, one after the other."""
+    """Writes a pose; URDF's roll, pitch, yaw are rotations about the fixed axes x, y, z in turn."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quat)
     r = matrix.reshape(3, 3)
     pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
     if abs(np.cos(pitch)) > 1e-9:
         roll, yaw = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
-    else:  # upright, where roll and yaw are one turn
+    else:  # gimbal lock at pitch +-90 degrees, where roll and yaw have the same axis
         roll, yaw = np.arctan2(-r[1, 2], r[1, 1]), 0.0
     Xml.SubElement(element, "origin", xyz=_numbers(*position), rpy=_numbers(roll, pitch, yaw))
 

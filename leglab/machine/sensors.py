@@ -1,10 +1,10 @@
 """Sensors of the closed loop: resolution, noise, timing, and the faults of encoders.
 
-Faults come with a scenario or with the model. MJCF has no element for a shifted or miscounting
-encoder, so a model says it by custom numerics: `<joint>_encoder_offset` [rad or m] and
-`<joint>_encoder_scale`, measured = scale x true + offset; of pressure sensors likewise
+Faults come from a scenario or from the model. MJCF has no element for a shifted or miscounting
+encoder, so a model stores them as custom numerics: `<joint>_encoder_offset` [rad or m] and
+`<joint>_encoder_scale`, measured = scale x true + offset; for pressure sensors likewise
 `<joint>_pressure_a_offset` [Pa], `<joint>_pressure_a_scale`, and those of chamber b.
-A late encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's own `delay`.
+A delayed encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's `delay`.
 `leglab diagnose` writes them into improved.xml; closed loops and replays read them.
 """
 
@@ -23,11 +23,11 @@ from leglab.base.errors import SettingsError
 from leglab.base.settings import Configuration
 from leglab.machine.parameters import Parameter
 
-# More would take hours a second.
+# Upper limit on time steps per control period: more would take hours per simulated second.
 _MOST_STEPS = 100_000
-# Normal numbers that are skipped at a time: how many bits one takes cannot be told.
+# Normal numbers drawn at a time to skip them: `advance` needs a known number of random bits each.
 _SKIPPED = 8192
-# Times that differ by less are the same [s].
+# Times that differ by less than this count as equal [s].
 _SAME_TIME = 1e-9
 
 
@@ -55,15 +55,15 @@ class SensorConfiguration(Configuration):
 
 
 def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfiguration:
-    """Fits period and latency to a model's time step, where they are left at their defaults.
+    """Rounds default values of period and latency up to whole time steps of a model.
 
-    Each is rounded up to whole steps: a loop that is somewhat slower and older is one that the
-    machine's computer could run. What was asked for stays, and `loop_timing` refuses it where it
-    is no multiple.
+    They are rounded up, as the machine's computer could also run a somewhat slower loop with older
+    measurements. Values set explicitly stay; `loop_timing` rejects those that are no multiple of
+    the time step.
 
     Args:
         config: Sensors and timing.
-        timestep: Of the model [s].
+        timestep: Time step of the model [s].
     """
     rounded = {}
     for name in ("control_period", "latency"):
@@ -76,7 +76,7 @@ def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfig
 
 
 class LoopTiming(NamedTuple):
-    """Whole time steps in a control period: from command to sample, and from sample to command."""
+    """Time steps of a control period: from command to sample, and from sample to command."""
 
     to_sample: int
     to_command: int
@@ -86,7 +86,7 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
     """Splits a control period into whole time steps.
 
     Raises:
-        SettingsError: Period or latency is no multiple of the time step, or the latency is longer.
+        SettingsError: Period or latency is no multiple of the time step, or latency > period.
     """
     if config.control_period / timestep > _MOST_STEPS:
         least = f"at least {config.control_period / _MOST_STEPS:g} s"
@@ -115,15 +115,15 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
 
 
 def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
-    """Coefficient a of v[k] += a ((q[k] - q[k-1])/T - v[k-1]), first order with the cutoff."""
+    """Returns a of the first-order filter v[k] += a ((q[k] - q[k-1])/T - v[k-1])."""
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
 
 
 class VelocityFilter:
-    """Estimates velocities from read positions as the control loop does, block after block.
+    """The control loop's velocity estimator, applied to measured positions block by block.
 
     Args:
-        config: Period, and cutoff of the filter.
+        config: Provides the control period and the filter's cutoff.
     """
 
     def __init__(self, config: SensorConfiguration) -> None:
@@ -133,13 +133,13 @@ class VelocityFilter:
         self._velocity: np.ndarray | float = 0.0
 
     def of(self, positions: np.ndarray) -> np.ndarray:
-        """Takes the next positions.
+        """Returns the velocities of the next block of positions.
 
         Args:
-            positions: One row a control period [rad or m], (n, joints).
+            positions: One row per control period [rad or m], (n, joints).
 
         Returns:
-            Velocities [rad/s or m/s], (n, joints); 0 in the very first row, which has none before.
+            Velocities [rad/s or m/s], (n, joints); 0 in the first row of the first block.
         """
         first = positions[:1] if self._position is None else self._position
         found = np.diff(positions, axis=0, prepend=first) * self._gain
@@ -153,7 +153,7 @@ class VelocityFilter:
 
 
 def velocity_delay(period: float, cutoff_hz: float) -> float:
-    """Age of a velocity estimate [s]: half a period of the difference, and the filter's lag.
+    """Returns a velocity estimate's delay [s]: half a period of the difference plus filter lag.
 
     The lag of v[k] += a (x[k] - v[k-1]) on a ramp is T (1 - a)/a.
     """
@@ -162,7 +162,7 @@ def velocity_delay(period: float, cutoff_hz: float) -> float:
 
 
 def position_uncertainty(config: SensorConfiguration) -> float:
-    """RMS error of a measured position [rad]: noise, and rounding to counts by 1/sqrt(12)."""
+    """Returns a measured position's RMS error [rad]: noise, and rounding by count/sqrt(12)."""
     if config.encoder_counts == 0:
         return config.position_noise
     step = 2.0 * math.pi / config.encoder_counts
@@ -170,7 +170,7 @@ def position_uncertainty(config: SensorConfiguration) -> float:
 
 
 def quantise(position: np.ndarray, counts: int) -> np.ndarray:
-    """Rounds positions [rad] to encoder counts a turn; 0 for infinite resolution."""
+    """Rounds positions [rad] to `counts` encoder counts per turn; 0 for infinite resolution."""
     if counts == 0:
         return position
     rounded = np.rint(position * (counts / (2.0 * math.pi)))
@@ -179,12 +179,12 @@ def quantise(position: np.ndarray, counts: int) -> np.ndarray:
 
 
 def held(reading: np.ndarray, lost: np.ndarray, before: float | None = None) -> np.ndarray:
-    """Repeats the last reading wherever one was lost; both (n,).
+    """Replaces lost readings by the last valid one before them (zero-order hold).
 
     Args:
-        reading: As they would be.
-        lost: Which are lost; the first never, where there is none before.
-        before: The reading before them; None where there is none.
+        reading: Readings without losses, (n,).
+        lost: True where a reading is lost, (n,); without `before` the first must not be lost.
+        before: Reading that precedes the first one; None if there is none.
     """
     if before is not None:
         return held(np.append(before, reading), np.append(False, lost))[1:]
@@ -193,7 +193,7 @@ def held(reading: np.ndarray, lost: np.ndarray, before: float | None = None) -> 
 
 
 def skip_normal(noise: np.random.Generator, count: int) -> None:
-    """Has a generator go on as if it had drawn so many normal numbers."""
+    """Advances a generator as if it had drawn `count` normal numbers."""
     while count > 0:
         count -= noise.standard_normal(min(count, _SKIPPED)).size
 
@@ -206,17 +206,17 @@ CHAMBERS = ("pressure_a", "pressure_b")
 
 
 def delayed_sensor(joint: str) -> str:
-    """Name of the sensor that shows a joint's position late."""
+    """Returns the name of the sensor that measures a joint's position with a delay."""
     return f"{joint}_delayed_position"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncoderFaults:
-    """Faults that a model gives the encoders of some joints; arrays of shape (joints,)."""
+    """Encoder faults stored in a model; arrays of shape (joints,)."""
 
     offset: np.ndarray  #: Added to every reading [rad or m]
     scale: np.ndarray  #: Factor on the true position
-    delay: np.ndarray  #: Age of what is shown [s]
+    delay: np.ndarray  #: Age of the measured position [s]
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Sequence[str]) -> "EncoderFaults":
@@ -236,14 +236,14 @@ class EncoderFaults:
         return bool(self.offset.any() or (self.scale != 1.0).any() or self.delay.any())
 
     def needed(self, period: float) -> int:
-        """Number of the latest samples that what is shown depends on."""
+        """Returns the number of latest samples on which a reading depends."""
         return math.ceil(float(self.delay.max(initial=0.0)) / period) + 2
 
     def seen(self, positions: np.ndarray, last: int, period: float) -> np.ndarray:
-        """Returns what encoders show of the latest of positions sampled so far, (joints,).
+        """Returns the encoder readings at the latest position sample, (joints,).
 
         Args:
-            positions: Sample number i at row i modulo n, n at least `needed`, (n, joints).
+            positions: Ring buffer with sample i in row i modulo n, n >= `needed`, (n, joints).
             last: Number of the latest sample, counted from 0.
             period: Sampling period [s]; a delay between samples is interpolated.
         """
@@ -257,7 +257,7 @@ class EncoderFaults:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PressureFaults:
-    """Faults that a model gives the pressure sensors of some joints.
+    """Pressure sensor faults stored in a model.
 
     Arrays hold chamber A of every joint, then chamber B, shape (2 joints,).
     """
@@ -278,12 +278,12 @@ class PressureFaults:
         return bool(self.offset.any() or (self.scale != 1.0).any())
 
     def seen(self, pressures: np.ndarray) -> np.ndarray:
-        """Measured pressures for true ones [Pa], last axis of 2 joints."""
+        """Converts true pressures to measured ones [Pa]; the last axis has 2 joints entries."""
         return self.scale * pressures + self.offset
 
 
 def _number(model: mujoco.MjModel, name: str, otherwise: float) -> float:
-    """Value of a custom numeric of a compiled model."""
+    """Returns a custom numeric of a compiled model; `otherwise` if there is none."""
     i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return otherwise if i < 0 else float(model.numeric_data[model.numeric_adr[i]])
 
@@ -297,28 +297,28 @@ FAULTS = {
 
 
 class Encoders:
-    """Encoders of the driven joints, with the faults that a scenario or the model gives them.
+    """Encoders of the driven joints, with faults from a scenario or from the model.
 
     Args:
-        joints: Names of the joints, the elements of a change.
+        joints: Names of the joints; changes of a scenario address them as elements.
         sensors: Resolution and timing.
-        positions: Array with the true positions [rad], which somebody else moves.
-        index: Where in it the joints are, (joints,).
-        noise: Added to the first readings [rad], (kept, joints).
-        seed: Of the losses.
-        built_in: Faults that the model carries from the start; None for none.
+        positions: Array of the true positions [rad], updated by the simulation.
+        index: Indices of the joints in it, (joints,).
+        noise: Noise of the first block of readings [rad], (kept, joints).
+        seed: Seed of the losses.
+        built_in: Faults stored in the model; None for none.
 
     Attributes:
         elements: Names of the joints.
         position: The last reading [rad], (joints,).
-        velocity: The difference of readings, filtered [rad/s], (joints,).
-        sample: Function that takes the positions of this instant for the next reading.
-        shift: What faults added to every reading since `begin` [rad], (kept, joints).
-        lost: Which of these readings were lost, (kept, joints).
-        noise: Added to them [rad], (kept, joints).
-        built_in: Faults that the model carries; None for none.
-        gain: Of a difference of two readings in the filtered velocity [1/s].
-        keep: Share of the velocity that is kept from one period to the next.
+        velocity: The filtered difference of readings [rad/s], (joints,).
+        sample: Function that samples the present positions for the next reading.
+        shift: Shift of every reading since `begin` by faults [rad], (kept, joints).
+        lost: True for those of these readings that were lost, (kept, joints).
+        noise: Noise of these readings [rad], (kept, joints).
+        built_in: Faults stored in the model; None for none.
+        gain: Factor on the difference of two readings in the velocity filter [1/s].
+        keep: Factor on the previous velocity in the velocity filter.
     """
 
     def __init__(
@@ -367,17 +367,17 @@ class Encoders:
 
     @cached_property
     def _chance(self) -> np.ndarray:
-        """Decides which readings are lost, (kept, joints); only a faulty encoder asks."""
+        """Draws uniform numbers that decide on losses, (kept, joints); only if a fault is set."""
         bits = np.random.PCG64([self._seed, 2])
-        bits.advance(self._first * len(self.elements))  # one for each number
+        bits.advance(self._first * len(self.elements))  # one draw per uniform number
         return np.random.Generator(bits).random(self.noise.shape)
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether a joint has a fault of this name."""
+        """Tests whether a joint has a fault of this name."""
         return element in self.elements and name in FAULTS
 
     def parameter(self, element: str, name: str) -> float:
-        """Present size of a fault, in its own unit."""
+        """Returns the present magnitude of a fault, in the fault's unit."""
         return float(self._values[self._index(element, name)])
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
@@ -391,30 +391,30 @@ class Encoders:
         self._faulty = True
 
     def begin(self, first: int, noise: np.ndarray) -> None:
-        """Goes on with the readings from number `first` on, which are counted from 0 again.
+        """Starts the next block of readings, which are again counted from 0.
 
         Args:
-            first: How many readings there were.
-            noise: Added to the next ones [rad], (at most kept, joints).
+            first: Number of readings before the block.
+            noise: Noise of the block's readings [rad], (at most kept, joints).
         """
         self.noise[: len(noise)] = noise
         self._first = first
         self.__dict__.pop("_chance", None)
 
     def read(self, k: int) -> None:
-        """Turns the last sample into reading number `k` of position and velocity."""
+        """Computes reading `k` of position and velocity from the last sample."""
         if self._faulty:
             self._disturb(k)
         self._readings.read(k)
 
     def hold(self, k: int) -> None:
-        """Writes the present faults into all readings from number `k` on, for who reads them."""
+        """Writes the present faults into `shift` and `lost` of all readings from `k` on."""
         if self._faulty:
             self.shift[k:] = self._values[0]
             self.lost[k:] = self._chance[k:] < self._values[1]
 
     def _disturb(self, k: int) -> None:
-        """Writes shift and loss of reading `k` by faults."""
+        """Computes shift and loss of reading `k` due to faults."""
         self.shift[k] = self._values[0]
         if self.built_in:
             number = self._first + k
@@ -422,7 +422,7 @@ class Encoders:
             self._shown[number % len(self._shown)] = self._noisy
             shown = self.built_in.seen(self._shown, number, self._period)
             self.shift[k] += shown - self._noisy
-        # The very first reading has none before it that could be repeated.
+        # The very first reading is never lost: there is no earlier one to repeat.
         self.lost[k] = (self._chance[k] < self._values[1]) & (self._first + k > 0)
 
     def _index(self, element: str, name: str) -> tuple[int, int]:

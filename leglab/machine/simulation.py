@@ -15,14 +15,14 @@ from leglab.machine.native import NativeActuator, joint_range
 from leglab.machine.parameters import Parameter
 
 CYLINDER = "leglab.cylinder"
-# Parameters of a cylinder that say how much oil a chamber holds at a pressure.
+# Parameters of a cylinder that relate a chamber's pressure to its amount of oil.
 _COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
-# Beyond this joint speed [rad/s or m/s] a leg simulation has blown up.
+# Joint speed [rad/s or m/s] above which a leg simulation counts as diverged.
 SPEED_LIMIT = 1e3
-# Least lever arm of a cylinder that counts as one, of the greatest in its joint's range; and the
-# positions over the range that are looked at.
+# Smallest lever arm allowed for a cylinder, relative to the largest over its joint's range, and the
+# number of positions over that range at which it is checked.
 _LEAST_LEVER, _LOOKED_AT = 1e-3, 9
-# Types of the joints that one number places, and whether they slide.
+# Joint types with one coordinate, and whether they slide.
 _SLIDES = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
 
 
@@ -38,12 +38,12 @@ def load_model(
     Args:
         model: A name from `model_names()` or the path of an MJCF file.
         timestep: Overrides the file's time step [s].
-        visual: Whether to keep shapes that are there to be seen only; without them a model moves
-            in just the same way, faster.
+        visual: Whether to keep shapes used for display only; without them the motion is the same
+            and takes less time.
         edit: Changes the specification before it is compiled.
 
     Raises:
-        LeglabError: If there is no such model or MuJoCo refuses it; one line.
+        LeglabError: If there is no such model or MuJoCo rejects it; a one-line message.
     """
     if timestep is not None and not (math.isfinite(timestep) and timestep > 0):
         told = f"timestep = {timestep:g} s; allowed: "
@@ -56,7 +56,7 @@ def load_model(
         if timestep is not None:
             spec.option.timestep = timestep
         spec.compiler.discardvisual = not visual
-        # A simulation that blows up stays as it is, to be seen, instead of starting anew.
+        # A diverged simulation keeps its state for inspection instead of being reset.
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if edit:
             edit(spec)
@@ -68,9 +68,9 @@ def load_model(
 
 
 def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Lever arm of every actuator on every degree of freedom [m/rad or 1], (nactuator, nv).
+    """Returns lever arms of actuators on degrees of freedom [m/rad or 1], (nactuator, nv).
 
-    Of an actuator with several outputs, which nothing here commands, that of the first.
+    For an actuator with several outputs, which leglab does not command, those of the first.
     """
     moments = np.zeros((data.moment_rownnz.size, model.nv))
     mujoco.mju_sparse2dense(
@@ -80,11 +80,11 @@ def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 class Simulation:
-    """A model whose joints are driven, with its states by name.
+    """A model with driven joints, whose parameters and states are accessed by name.
 
     Args:
-        model: The model; every actuator moves one joint, as a `leglab.cylinder` or as one of
-            MuJoCo's own, see `leglab.machine.native`.
+        model: The model; every actuator moves one joint and is a `leglab.cylinder` or one of
+            MuJoCo's built-in actuators (`leglab.machine.native`).
         keyframe: Name of the keyframe to start from; None for the model's zero position.
 
     Attributes:
@@ -92,11 +92,11 @@ class Simulation:
         data: The MuJoCo data.
         actuators: Names of the actuators, in MuJoCo's order.
         joints: Name of the joint that each actuator drives.
-        cylinders: Names of those actuators that are cylinders.
-        native: Those that are MuJoCo's own, by name.
-        centre: Control that a command of 0 stands for, (actuators,); 0 of a cylinder.
-        half: Control per command beyond it, (actuators,); 1 of a cylinder.
-        varied: Whether the model is that of a specimen.
+        cylinders: Names of the actuators that are cylinders.
+        native: MuJoCo's built-in actuators of the model, by name.
+        centre: Control at command 0, (actuators,); 0 for a cylinder.
+        half: Change of the control per unit of command, (actuators,); 1 for a cylinder.
+        varied: Whether the model's parameters are those of a specimen (`leglab.machine.changes`).
 
     Raises:
         LeglabError: If an actuator is of another kind, moves no joint or several, two move one, or
@@ -163,7 +163,7 @@ class Simulation:
         return {name: table.plugin for name, (_, table) in self._elements.items()}
 
     def slot(self, element: str, name: str) -> int:
-        """Index in `data.plugin_state` of a parameter or state of an element.
+        """Returns the index in `data.plugin_state` of a parameter or state of an element.
 
         Raises:
             LeglabError: If the element or the parameter does not exist.
@@ -174,9 +174,9 @@ class Simulation:
         return address + table.entry(name).offset
 
     def has(self, element: str, name: str) -> bool:
-        """Says whether an element has a parameter or state of this name that takes effect.
+        """Tests whether an element has a parameter or state of this name that takes effect.
 
-        A cylinder on a shared supply sees that one's pressure, not its own `supply_pressure`.
+        A cylinder on a shared supply uses the supply's pressure, not its own `supply_pressure`.
         """
         _, table = self._elements[element]
         if name == "supply_pressure" and table.plugin == CYLINDER and self._supply_of(element):
@@ -191,18 +191,18 @@ class Simulation:
         return self.slot(*((supply, "pressure") if supply else (first, "supply_pressure")))
 
     def slots(self, name: str) -> np.ndarray:
-        """Indices in `data.plugin_state` of a parameter or state of all cylinders, (cylinders,)."""
+        """Returns the indices in `data.plugin_state` of an entry of all cylinders, (cylinders,)."""
         return np.array([self.slot(element, name) for element in self.cylinders], dtype=int)
 
     def parameter(self, element: str, name: str) -> float:
-        """Current value of a parameter or state, in its SI unit."""
+        """Returns the current value of a parameter or state, in its SI unit."""
         return float(self.data.plugin_state[self.slot(element, name)])
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
         """Sets a physical parameter of an element from now on.
 
-        Where the compressibility of the oil changes, chambers keep their pressures, not the
-        amounts of oil in them.
+        When the compressibility of the oil changes, the chambers keep their pressures; their
+        amounts of oil are adjusted.
 
         Raises:
             LeglabError: If element or name do not exist or the value is out of bounds.
@@ -227,8 +227,8 @@ class Simulation:
     def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
         """Prescribes all chamber pressures [Pa], each (cylinders,), at the present position.
 
-        Needed whenever joint positions were moved by hand: the oil in the chambers is kept
-        otherwise, and is compressed or stretched by the move.
+        Needed after joint positions were set directly: otherwise the chambers keep their amounts
+        of oil, which the jump in position compresses or stretches.
         """
         state = self.data.plugin_state
         state[self.slots("pressure_a")] = pressure_a
@@ -237,7 +237,7 @@ class Simulation:
         state[self.slots("amount_b")] = 0.0
 
     def cylinder_parameters(self, actuator: str) -> dict[str, float]:
-        """All parameters of a cylinder as they are now, with its supply's present pressure."""
+        """Returns all present parameters of a cylinder, with the present pressure of its supply."""
         address, table = self._elements[actuator]
         values = {
             name: float(self.data.plugin_state[address + parameter.offset])
@@ -255,20 +255,20 @@ class Simulation:
         return tuple(joint for joint, name in pairs if name not in self.native)
 
     def commands(self, control: np.ndarray) -> np.ndarray:
-        """Commands in [-1, 1] that controls (..., actuators) stand for."""
+        """Converts controls (..., actuators) to commands in [-1, 1]."""
         return (control - self.centre) / self.half
 
     def position(self) -> np.ndarray:
-        """True joint positions [rad], (joints,)."""
+        """Returns the true joint positions [rad], (joints,)."""
         return self.data.qpos[self.qpos_index]
 
     def velocity(self) -> np.ndarray:
-        """True joint velocities [rad/s], (joints,)."""
+        """Returns the true joint velocities [rad/s], (joints,)."""
         return self.data.qvel[self.dof_index]
 
     @property
     def passive_joints(self) -> dict[str, int]:
-        """Index in qpos of the hinge and slide joints that nothing drives, by name."""
+        """Indices in qpos of the hinge and slide joints without an actuator, by name."""
         model = self.model
         return {
             model.joint(i).name: int(model.jnt_qposadr[i])
@@ -278,7 +278,7 @@ class Simulation:
 
     @property
     def slides(self) -> dict[str, bool]:
-        """Whether a joint slides, by name, of all hinge and slide joints."""
+        """Flags, by joint name: true for a slide joint, false for a hinge."""
         model = self.model
         return {
             model.joint(i).name: _SLIDES[int(model.jnt_type[i])]
@@ -287,10 +287,10 @@ class Simulation:
         }
 
     def joint_range(self) -> np.ndarray:
-        """Lower and upper joint positions [rad], (joints, 2).
+        """Returns lower and upper joint positions [rad], (joints, 2).
 
-        A joint without a range that a native actuator drives has some about the position that
-        it starts from.
+        A joint without a range that a native actuator drives gets the default travel of
+        `leglab.machine.native` about its initial position.
         """
         ranges = self.model.jnt_range[self._joint_ids]
         for i, name in enumerate(self.actuators):
@@ -299,20 +299,20 @@ class Simulation:
         return ranges
 
     def levers(self) -> np.ndarray:
-        """Lever arm of each actuator on its joint [m/rad], (joints,), positive if q extends it."""
+        """Returns actuators' lever arms on their joints [m/rad], (joints,), > 0 if q extends."""
         moments = actuator_moments(self.model, self.data)
         return moments[np.arange(len(self.actuators)), self.dof_index]
 
     def lever_tables(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Joint positions, lever arms [m/rad or 1] and actuator lengths [m] over the joint ranges.
+        """Tabulates lever arms [m/rad or 1] and actuator lengths [m] over the joint ranges.
 
-        A joint without a range stays where it is; the machine is left as it was.
+        A joint without a range stays at its position; afterwards the pose is restored.
 
         Args:
             count: Number of positions.
 
         Returns:
-            Each (joints, count).
+            Joint positions, lever arms and actuator lengths, each (joints, count).
         """
         pose = self.data.qpos.copy()
         low, high = self.joint_range().T
@@ -334,10 +334,10 @@ class Simulation:
         mujoco.mj_step(self.model, self.data, count)
 
     def check(self, time: float | None = None, velocity: np.ndarray | None = None) -> None:
-        """Raises if the simulation has blown up.
+        """Raises an error if the simulation has diverged (joint speed at or above `SPEED_LIMIT`).
 
         Args:
-            time: Of the velocities [s]; None for now.
+            time: Time of the velocities [s]; None for the present time.
             velocity: Velocities of all degrees of freedom, (nv,); None for the present ones.
 
         Raises:
@@ -357,10 +357,10 @@ class Simulation:
         )
 
     def _check_cylinders(self) -> None:
-        """Refuses a cylinder that cannot sit where the model has it.
+        """Rejects cylinders whose anchors do not fit the ranges of their joints.
 
-        Within the joint's range each chamber has a volume, its dead one as far as the piston is
-        beyond its stroke, into the stops; and the lever arm keeps its sign.
+        Over the joint's range both chamber volumes must stay positive, where the dead volume allows
+        for a piston beyond its stroke, in the stops; and the lever arm must keep its sign.
         """
         tables = self.lever_tables(_LOOKED_AT) if self.cylinders else ((), (), ())
         rows = zip(self.actuators, self.joints, *tables, strict=False)
@@ -398,6 +398,6 @@ class Simulation:
                 )
 
     def _supply_of(self, actuator: str) -> str:
-        """Name of the supply that a cylinder draws from; empty where its pressure is its own."""
+        """Returns the name of a cylinder's supply; empty if it has none (`supply_pressure`)."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute

@@ -1,8 +1,8 @@
-"""Reference trajectories by name: position, velocity and acceleration of every joint, exactly.
+"""Reference trajectories by name: position of every joint with its exact first two derivatives.
 
-Joint angles count as in leg.xml: hip_yaw positive with the toes outwards, hip_roll in abduction,
-hip_pitch and knee in flexion, ankle_pitch in dorsiflexion, ankle_roll in eversion [rad], zero when
-standing upright.
+Signs of joint angles [rad] are those of leg.xml: hip_yaw is positive with the toes outwards,
+hip_roll in abduction, hip_pitch and knee in flexion, ankle_pitch in dorsiflexion, ankle_roll in
+eversion. All are zero when standing upright.
 """
 
 from leglab.references.base import (
@@ -24,7 +24,7 @@ from leglab.references.squat import Squat
 from leglab.references.step import Step
 from leglab.references.walking_stride import WalkingStride
 
-# References that move the joints of a leg, by their names, and no others.
+# References that move only joints with the names of a leg's joints.
 LEG_REFERENCES = ("random_stride", "squat", "walking_stride")
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Reference trajectories: joints, samples and checks, and their makers by name."""
+"""Reference trajectories: joints, samples and checks, and the registry of their builders."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ class Joint:
     rest: float = 0.0  #: Position in the rest pose [rad], where every trajectory starts
     lower: float = -math.inf  #: Smallest position [rad]
     upper: float = math.inf  #: Largest position [rad]
-    velocity_limit: float = math.inf  #: Largest speed that its cylinder can give it [rad/s]
+    velocity_limit: float = math.inf  #: Largest speed that the joint's cylinder allows [rad/s]
 
     def __post_init__(self) -> None:
         if not self.lower <= self.rest <= self.upper:
@@ -48,12 +48,12 @@ Motion = Callable[[np.ndarray], Samples]
 class Reference:
     """A trajectory of some joints."""
 
-    name: str  #: Name it was made by
+    name: str  #: Name in the registry
     joints: tuple[Joint, ...]  #: The joints, in the order of the samples' columns
-    #: Time after which the motion repeats [s], or its slowest period where it does not: the window
-    #: over which a tracking error is averaged.
+    #: Period of the motion [s], or its slowest period if it does not repeat: the window over which
+    #: a tracking error is averaged.
     period: float
-    motion: Motion  #: Evaluates it, without checks
+    motion: Motion  #: Evaluates the trajectory, without checks
 
     def sample(self, times: np.ndarray) -> Samples:
         """Evaluates the trajectory.
@@ -79,10 +79,10 @@ class Reference:
         return samples
 
     def check_velocity(self) -> None:
-        """Refuses a velocity that is not the derivative of the position: feed-forward uses it.
+        """Tests that the velocity is the derivative of the position, as feed-forward requires.
 
         Raises:
-            SettingsError: Names the joint.
+            SettingsError: The velocity of a joint is not; the message names the joint.
         """
         times = np.linspace(0.0, 2.0 * self.period, _TRIED)
         before, now, after = (self.motion(times + shift) for shift in (-_NEAR, 0.0, _NEAR))
@@ -131,12 +131,12 @@ class Reference:
                 raise SettingsError(told, given=value, allowed=limits[unit])
 
 
-# Times at which velocities are compared with central differences over so much [s], the share of the
-# largest speed by which they may differ, that of the times at which they may do so, and the
-# smallest largest speed [rad/s].
+# Check of velocities by central differences: number of times, half step [s], allowed difference as
+# a share of the peak speed (also the allowed share of times beyond it), and least peak speed that
+# the difference refers to [rad/s].
 _TRIED, _NEAR, _SLACK, _SLOW = 500, 1e-5, 0.1, 1e-3
 
-# Makes the motion of some joints and says its period [s].
+# Builds the motion of joints from settings; returns the motion and its period [s].
 Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
 
 
@@ -149,9 +149,9 @@ def register_reference(
     """Registers the decorated builder under a name.
 
     Args:
-        name: Name that users give.
+        name: Name of the reference.
         summary: One line for listings.
-        configuration: Settings that the builder takes, all with a default.
+        configuration: Class of the builder's settings, all with a default.
     """
     return REFERENCES.register(name, summary=summary, configuration=configuration)
 
@@ -167,9 +167,9 @@ def make_reference(
 
     Args:
         name: One of `reference_names()`.
-        joints: Joints that follow it; those that the motion does not know stay at rest.
+        joints: Joints that follow the trajectory; those that it does not move stay at rest.
         config: Settings of this trajectory.
-        seed: Of a random trajectory, unless `config` has its own.
+        seed: Seed of a random trajectory, unless `config` has one.
 
     Raises:
         SettingsError: The name or a setting is not known or not allowed, or no joint moves.
@@ -192,8 +192,8 @@ def reference_names() -> tuple[str, ...]:
     return REFERENCES.names()
 
 
-# Share of the knee's flexion that hip and ankle take. Thigh and shank are about equally long, so
-# the hip stays above the ankle, and the foot flat, when each flexes half as much as the knee.
+# Flexion of hip and ankle as a share of the knee's. Thigh and shank are about equally long, so the
+# hip stays above the ankle, and the foot flat, when each flexes half as much as the knee.
 BEND_SHARE = {"hip_pitch": 0.5, "knee": 1.0, "ankle_pitch": 0.5}
 
 
@@ -203,10 +203,10 @@ def rest_pose(joints: Sequence[Joint]) -> np.ndarray:
 
 
 def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> list[int]:
-    """Returns the indices of the joints that a motion knows.
+    """Returns the indices of the joints whose names are in `known`.
 
     Raises:
-        SettingsError: It knows none of them.
+        SettingsError: No joint's name is in `known`.
     """
     indices = [i for i, joint in enumerate(joints) if joint.name in known]
     if not indices:
@@ -220,7 +220,7 @@ def selected(joints: Sequence[Joint], names: Sequence[str] | None, reference: st
 
     Args:
         joints: All joints.
-        names: Those that move; None stands for all.
+        names: Names of the joints that move; None stands for all.
         reference: The trajectory's name, for the message.
 
     Returns:

@@ -8,7 +8,7 @@ from leglab.references.base import Joint, Motion, Samples, rest_pose
 
 
 def smooth_step(times: np.ndarray, start: float, duration: float) -> Samples:
-    """Rises from 0 to 1 with zero velocity and acceleration at both ends.
+    """Evaluates a rise from 0 to 1 with zero velocity and acceleration at both ends.
 
     The quintic 10 s^3 - 15 s^4 + 6 s^5 with s = (t - start)/duration is the minimum-jerk
     transition (Flash and Hogan 1985, J. Neurosci. 5(7), appendix) and twice continuously
@@ -16,8 +16,8 @@ def smooth_step(times: np.ndarray, start: float, duration: float) -> Samples:
 
     Args:
         times: Times [s]. Shape (n,).
-        start: When the rise starts [s].
-        duration: How long it takes [s]; 0 gives a jump with zero derivatives.
+        start: Start time of the rise [s].
+        duration: Duration of the rise [s]; 0 gives a jump with zero derivatives.
 
     Returns:
         Value, rate [1/s] and second derivative [1/s^2]. Each of shape (n, 1).
@@ -45,22 +45,22 @@ def product(weight: Samples, motion: Samples) -> Samples:
 
 
 def scaled(middle: np.ndarray, factor: np.ndarray, wave: Samples) -> Samples:
-    """Stretches a trajectory by a factor a joint, and moves it to a middle position."""
+    """Multiplies a trajectory by a factor per joint, and adds a middle position."""
     return Samples(
         middle + factor * wave.position, factor * wave.velocity, factor * wave.acceleration
     )
 
 
 def fade_in(motion: Motion, joints: Sequence[Joint], duration: float) -> Motion:
-    """Starts a motion from rest.
+    """Builds a motion that starts smoothly from the rest pose.
 
     Args:
         motion: The motion, as a displacement from the rest pose.
-        joints: Give the rest pose.
-        duration: Time from 0 until the motion is complete [s].
+        joints: Joints, for their rest positions.
+        duration: Time from 0 until the displacement has its full amplitude [s].
 
     Returns:
-        The rest pose plus the displacement, which grows in from time 0.
+        The rest pose plus the displacement, multiplied by a smooth step from time 0 on.
     """
     rest = rest_pose(joints)
 

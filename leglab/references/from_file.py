@@ -1,4 +1,4 @@
-"""A trajectory from a file: recorded or computed positions, played from rest."""
+"""Trajectories from a file: recorded or computed positions, approached from the rest pose."""
 
 import hashlib
 from collections.abc import Iterable
@@ -18,9 +18,9 @@ from leglab.references.base import Joint, Motion, Samples, register_reference
 from leglab.references.blending import scaled, smooth_step
 
 NAME = "file"
-# Columns with the positions of a joint, the first that exists.
+# Names of columns with the positions of a joint, in order of preference.
 _COLUMNS = ("{}_reference", "{}_position", "{}")
-_FEWEST = 5  # samples, which a smoothing spline needs
+_FEWEST = 5  # samples that a smoothing spline needs
 
 
 class FromFile(Configuration):
@@ -50,18 +50,18 @@ def digest_of(file: str | Path) -> str:
     """Returns the SHA-256 of a file.
 
     Raises:
-        LeglabError: It cannot be read.
+        LeglabError: The file cannot be read.
     """
     return hashlib.sha256(read_bytes(Path(file))).hexdigest()
 
 
 @register_reference(NAME, summary="positions from a file", configuration=FromFile)
 def from_file(joints: tuple[Joint, ...], config: FromFile) -> tuple[Motion, float]:
-    """Makes the motion: to the first sample, then a cubic spline through all of them.
+    """Makes the motion: to the first sample, then along a cubic spline through all samples.
 
-    The clock of the file starts and stops smoothly, so position, velocity and acceleration are
-    continuous, and no joint leaves the range between its rest and the file's positions by more than
-    the spline does. Joints without a column stay at rest.
+    The clock of the file starts and stops smoothly: position, velocity and acceleration are
+    continuous, and a joint leaves the range between its rest and the file's positions only where
+    the spline overshoots. Joints without a column stay at rest.
 
     Raises:
         LeglabError: The file cannot be read, has changed, or has no column for any joint.
@@ -80,11 +80,11 @@ def from_file(joints: tuple[Joint, ...], config: FromFile) -> tuple[Motion, floa
     ease = config.lead if config.repeat else min(config.lead, length)
 
     def clock(since: np.ndarray) -> Samples:
-        """Time in the file, its rate and the rate's slope, each (n, 1)."""
+        """Returns the time in the file and its first two derivatives, each (n, 1)."""
         begun = _begun(since, ease)
         if config.repeat:
             return begun._replace(position=begun.position % length)
-        ending = _begun(length + ease - since, ease)  # the same backwards
+        ending = _begun(length + ease - since, ease)  # the start, reversed in time
         late = since[:, None] > (length + ease) / 2
         return Samples(
             np.where(late, length - ending.position, begun.position),
@@ -107,7 +107,7 @@ def from_file(joints: tuple[Joint, ...], config: FromFile) -> tuple[Motion, floa
 
 
 def _begun(since: np.ndarray, ease: float) -> Samples:
-    """Time, its rate and the rate's slope, of a clock whose rate grows from 0 to 1 in `ease`."""
+    """Returns time, rate and acceleration of a clock whose rate grows from 0 to 1 within `ease`."""
     rate = smooth_step(since, 0.0, ease)
     after = np.maximum(since, 0.0)[:, None]
     s = np.minimum(after / ease, 1.0) if ease else np.ones_like(after)
@@ -116,11 +116,11 @@ def _begun(since: np.ndarray, ease: float) -> Samples:
 
 
 def played(file: str, joints: Iterable[str]) -> tuple[Recording, dict[str, NamedUnit]]:
-    """Reads a file, and which of its columns joints follow, with the units in their names.
+    """Reads a file; returns it and, by joint, the column that the joint follows and its unit.
 
     Raises:
-        LeglabError: It cannot be read, a column's unit is not one of a position, or no joint has a
-            column.
+        LeglabError: The file cannot be read, the unit of a column is not one of a position, or no
+            joint has a column.
     """
     recording = read(file)
     known = {split(name).stem: name for name in recording.columns}
@@ -143,7 +143,7 @@ def played(file: str, joints: Iterable[str]) -> tuple[Recording, dict[str, Named
 
 
 def _positions(joints: tuple[Joint, ...], config: FromFile) -> tuple[np.ndarray, np.ndarray]:
-    """Times from 0 on, (n,), and positions of all joints, (n, joints)."""
+    """Returns times from 0 on, (n,), and positions of all joints, (n, joints)."""
     recording, found = played(config.file, [joint.name for joint in joints])
     times = recording.time - recording.time[0]
     if len(times) < _FEWEST:
@@ -164,7 +164,7 @@ def _positions(joints: tuple[Joint, ...], config: FromFile) -> tuple[np.ndarray,
 
 
 def _closed(joints: tuple[Joint, ...], positions: np.ndarray, file: str) -> np.ndarray:
-    """Positions whose last sample is the first, which it may miss by the largest step."""
+    """Sets the last sample to the first, if they differ by no more than the largest step."""
     step = np.abs(np.diff(positions, axis=0)).max(axis=0)
     away = np.abs(positions[-1] - positions[0])
     for joint, missed, most in zip(joints, away, step, strict=True):
@@ -177,7 +177,7 @@ def _closed(joints: tuple[Joint, ...], positions: np.ndarray, file: str) -> np.n
 
 
 def _cycle(length: float, positions: np.ndarray) -> float:
-    """Mean time from one rise through the middle to the next, of the joint that moves most."""
+    """Returns the mean time between upward crossings of mid-range, of the joint that moves most."""
     most = positions[:, int(np.argmax(np.ptp(positions, axis=0)))]
     above = most > (most.min() + most.max()) / 2
     return length / max(1, int(np.sum(above[1:] & ~above[:-1])))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Harmonics:
-    """mean + sum over k from 1 of cosine[k-1] cos(2 pi k phase) + sine[k-1] sin(2 pi k phase)."""
+    """Series mean + sum_k cosine[k-1] cos(2 pi k phase) + sine[k-1] sin(2 pi k phase), k >= 1."""
 
     mean: float  #: Mean angle [deg]
     cosine: tuple[float, ...]  #: Cosine amplitudes [deg]

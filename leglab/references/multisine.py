@@ -1,4 +1,4 @@
-"""Multisine: a periodic motion of any machine's joints, by their ranges and speeds alone."""
+"""Multisine: a periodic motion of any machine's joints, scaled by their ranges and speed limits."""
 
 import math
 
@@ -16,9 +16,9 @@ from leglab.references.base import (
 )
 from leglab.references.blending import fade_in, scaled
 
-# Samples of a period in which the largest position, speed and acceleration are looked for.
+# Samples of a period of which the peak position, speed and acceleration are taken.
 _DENSE = 1024
-# Amplitude of a joint without a range, whose speed does not limit it either [rad or m].
+# Amplitude of a joint that has neither a range nor a speed limit [rad or m].
 _FREE_AMPLITUDE = 0.2
 
 
@@ -54,9 +54,9 @@ class Multisine(Configuration):
 def multisine(joints: tuple[Joint, ...], config: Multisine) -> tuple[Motion, float]:
     """Makes the motion m + A sum_k cos(2 pi k t/T + phi_k)/k, scaled so that its peak is A.
 
-    The middle m is the rest position, or as near to it as A leaves room for. A is the smallest of
-    three: the share `amplitude` of half the range; that with the share `speed` of the speed limit
-    v; that with the acceleration `speed` v^2/range, for a drive that reaches v over its range.
+    The middle m is the position nearest to rest that keeps the motion in range. A is the least of
+    three: the share `amplitude` of half the range; the amplitude with peak speed `speed` v, v the
+    limit; that with peak acceleration `speed` v^2/range, for a drive that reaches v over its range.
     """
     order = np.arange(1, config.harmonics + 1)
     rate = 2 * np.pi * order / config.period
@@ -86,7 +86,7 @@ def multisine(joints: tuple[Joint, ...], config: Multisine) -> tuple[Motion, flo
         if math.isfinite(width):
             found = min(found, fastest * joint.velocity_limit / width / acceleration)
         scale[i] = moves[i] * (found if math.isfinite(found) else _FREE_AMPLITUDE / position)
-        # A peak between two samples is less than a ten-thousandth higher.
+        # Margin: the true peak between two samples is less than a ten-thousandth higher.
         room = 1.001 * scale[i] * position
         if math.isfinite(width):
             middle[i] = min(max(joint.rest, joint.lower + room), joint.upper - room)

@@ -1,4 +1,4 @@
-"""Walking without two equal strides: length and duration of the steps wander at random."""
+"""Walking without two equal strides: length and duration of the steps vary at random."""
 
 import numpy as np
 from pydantic import Field
@@ -8,7 +8,7 @@ from leglab.references.base import Joint, Motion, Samples, register_reference
 from leglab.references.blending import fade_in, product
 from leglab.references.walking_stride import gait_series
 
-# Frequencies of the wandering [Hz]: slower than a stride, and enough of them never to repeat.
+# Range [Hz] and number of the variations' frequencies: slower than a stride, and never repeating.
 _SLOWEST, _FASTEST, _COUNT = 0.03, 0.4, 6
 
 
@@ -41,13 +41,12 @@ def random_stride(joints: tuple[Joint, ...], config: RandomStride) -> tuple[Moti
     """Makes the motion a_i(t) D_i(phi(t)) about each joint's mean angle.
 
     D_i is the deviation of the regular stride, phi its phase with phi' = (1 + v w_0(t))/T, and
-    a_i = 1 - s (1 - w_i(t))/2 in [1 - s, 1]. Each w is a sum of sines with random frequencies,
-    phases and weights, whose magnitudes add up to one, so that |w| <= 1 and all of its derivatives
-    are smooth.
+    a_i = 1 - s (1 - w_i(t))/2 in [1 - s, 1]. Each w is a smooth sum of sines with random
+    frequencies, phases and weights. The weights add up to one, so that |w| <= 1.
     """
     mean, cosine, sine = gait_series(joints, config.amplitude, config.knee_bend, "random_stride")
     random = np.random.default_rng(config.seed)
-    count = len(joints) + 1  # the first is the stride rate's
+    count = len(joints) + 1  # column 0 varies the stride rate
     wander_rate = 2 * np.pi * random.uniform(_SLOWEST, _FASTEST, (_COUNT, count))
     angle_0 = random.uniform(0, 2 * np.pi, (_COUNT, count))
     weight = random.uniform(0.5, 1.0, (_COUNT, count))
@@ -67,7 +66,7 @@ def random_stride(joints: tuple[Joint, ...], config: RandomStride) -> tuple[Moti
         )
 
     def path(times: np.ndarray) -> np.ndarray:
-        """Integral of the stride rate's w from time 0."""
+        """Returns the integral of the stride rate's w from time 0."""
         rate = wander_rate[:, first]
         angle = rate * times[:, None, None] + angle_0[:, first]
         return np.sum(weight[:, first] / rate * (np.cos(angle_0[:, first]) - np.cos(angle)), axis=1)

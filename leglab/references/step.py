@@ -34,7 +34,7 @@ class Step(Configuration):
 
 @register_reference("step", summary="from rest to a step and back", configuration=Step)
 def step(joints: tuple[Joint, ...], config: Step) -> tuple[Motion, float]:
-    """Makes the motion."""
+    """Makes the motion: steps up and down in turn, each held for `hold`."""
     amplitude = config.amplitude * selected(joints, config.joints, "step")
     rest = rest_pose(joints)
 

@@ -1,4 +1,4 @@
-"""Walking: the joint angles of an adult's stride, over and over."""
+"""Walking: the joint angles of an adult's stride, repeated."""
 
 import numpy as np
 from pydantic import Field
@@ -38,13 +38,13 @@ class WalkingStride(Configuration):
 def gait_series(
     joints: tuple[Joint, ...], amplitude: float, knee_bend: float, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fourier series of a stride, for joints in any order.
+    """Returns the Fourier series of a stride, for joints in any order.
 
     Args:
-        joints: The joints; those that are not of a leg have zeros.
+        joints: The joints; joints that are not of a leg get zeros.
         amplitude: Factor on the deviation from each joint's mean angle.
         knee_bend: Extra knee flexion throughout [rad].
-        name: Of the reference, for messages.
+        name: Name of the reference, for messages.
 
     Returns:
         Mean displacement from the rest pose [rad], (joints,), and the amplitudes of cosines and

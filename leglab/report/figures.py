@@ -37,7 +37,7 @@ _CLOSE_UP = 3.0  # strides shown before and after the change
 _LEFT = 0.75  # axis label and tick labels
 _RIGHT = 0.12
 _HEAD = 0.6  # title and legend of the figure
-_TITLE = 0.4  # title of a panel, and the space to the one above
+_TITLE = 0.4  # title of a panel, and the space to the panel above
 _GAP = 0.12  # between the axes of one panel
 _FOOT = 0.5  # time axis
 _ONE_COLUMN = 7.2
@@ -46,8 +46,8 @@ _TWO_COLUMNS = 4.9
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _LEGEND_COLUMNS = 4
 _SUBDIVISIONS = (1.0, 2.0, 5.0)
-# A line of more samples is drawn through the smallest and the largest of as many pieces: some ten
-# of them a pixel of the widest panel.
+# A line of more than twice as many samples is drawn through the minimum and maximum of each of
+# `_PIECES` pieces: about ten pieces per pixel of the widest panel.
 _PIECES = 10_000
 
 
@@ -67,7 +67,7 @@ def tracking_figure(
         phases: Parts of the run; the change is marked where "before" ends.
         window: Length of the window of the moving RMS error [s]; None leaves it out.
         span: First and last time shown [s]; None shows all.
-        title: What was run.
+        title: Name of the run or scenario, shown as title.
 
     Raises:
         LeglabError: No joint has both columns, or nothing lies in the span.
@@ -75,7 +75,7 @@ def tracking_figure(
     joints = recording.tracked
     if not joints:
         raise RecordingError("no tracking to draw: no joint has '_position' and '_reference'")
-    # Columns of long runs are large, and may be read from a file: few are held at a time.
+    # Columns of long runs are large and may be read from a file: few are in memory at a time.
     error = recording.stack(joints, "reference")
     error -= recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
@@ -83,7 +83,7 @@ def tracking_figure(
     if span is not None:
         first, last = np.searchsorted(recording.time, span)
         if first >= last:
-            recording.between(*span)  # says what there is
+            recording.between(*span)  # raises; the message has the recorded times
         part = slice(int(first), int(last))
     time = recording.time[part]
     with style():
@@ -122,7 +122,7 @@ def pressure_figure(
     Args:
         recording: With `<joint>_pressure_a` and `<joint>_pressure_b` [Pa].
         phases: As in `tracking_figure`.
-        title: What was run.
+        title: Name of the run or scenario, shown as title.
 
     Raises:
         LeglabError: A column is missing, or no pressure was recorded.
@@ -155,9 +155,9 @@ def command_figure(
     """Draws the command of every joint; commands at the limit are drawn in another colour.
 
     Args:
-        recording: With `<actuator>_command`, of native actuators as shares of their range.
+        recording: With `<actuator>_command`; that of native actuators is a share of their range.
         phases: As in `tracking_figure`.
-        title: What was run.
+        title: Name of the run or scenario, shown as title.
 
     Raises:
         LeglabError: No command was recorded.
@@ -224,11 +224,11 @@ def save_run_figures(
         folder: Existing folder to write to.
         phases: Parts of the run.
         window: One stride [s], for the moving RMS error and the close-up of the change.
-        title: What was run.
+        title: Name of the run, shown as title.
 
     Returns:
         Paths of `tracking.png`, `tracking_change.png` (with a change), `pressures.png`,
-        `commands.png`, as far as they were drawn.
+        `commands.png`: those that were drawn.
 
     Raises:
         LeglabError: No joint has position and reference, or the folder cannot be written to.
@@ -261,7 +261,7 @@ def _finish(axes: Axes, phases: Sequence[Phase]) -> None:
 
 
 def _change(phases: Sequence[Phase]) -> tuple[float, float] | None:
-    """Returns when the machine begins and ends to change [s]; None where it does not."""
+    """Returns start and end of the machine's change [s]; None without a change."""
     after = [phase.start for phase in phases if phase.name == "after"]
     if not after:
         return None
@@ -278,8 +278,8 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
 
     Args:
         results: Runs of one scenario: `metrics` (its `controller`), `changes` [s], `window` [s],
-            `time` [s] and `windowed_error_rad`; lines come in the order of the controllers.
-        title: What was run.
+            `time` [s] and `windowed_error_rad`. Controllers keep the order of the runs.
+        title: Name of the run or scenario, shown as title.
 
     Raises:
         LeglabError: There is no run, or none lasts a window.
@@ -293,7 +293,7 @@ def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> 
         figure, ((axes,),) = add_panels(1, heights=(3.0,))
         for controller, (dashes, color) in zip(controllers, looks, strict=False):
             own = [r for r in results if r["metrics"]["controller"] == controller]
-            count = min(len(result["time"]) for result in own)  # as far as all of the runs came
+            count = min(len(result["time"]) for result in own)  # end of the shortest run
             time = np.array(own[0]["time"][:count])
             kept = [result["windowed_error_rad"][:count] for result in own]
             errors = _MILLI * np.array(kept, dtype=np.float64)
@@ -328,17 +328,17 @@ def save_comparison_figure(results: Sequence[dict[str, Any]], path: Path, *, tit
 
 
 def outline(values: np.ndarray, pieces: int = _PIECES) -> np.ndarray:
-    """Chooses samples whose line looks like that of all of them.
+    """Selects samples whose line looks like the line through all samples.
 
-    The memory that Matplotlib takes grows with the vertices, in long runs beyond that of the run.
+    Matplotlib's memory grows with the number of vertices, in long runs beyond that of the run.
 
     Args:
-        values: Shape (n,); NaN where there is none.
-        pieces: Into how many they are cut.
+        values: Samples, shape (n,); NaN where missing.
+        pieces: Number of pieces into which the samples are cut.
 
     Returns:
         Increasing row numbers: all where n is at most twice the number of pieces; else the first
-        and the last, and of each piece its smallest and its largest value.
+        and the last row, and the rows of the minimum and maximum of each piece.
     """
     if len(values) <= 2 * pieces:
         return np.arange(len(values))
@@ -347,7 +347,7 @@ def outline(values: np.ndarray, pieces: int = _PIECES) -> np.ndarray:
 
 
 def _ends(marked: np.ndarray) -> np.ndarray:
-    """Row numbers of the first and the last samples of runs of the same value, (n,)."""
+    """Returns the first and the last row of each stretch of equal values in `marked`, (n,)."""
     differs = np.concatenate([[True], marked[1:] != marked[:-1], [True]])
     return np.flatnonzero(differs[1:] | differs[:-1])
 
@@ -360,7 +360,7 @@ def _draw(
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a page shows it."""
+    """Renders a figure as PNG at the resolution of the pages."""
     stream = io.BytesIO()
     with style():
         figure.savefig(stream, format="png", dpi=_PAGE_DPI)
@@ -399,7 +399,7 @@ def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple
             place = (left / size[0], (top - height) / size[1], width / size[0], height / size[1])
             axes = figure.add_axes(place, sharex=stack[0] if stack else None)
             axes.tick_params(labelbottom=False)
-            # At one distance from all axes, whatever the width of the tick labels.
+            # The same distance from all axes, whatever the width of the tick labels.
             axes.yaxis.set_label_coords(-0.53 / width, 0.5)
             stack.append(axes)
             top -= height + _GAP
@@ -423,11 +423,11 @@ def add_head(
 
     Args:
         figure: The figure.
-        title: What was run.
-        lines: A sample of each kind of line, with its label; without any there is no legend.
-        phases: Parts of a run; the line of a change is added where there is one.
-        columns: Entries in a row of the legend; None puts all into one.
-        legend: Further distances in the legend, as Matplotlib takes them.
+        title: Name of the run, or another title.
+        lines: A labelled sample of each kind of line; empty for no legend.
+        phases: Parts of a run; if the machine changes, the legend has an entry for the change.
+        columns: Entries in a row of the legend; None puts all entries into one row.
+        legend: Further spacings of the legend, as arguments of Matplotlib's `legend`.
     """
     if _change(phases) is not None:
         lines = [*lines, _line("change of the machine", VERMILION)]

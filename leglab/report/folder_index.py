@@ -20,7 +20,7 @@ from leglab.runs.comparison import SUMMARY, read_comparison
 from leglab.runs.folder import read_metrics
 
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
-# Title and first heading lie there; what follows are scripts and data.
+# Bytes read of a page: they hold title and first heading; scripts and data follow.
 _HEAD_LENGTH = 200_000
 _UNIT = "mrad or mm"
 _NUMBERS = ("seed", *(f"RMS {name} [{_UNIT}]" for name in ("before", "after", "end")))
@@ -33,17 +33,17 @@ _OURS = '<meta name="generator" content="leglab index"'
 class Entry:
     """One line of the index.
 
-    Scenario, controller and model are those of a run or a comparison, seed and errors of a run.
+    Scenario, controller and model are set for runs and comparisons, seed and errors for runs.
     """
 
     name: str  #: Path below the folder
-    #: To the page, or to the best other file there is; relative and quoted. Empty for none.
+    #: URL of the page, or else of the best other file; relative and quoted. Empty for none.
     link: str
     kind: str  #: run, report, comparison, sweep or diagnosis
-    #: Whether it is whole, stopped half way, or cannot be read.
+    #: Complete, stopped before its planned end, or unreadable.
     state: Literal["whole", "stopped", "broken"] = "whole"
-    told: str = ""  #: What it says, or what is wrong with it
-    written: str = ""  #: When, in UTC
+    told: str = ""  #: Outcome, or the error that makes it unreadable
+    written: str = ""  #: Time of writing, in UTC
     scenario: str = ""
     controller: str = ""
     model: str = ""
@@ -57,11 +57,11 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
     """Writes the index of a folder.
 
     Args:
-        folder: Below which to look.
+        folder: Folder to search, with all folders below it.
         path: The page; an earlier index is replaced, another file is not.
 
     Returns:
-        What was found, and the path.
+        The entries of the index, and its path.
 
     Raises:
         LeglabError: There is no such folder, the path holds a file that is no index, or it cannot
@@ -96,20 +96,20 @@ def _page(entries: list[Entry], name: str) -> str:
 
 
 def _find_entries(folder: Path, base: Path) -> list[Entry]:
-    """Returns what lies below a folder by its path, with links relative to the folder `base`."""
+    """Returns the entries of a folder and those below it, with links relative to `base`."""
     if not folder.is_dir():
         raise FileError(f"{str(folder)!r} is not a folder", given=folder)
     found: list[Entry] = []
     for place, folders, files in os.walk(folder):  # links to folders are not followed
         folders.sort()
         found += _entries(Path(place), set(files), folder, base)
-        # Folders that are being written, or were when the power went.
+        # Hidden folders are skipped, except those of runs being written, or interrupted then.
         folders[:] = [f for f in folders if not f.startswith(".") or f.endswith(".partial")]
     return sorted(found, key=lambda entry: (entry.name, entry.kind))
 
 
 def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator[Entry]:
-    """What one folder holds, of the files in it."""
+    """Yields the entries of one folder, by the names of the files in it."""
     name = "." if place == folder else place.relative_to(folder).as_posix()
 
     def entry(

@@ -1,4 +1,4 @@
-"""All columns of a recording over time, one panel each: what `leglab inspect --plot` draws."""
+"""Figure of all columns of a recording over time, one panel each, for `leglab inspect --plot`."""
 
 import math
 from collections.abc import Mapping
@@ -15,10 +15,10 @@ from leglab.data import inspect
 from leglab.report.figures import outline
 from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 
-# Panels [inch], and from how many of them on there are two, three and four columns.
+# Panels [inch], and the numbers of panels from which on there are two, three and four columns.
 _WIDTH, _HEIGHT, _HEAD, _FOOT, _LEFT, _SPACE = (7.2, 3.9, 2.9, 2.3), 0.8, 0.6, 0.5, 0.7, 0.42
 _MANY = (5, 25, 60)
-# More panels are no picture that anybody looks at. Of 900 vertices a line is not cut in chunks.
+# More panels make the figure unreadable; lines of 900 vertices stay below Matplotlib's chunk size.
 _MOST_PANELS, _PIECES = 120, 450
 
 
@@ -28,10 +28,10 @@ def signals_figure(
     """Draws columns over time, gaps and missing samples shaded.
 
     Args:
-        table: Arrays of shape (n,) by column name; without a `time` that goes forward the rows are
-            the axis.
-        metadata: With units of columns, if there are any.
-        title: Of the recording.
+        table: Arrays of shape (n,) by column name; without an increasing `time` the axis shows row
+            numbers.
+        metadata: Metadata of the recording, with units of columns if known.
+        title: Title of the figure, such as the name of the recording.
     """
     findings = inspect(table)
     timed = "time" in table and not any(finding.fatal for finding in findings)
@@ -80,7 +80,7 @@ def save_signals(
 
 
 def _draw(panel: Any, axis: np.ndarray, samples: np.ndarray, gaps: list[int]) -> None:
-    """One column; the line ends at gaps."""
+    """Draws one column; gaps break the line."""
     finite = np.where(np.isfinite(samples), samples, np.nan)
     starts = [0, *gaps]
     for first, last in zip(starts, [*gaps, samples.size], strict=True):

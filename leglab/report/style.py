@@ -1,11 +1,11 @@
-"""One look for all figures and films: few inks, safe for colour-blind readers, no decoration."""
+"""Common plain style of all figures and films: few colours, safe for colour-blind readers."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# Okabe and Ito 2008, Color Universal Design: told apart under all common colour blindness.
+# Okabe and Ito 2008, Color Universal Design: distinct with all common kinds of colour blindness.
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 VERMILION = "#D55E00"
@@ -13,7 +13,7 @@ BLACK = "#000000"
 LIGHT_GREY = "#B8B8B8"
 DARK_GREY = "#4D4D4D"
 GRID = "#E6E6E6"
-# Runs and controllers beside each other, in this order; vermilion marks what changes.
+# Colours of the runs or controllers in a figure, in this order; vermilion marks changes.
 SERIES = (BLACK, BLUE, ORANGE, "#009E73", "#CC79A7", "#56B4E9")
 
 _STYLE: dict[Any, Any] = {
@@ -32,7 +32,7 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.0,
     "figure.dpi": 100.0,
     "savefig.dpi": 160.0,
-    # Vertices that are drawn at a time: dense lines took 70 MB a picture.
+    # Vertices drawn at a time: without this limit dense lines took 70 MB a picture.
     "agg.path.chunksize": 1000,
     "savefig.facecolor": "white",
     # Names are drawn as they are: a "$" in them starts no formula.
@@ -40,17 +40,17 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-# Matplotlib's settings are those of the whole process.
+# Matplotlib's settings are global to the process: one thread at a time may change them.
 _SETTINGS = threading.RLock()
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Applies the look to figures made inside; the caller's settings come back.
+    """Applies the style to figures made inside the context, then restores the caller's settings.
 
-    Threads wait for each other.
+    Other threads wait until the context ends.
     """
-    import matplotlib as mpl  # films, which need colours alone, do without
+    import matplotlib as mpl  # slow; films need only the colours above
 
     with _SETTINGS, mpl.rc_context():
         mpl.rcdefaults()

@@ -1,1 +1,1 @@
-"""From settings to results: one closed loop, its metrics and files, and many of them."""
+"""Runs from settings to results: single closed loops with metrics and files, and sweeps of runs."""

@@ -1,23 +1,23 @@
-"""How long the controller takes for its commands, against the control period."""
+"""Duration of the controller's `command` calls relative to the control period."""
 
 from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import accumulate
 
-_BINS = 8  # of an octave
+_BINS = 8  # bins per octave
 
 
 @dataclass(frozen=True)
 class CallTime:
-    """Durations of many calls [s]."""
+    """Statistics of call durations [s]."""
 
-    median: float  #: Within an eighth
+    median: float  #: Median, to within an eighth
     worst: float
     late: float  #: Share of the calls that took longer than the control period
 
 
 class CallTimes:
-    """Counts durations in bins, so that a run of any length takes the same memory.
+    """Histogram of call durations; its memory use does not depend on the length of the run.
 
     Args:
         period: Control period [s].
@@ -29,7 +29,7 @@ class CallTimes:
         self._worst = self._late = self._calls = 0
 
     def add(self, duration: int) -> None:
-        """Counts a call of so many nanoseconds."""
+        """Counts a call of the given duration [ns]."""
         duration = max(duration, _BINS)
         octave = duration.bit_length() - 4
         self._count[_BINS * octave + (duration >> octave) - _BINS] += 1
@@ -40,7 +40,7 @@ class CallTimes:
             self._late += 1
 
     def told(self) -> CallTime | None:
-        """Returns median, worst and late calls; None before the first one."""
+        """Returns median, worst and share of late calls; None before the first call."""
         if not self._calls:
             return None
         place = bisect_left(list(accumulate(self._count)), self._calls / 2)

@@ -1,9 +1,9 @@
-"""Adaptation metrics: error added by a fault, share of it removed, time until 90 % is.
+"""Adaptation metrics: error added by a fault, share of it removed, time until 90 % is removed.
 
-Every place that tells of adaptation takes it from here: metrics.json, comparisons, pages, tables.
-Errors are RMS over the driven joints and over time, of the true positions, in rad. How soon is
-counted in strides, since the error within one depends on where in it one looks: a stride counts
-from its beginning on.
+`metrics.json`, comparisons, pages and tables all take adaptation figures from this module.
+Errors are RMS over the driven joints and over time, of the true positions, in rad. The recovery
+time is found from whole strides, since the error varies within a stride; a stride is assigned to
+the time at which it begins.
 """
 
 import math
@@ -16,17 +16,17 @@ from leglab.base.scenario import Scenario
 from leglab.runs.metrics import by_joint, joint_rms, settling_time, sliding_rms
 from leglab.runs.record import AdaptationMetrics
 
+NOTHING_CHANGES = "nothing changes"  # reason why there are no adaptation figures
 # Errors before the change and at the end are taken over the whole strides in this share of the run.
-NOTHING_CHANGES = "nothing changes"  # a reason why nothing is undone
 QUARTER = 0.25
 
-# Share of the damage that is undone at `t90_s`.
+# Share of the damage that is removed at `t90_s`.
 UNDONE = 0.9
 
-# An error that a change raises by less than this factor is no damage: strides differ by as much.
+# An increase of the error by less than this factor is no damage: strides differ by as much.
 HURT = 1.25
 
-# Slack by which sums of floating-point times may be off [s, or strides].
+# Tolerance for rounding errors of sums of times [s, or strides].
 _ROUNDING = 1e-9
 
 TWIN, OWN_PEAK = "frozen twin", "own peak"
@@ -42,24 +42,24 @@ def adaptation(
     twin: np.ndarray | None = None,
     failure: str = "",
 ) -> AdaptationMetrics:
-    """Measures how a run took its change.
+    """Computes the adaptation figures of a run.
 
     Args:
-        scenario: What happened to the machine, and when.
+        scenario: Scenario with the changes of the machine and their times.
         stride: Period of the reference [s].
         time: Sample times [s], increasing. Shape (n,).
         error: Tracking error [rad]. Shape (n, joints).
         joints: Names of the columns.
-        twin: Tracking error of the same run with adaptation stopped just before the change, at
-            the same times; None where there is none, and the run's own worst stride stands for it.
-        failure: Why the run ended early; empty if it did not.
+        twin: Tracking error of the frozen twin, the same run with adaptation stopped just before
+            the change, at the same times; None to use the run's own worst stride instead.
+        failure: Reason why the run ended early; empty if it did not.
 
     Returns:
-        Figures as `AdaptationMetrics` defines them; where one cannot be told it is None, and
+        Figures as `AdaptationMetrics` defines them; a figure that cannot be computed is None, and
         `reason` says why.
     """
     quarter = QUARTER * scenario.duration
-    # As many whole strides as fit into it.
+    # Duration of the whole strides that fit into a quarter.
     span = math.floor(quarter / stride + _ROUNDING) * stride
     figures: dict[str, Any] = dict.fromkeys(AdaptationMetrics.model_fields)
     figures.update(span_s=span, stride_s=stride)

@@ -1,4 +1,4 @@
-"""Many runs: scenarios by controllers by seeds, in parallel, picked up where they were left."""
+"""Comparisons: all runs of scenarios, controllers and seeds, in parallel and resumable."""
 
 import itertools
 import json
@@ -27,14 +27,14 @@ from leglab.runs.sweeps.outcome import traces
 
 _MOST_SEEDS = 100_000
 
-# File that holds what `compare` returns.
+# File with the result of `compare`.
 SUMMARY = "compare.json"
 # Folder of the runs.
 RUNS = "runs"
 
 # Settings in which the runs of a comparison differ.
 _VARIED = ("scenarios", "controllers", "seeds")
-# What a summary must have to be read.
+# Entries that a valid summary must have.
 _SHARED = ("seeds", "model", "duration", "ramp_duration", "tolerance", "vary", "unit", "version")
 _ESTIMATES = ("before_rad", "after_rad", "end_rad", "ratio", "recovered", "t90_s")
 
@@ -86,7 +86,7 @@ class Comparison:
             scenario_of(run)
 
     def runs(self) -> list[RunSettings]:
-        """Settings of all runs; the seeds of a controller follow each other."""
+        """Returns the settings of all runs, ordered by scenario, controller and seed."""
         shared = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _VARIED}
         return [
             RunSettings(scenario=scenario, controller=controller, seed=seed, **shared)
@@ -107,28 +107,28 @@ def run_all(
 ) -> list[dict[str, Any]]:
     """Makes all runs that the folder does not hold yet.
 
-    Each run is one file, which is there as a whole or not at all: after an interruption the same
-    call goes on where it was. A run counts only with the same settings, the same code and the same
-    model, with what that includes and its assets. A run that cannot be set up, raises, takes longer
-    than an hour, or whose process dies stops no other one and is not kept.
+    Each run is stored in one file, written completely or not at all, so the same call continues
+    after an interruption. A stored run is reused only if its settings, code and model, including
+    the model's other files and assets, are the same. A run that cannot be set up, raises an error,
+    takes longer than an hour, or whose process dies does not stop the others and is not stored.
 
     Args:
-        runs: What to run.
-        folder: Where results are kept.
-        jobs: Processes at a time; -1 is one a core, 1 this process. Not with a scheduler.
+        runs: Settings of the runs.
+        folder: Folder of the stored results.
+        jobs: Number of processes; -1 for one per core, 1 for this process. Not with a scheduler.
         scheduler: Address of a Dask scheduler whose workers make the runs.
-        overwrite: Whether to repeat runs that are there.
+        overwrite: Whether to repeat stored runs.
         progress: Called after each run.
 
     Returns:
         The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
         `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
-        until a first window is full; `travel_rad` of the reference, by joint. Of a run that came
-        to nothing, `metrics` says `completed` False and why, and has no phases.
+        until the first window is full; `travel_rad` of the reference, by joint. For a run without
+        a result, `metrics` has `completed` False, the reason as `failure`, and no phases.
 
     Raises:
-        LeglabError: No run came to anything, the folder cannot be written to, another process
-            writes to it, or the scheduler cannot be reached.
+        LeglabError: All runs failed, the folder cannot be written to, another process writes to
+            it, or the scheduler cannot be reached.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     bases = [basis_of(run) for run in runs]
@@ -169,18 +169,18 @@ def _path(settings: RunSettings, folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredRun:
-    """One run of a comparison and the file that it is kept in."""
+    """One run of a comparison and the file in which it is stored."""
 
     scenario: str
     controller: str
     seed: int
     path: Path
-    #: What `run_all` returns of it; None where the file is not there or damaged.
+    #: Result as in `run_all`; None if the file is missing or damaged.
     result: dict[str, Any] | None
 
 
 def is_comparison(folder: Path) -> bool:
-    """Whether a folder holds a comparison."""
+    """Tests whether a folder holds a comparison."""
     return (folder / SUMMARY).is_file()
 
 
@@ -188,7 +188,7 @@ def read_comparison(folder: Path) -> "ComparisonResult":
     """Reads the summary of a comparison.
 
     Raises:
-        FileError: The folder holds none, or the file does not have the form.
+        FileError: The folder holds no comparison, or the file does not have the required form.
     """
     content = read_json(folder / SUMMARY)
     try:
@@ -211,11 +211,11 @@ def read_comparison(folder: Path) -> "ComparisonResult":
 
 
 def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
-    """The runs of a comparison as they lie in its folder, in the order of its table.
+    """Reads the stored runs of a comparison, in the order of its table.
 
     Args:
-        summary: From `read_comparison`.
-        folder: Of the comparison.
+        summary: Summary from `read_comparison`.
+        folder: Folder of the comparison.
     """
     found = []
     seeds = range(summary["seeds"])
@@ -231,13 +231,13 @@ def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
 
 
 def result_of(given: dict[str, Any]) -> dict[str, Any]:
-    """Makes a run; what `run_all` returns of one.
+    """Makes a run and returns its result in the form of `run_all`.
 
     Args:
         given: `settings` of the run and the `model_digest`.
 
     Raises:
-        LeglabError: It cannot be set up, or the model is another one by now.
+        LeglabError: The run cannot be set up, or the model's files have changed.
     """
     run = made(given["settings"], given["model_digest"])
     kept = traces(run)
@@ -254,7 +254,7 @@ def result_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _failed(run: RunSettings, problem: str) -> dict[str, Any]:
-    """The result of a run that came to nothing."""
+    """Returns the result entry of a run that failed."""
     metrics = {"scenario": run.scenario, "controller": run.controller, "seed": run.seed}
     metrics |= {"completed": False, "failure": problem, "phases": []}
     empty = dict.fromkeys(("changes", "time", "windowed_error_rad", "safety_error_rad"), ())
@@ -265,7 +265,7 @@ _CONFIDENCE = 0.95
 
 
 class ComparisonResult(dict[str, Any]):
-    """The content of `compare.json`, as `compare` returns it, with a table and a plot of it."""
+    """Content of `compare.json`, as returned by `compare`, with display as table and plot."""
 
     def __repr__(self) -> str:
         return (
@@ -299,7 +299,7 @@ class ComparisonResult(dict[str, Any]):
         """Draws the error after the change, or of the whole run, by scenario and controller.
 
         Returns:
-            The axes, one a scenario, of a new figure of `matplotlib.pyplot`.
+            The axes, one per scenario, of a new `matplotlib.pyplot` figure.
         """
         axes = panels(len(self["scenarios"]), height=0.5 + 0.3 * len(self["controllers"]))
         for axis, (scenario, cells) in zip(axes, self["results"].items(), strict=True):
@@ -313,9 +313,9 @@ class ComparisonResult(dict[str, Any]):
         return axes
 
     def to_pandas(self) -> Any:
-        """Returns means and halves of the 95 % intervals as a `pandas.DataFrame`.
+        """Returns means and half widths of the 95 % intervals as a `pandas.DataFrame`.
 
-        One row a scenario and controller; columns as in `compare`, `..._half` for the intervals.
+        One row per scenario and controller; columns as in `compare`, `..._half` for half widths.
 
         Raises:
             LeglabError: pandas is missing.
@@ -334,18 +334,18 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
     """Summarises results over seeds: the content of `compare.json`.
 
     Args:
-        comparison: What was compared.
-        results: From `run_all`.
+        comparison: Plan of the comparison.
+        results: Results from `run_all`.
 
     Returns:
-        `unit` in which errors are told, a thousandth of that in which they are kept. `results`: by
+        `unit` in which errors are reported, a thousandth of the stored unit. `results`: by
         scenario and controller, each an estimate (`estimate`): the errors `before_rad`,
-        `after_rad` (of nominal runs the whole) and `end_rad`, `damage_rad`, `recovered`, `t90_s`
-        (of the runs that came so far), all as `leglab.runs.clock` has them;
-        `excess_error_area_rad_s`; and `ratio` of the error after the change to the first
-        controller's with the same seed. `never_undone` is the number of runs that never undid nine
-        tenths of their damage; `failures` has the reasons of runs that ended early, which are left
-        out of all estimates.
+        `after_rad` (of the whole run without a change) and `end_rad`, `damage_rad`, `recovered`,
+        `t90_s` (of runs that removed 90 % of the damage), all as defined in `leglab.runs.clock`;
+        `excess_error_area_rad_s`; and `ratio` of the error after the change to that of the first
+        controller with the same seed. `never_undone` counts the runs that never removed 90 % of
+        their damage; `failures` lists the reasons of runs that ended early, which are left out of
+        all estimates.
     """
     cells: defaultdict[tuple[str, str], dict[int, dict[str, Any]]] = defaultdict(dict)
     results = list(results)
@@ -367,7 +367,7 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
 
 
 def unit_of_results(results: Iterable[dict[str, Any]]) -> str:
-    """Unit in which errors of results from `run_all` are told: "mrad", "mm", or "mrad or mm"."""
+    """Returns the unit of reported errors for `run_all` results: "mrad", "mm", or "mrad or mm"."""
     every = [result["metrics"] for result in results]
     if not any(metrics.get("slides") for metrics in every):
         return error_unit(())
@@ -381,20 +381,20 @@ def unit_of_results(results: Iterable[dict[str, Any]]) -> str:
 
 
 def estimate(values: Iterable[float | None]) -> dict[str, Any]:
-    """Mean of independent runs with its confidence interval by Student's t.
+    """Computes the mean of independent runs with its confidence interval by Student's t.
 
     Args:
-        values: One a run; None where a run has none.
+        values: One value per run; None for a run without a value.
 
     Returns:
-        `values`; their `mean`, None without any; and `half_width` of the 95 % interval, t s/sqrt(n)
-        with n - 1 degrees of freedom, None with less than two.
+        `values` without None; `mean`, None without values; and `half_width` of the 95 % interval,
+        t s/sqrt(n) with n - 1 degrees of freedom, None for less than two values.
     """
     numbers = [value for value in values if value is not None]
     mean = float(np.mean(numbers)) if numbers else None
     half_width = None
     if len(numbers) > 1:
-        from scipy import stats  # a second that a single run does without
+        from scipy import stats  # imported late: takes a second, not needed for a single run
 
         quantile = float(stats.t.ppf((1 + _CONFIDENCE) / 2, len(numbers) - 1))
         half_width = quantile * float(np.std(numbers, ddof=1)) / math.sqrt(len(numbers))

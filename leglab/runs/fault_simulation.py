@@ -1,6 +1,6 @@
-"""Makes the bank of faults: the nominal machine with every fault in simulation, at commissioning.
+"""Fault bank: simulation of the nominal machine with every fault, at commissioning.
 
-A machine of its own runs, never that of the run: what happens to that one cannot get here.
+It simulates a separate machine, so no information on the changes of the actual run can leak in.
 """
 
 import hashlib
@@ -38,33 +38,33 @@ from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
 from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
 
-# Strides before samples count, and strides of samples; of a motion that does not repeat, as many
-# of its periods.
+# Strides before the first sample, and strides that are sampled; for a motion that does not repeat,
+# the number of its nominal periods.
 _SETTLED, _SAMPLED = 3, 3
 
-_SAMPLES = 64  # kept between two looks
+_SAMPLES = 64  # samples that are collected before they are added to the moments
 
-# Parameters of valves with their place in a valve's state and the sign with which they count there:
-# a null bias is added to the command.
+# Valve parameters with their index in the valve state and their sign in it; that of the null bias
+# is negative, since it is added to the command.
 _OF_VALVES = {"null_bias": (0, -1.0), "lap": (1, 1.0), "hysteresis": (2, 1.0)}
 
 _banks: dict[str, FaultBank] = {}
 
 
-# Makes a closed loop of settings, with a preparation and a scenario by name.
+# Makes a closed loop from settings, with the keyword arguments `preparation` and `scenario`.
 MakeLoop = Callable[..., Any]
 
 
 def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -> FaultBank:
-    """Makes the bank for a run's model, sensors and reference, or reads the one made before.
+    """Makes the fault bank for a run's model, sensors and reference, or reads a cached one.
 
-    Banks are kept in `cache_folder()` by a digest of the nominal machine and the settings; one
-    of other code is replaced. The leg's takes half a minute to a minute.
+    Banks are stored in `cache_folder()` by a digest of the nominal machine and the settings; a bank
+    of another code version is replaced. Making the leg's bank takes half a minute to a minute.
 
     Args:
-        settings: Of the run; what happens in it and its specimen do not matter.
-        scenario: Of the run, whose reference alone counts.
-        make_loop: `leglab.runs.loop.Loop`.
+        settings: Settings of the run; changes and specimen are not used.
+        scenario: Scenario of the run; only its reference is used.
+        make_loop: The class `leglab.runs.loop.Loop`.
 
     Raises:
         LeglabError: A simulation of the nominal machine fails.
@@ -98,7 +98,7 @@ def fault_bank(settings: RunSettings, scenario: Scenario, make_loop: MakeLoop) -
 
 
 def cache_folder() -> Path:
-    """Where banks are kept: $LEGLAB_CACHE, or leglab in the user's folder of caches."""
+    """Returns the folder of stored banks: $LEGLAB_CACHE, or `leglab` in the user's cache folder."""
     own = os.environ.get("LEGLAB_CACHE")
     if own:
         return Path(own)
@@ -106,7 +106,7 @@ def cache_folder() -> Path:
 
 
 def _write(bank: FaultBank, file: Path) -> None:
-    """Keeps a bank; where the folder cannot be written to, it is made anew next time."""
+    """Stores a bank; if the folder cannot be written, does nothing: it is made again next time."""
     names = np.array([(curve.fault, curve.element, curve.meaning) for curve in bank.curves])
     arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
     for i, curve in enumerate(bank.curves):
@@ -122,7 +122,7 @@ def _write(bank: FaultBank, file: Path) -> None:
 
 
 def _read(file: Path) -> FaultBank | None:
-    """A kept bank of this code; None where there is none that can be read."""
+    """Reads a stored bank; None if it is missing, unreadable or of another code version."""
     try:
         with np.load(file, allow_pickle=False) as kept:
             if str(kept["code"]) != fingerprint():
@@ -149,8 +149,8 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     moments = partial(_moments, settings, preparation, make_loop)
     healthy = moments(())
     base = _solve(healthy)
-    # The ridge draws towards the map that it is about: what it takes off a healthy machine's own
-    # map is no shift.
+    # Ridge regression shrinks towards the healthy map `base`. The remaining shift of the healthy
+    # machine itself, `drawn`, is subtracted from the shifts of all faults.
     drawn = _solve(healthy.about(base))
     normal = healthy.about(base).power / np.maximum(healthy.count, 1.0)
     joints = preparation.nominal.joints
@@ -167,7 +167,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
             try:
                 found = moments(changes)
             except LeglabError:
-                break  # model or joint have no such part, or cannot move with so much of it
+                break  # the model or joint has no such part, or cannot move at this magnitude
             changed = found.about(base)
             shifts.append(_solve(changed) - drawn)
             sizes.append(size)
@@ -182,7 +182,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     valves=_valves(told, preparation.nominal),
-                    # A fault that shows nothing beyond noise has no share to go by.
+                    # A fault with no effect beyond noise has an explained share of 0: use 1.
                     explains=float(explained_share(*sums.tolist())) or 1.0,
                 )
             )
@@ -190,7 +190,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
 
 
 def cases(joints: tuple[str, ...]) -> Iterator[tuple[Cause, str, Side]]:
-    """Sides of all causes in the bank, with the element that has each, a joint or "all"."""
+    """Yields cause, element (a joint or "all") and side of all faults in the bank."""
     for cause in CAUSES.values():
         for side in cause.sides:
             for element in (ALL, *(joints if cause.per_joint and len(joints) > 1 else ())):
@@ -201,13 +201,13 @@ def cases(joints: tuple[str, ...]) -> Iterator[tuple[Cause, str, Side]]:
 def _changes(
     cause: Cause, size: float, joint: str | None, values: Healthy
 ) -> tuple[ParameterChange, ...]:
-    """Parameter changes of a cause on a machine that has had it from the start."""
+    """Returns the parameter changes of a cause that is present from the start of the run."""
     changes = cause.changes(cause, Options(duration=0.0, severity=size, healthy=values))
     return changes if joint is None else of_joint(changes, joint)
 
 
 def _valves(sizes: list[tuple[ParameterChange, ...]], nominal: Simulation) -> np.ndarray | None:
-    """State of the valves by the changes of each size, as of `FaultCurve`."""
+    """Returns the valve states for the changes of each magnitude, as in `FaultCurve`, or None."""
     if not {change.parameter for changes in sizes for change in changes} <= set(_OF_VALVES):
         return None
     out = np.zeros((len(sizes), len(nominal.joints), 5))
@@ -229,7 +229,7 @@ def _moments(
     make_loop: MakeLoop,
     changes: tuple[Any, ...],
 ) -> Moments:
-    """Samples that the controller learns from on a nominal machine with these changes."""
+    """Simulates the nominal machine with changes; returns moments of the learning samples."""
     told = Scenario(name="nominal", duration=1.0, reference=settings.reference or "")
     period = preparation.reference(settings, told).period
     scenario = replace(told, duration=(_SETTLED + _SAMPLED) * period, changes=changes)
@@ -252,16 +252,16 @@ def _moments(
 
 
 def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Weighted squared errors of a fault, as the monitor weighs: with its shift, without, healthy.
+    """Computes squared errors of a fault, weighted as by the monitor: with shift, without, healthy.
 
-    Moments and shift are about the healthy map, `normal` are its mean square errors.
+    Moments and shift are relative to the healthy map; `normal` are its mean square errors.
     """
     powers = np.stack([changed.about(shift).power, changed.power, changed.count * normal])
     return powers @ changed.weight(normal, DISCREPANCY)
 
 
 def _solve(moments: Moments) -> np.ndarray:
-    """Parameters of ridge regression, (joints, parameters)."""
+    """Solves the ridge regression for the parameters, (joints, parameters)."""
     eye = np.eye(moments.information.shape[-1])
     solved = np.linalg.solve(moments.information + RIDGE * eye, moments.correlation[..., None])
     return solved[..., 0]

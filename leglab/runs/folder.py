@@ -1,4 +1,4 @@
-"""Folders of runs as a report reads them; what they hold may come from anywhere."""
+"""Folders of runs: default names, writing, and reading with validation, as files may be foreign."""
 
 import hashlib
 import json
@@ -37,18 +37,18 @@ from leglab.runs.record import (
 from leglab.runs.run import Result, Run, record_scenario
 from leglab.runs.view import draw
 
-# Settings of controller, reference and sensors that a folder's name tells one by one.
+# Maximum number of controller, reference and sensor settings that appear in a folder's name.
 _MOST_TOLD = 3
 
 
 def default_folder(settings: RunSettings, *names: str) -> Path:
-    """Returns the folder of a run, named after what decides the run.
+    """Returns the default folder of a run, named after its settings.
 
-    `runs/SCENARIO-CONTROLLER-MODEL-SEED`, and whatever else is not as it is by default.
+    `runs/SCENARIO-CONTROLLER-MODEL-SEED`, followed by all settings that differ from the default.
 
     Args:
-        settings: Of the run.
-        names: In place of scenario, controller, model and seed, of what has several runs.
+        settings: Settings of the run.
+        names: Name parts for a folder of several runs, instead of the four of one run.
     """
     told = ("scenario", "controller", "model", "seed")
     parts = [settings.scenario, settings.controller, Path(settings.model).stem, str(settings.seed)]
@@ -66,7 +66,7 @@ def default_folder(settings: RunSettings, *names: str) -> Path:
 
 
 def _told(settings: RunSettings) -> list[str]:
-    """Settings of controller, reference and sensors: by name, or a digest where they are many."""
+    """Returns name parts for controller, reference and sensor settings; a digest if many."""
     own = {
         "controller": settings.controller_config,
         "reference": settings.reference_config,
@@ -82,15 +82,15 @@ def _told(settings: RunSettings) -> list[str]:
 def write_run(run: Run, folder: Path, *, overwrite: bool = False) -> Path:
     """Writes `metrics.json`, `run.json` and `recording.parquet`.
 
-    A folder is there as a whole or not at all.
+    The folder is written completely or not at all.
 
     Args:
         run: The run, complete or not.
-        folder: Where to; parents are made.
+        folder: Output folder; parents are created.
         overwrite: Whether the folder of an earlier run may be replaced.
 
     Raises:
-        LeglabError: If the folder exists or cannot be written, or another process writes it.
+        LeglabError: The folder exists or cannot be written, or another process writes it.
     """
     with new_folder(folder, mark=METRICS, made=RUN_FOLDER, overwrite=overwrite) as partial:
         data.write(run.recording, partial / RECORDING)
@@ -99,14 +99,14 @@ def write_run(run: Run, folder: Path, *, overwrite: bool = False) -> Path:
 
 
 def write_result(run: Result, folder: Path) -> None:
-    """Writes `metrics.json`, `run.json` and the model's own files beside a recording.
+    """Writes `metrics.json`, `run.json` and the model's files into the folder of a recording.
 
     Args:
         run: The run, complete or not.
-        folder: Existing.
+        folder: An existing folder.
 
     Raises:
-        LeglabError: If a file cannot be written.
+        LeglabError: A file cannot be written.
     """
     configuration = run.configuration
     if run.files:
@@ -129,10 +129,10 @@ def model_note(path: Path) -> str:
     """Returns a warning if the model file has changed since the run; empty otherwise.
 
     Args:
-        path: The `run.json` of the run.
+        path: Path of the `run.json` of the run.
 
     Raises:
-        LeglabError: It cannot be read.
+        LeglabError: The file cannot be read.
     """
     found = record.read(RunConfiguration, path)
     if found.model_file is None or found.model_source is None:
@@ -146,8 +146,8 @@ def model_note(path: Path) -> str:
 class ReportedRun:
     """One run of a report."""
 
-    folder: Path  #: Where it lies
-    label: str  #: What tells it from the others of the report
+    folder: Path  #: Folder of the run
+    label: str  #: Name that distinguishes it from the other runs of the report
     metrics: RunMetrics  #: Content of `metrics.json`
     configuration: RunConfiguration  #: Content of `run.json`
     recording: Recording  #: Content of `recording.parquet`
@@ -159,56 +159,56 @@ class ReportedRun:
         return self.metrics.as_html()
 
     def plot(self) -> list[Any]:
-        """Draws the run, as `Run.plot`."""
+        """Draws the run as `Run.plot` does."""
         return draw(self.recording, self.configuration.changes)
 
     def to_pandas(self) -> Any:
-        """Returns the metrics, as `Run.to_pandas`."""
+        """Returns the metrics as `Run.to_pandas` does."""
         return self.metrics.to_pandas()
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints whose tracking was measured."""
+        """Joints with tracking errors in the metrics."""
         return tuple(name for name in self.metrics.phases[0].rms_rad if name != "all")
 
     @property
     def planned(self) -> float:
-        """How long the run was to last [s]."""
+        """Planned duration of the run [s]."""
         wanted = self.configuration.settings.get("duration")
         return float(wanted) if isinstance(wanted, int | float) else self.metrics.duration
 
     @property
     def last(self) -> PhaseMetrics:
-        """The phase by which the run is judged: "after" or "whole", or the last it reached."""
+        """Phase by which the run is judged: "after" or "whole", or the last phase it reached."""
         return self.metrics.phases[-1]
 
     @property
     def before(self) -> PhaseMetrics | None:
-        """The phase before the change; None without a change."""
+        """Phase before the change; None without one."""
         first = self.metrics.phases[0]
         return first if first.name == "before" else None
 
     @property
     def error(self) -> float:
-        """RMS error by which the run is judged: its end, or `last` where it is too short [rad]."""
+        """RMS error by which the run is judged [rad]: `end_rad`, or that of `last` without one."""
         end = self.metrics.adaptation.end_rad
         return self.last.rms_rad["all"] if end is None else end["all"]
 
     @property
     def unit(self) -> str:
-        """In which errors of all joints are told: "mrad", "mm", or "mrad or mm"."""
+        """Unit in which errors are reported: "mrad", "mm", or "mrad or mm"."""
         return self.metrics.error_unit()
 
     @property
     def power(self) -> float | None:
-        """Mean power from the supply in `last` [W]; None where it was not recorded."""
+        """Mean power from the supply in `last` [W]; None if energy was not recorded."""
         energy = self.last.energy_j.get("all")
         seconds = min(self.last.end, self.metrics.duration) - self.last.start
         return None if energy is None or seconds <= 0 else energy / seconds
 
     @property
     def judged_over(self) -> str:
-        """The time of `error` in words."""
+        """Time interval of `error` as text."""
         found = self.metrics.adaptation
         if found.end_rad is not None:
             return f"in the last {found.span_s:g} s"
@@ -217,19 +217,19 @@ class ReportedRun:
         )
 
     def setting(self, name: str) -> Any:
-        """A setting as it was stored; None where it was not."""
+        """Returns a stored setting; None if it was not stored."""
         return self.configuration.settings.get(name)
 
 
 def read_runs(folders: Sequence[Path | str]) -> tuple[ReportedRun, ...]:
-    """Reads the folders of a report.
+    """Reads the runs of a report.
 
     Args:
-        folders: Of runs that are complete or stopped half way.
+        folders: Folders of runs, complete or ended early.
 
     Raises:
-        LeglabError: A folder is given twice, is no run, or holds a file that cannot be read or
-            does not have the form of a run's; the message names the file and the entry.
+        LeglabError: A folder is repeated, is not that of a run, or holds a file that cannot be
+            read or has an invalid entry; the message names the file and the entry.
     """
     if not folders:
         raise SettingsError("nothing to report: give the folder of at least one run")
@@ -244,10 +244,10 @@ def read_runs(folders: Sequence[Path | str]) -> tuple[ReportedRun, ...]:
 
 
 def check_runs(folders: Sequence[Path | str]) -> None:
-    """Refuses folders that lack a file of a run, before any work is done.
+    """Tests that folders have all files of a run, before any work is done.
 
     Raises:
-        LeglabError: Names the folder and the file.
+        LeglabError: A file is missing; the message names the folder and the file.
     """
     for folder in map(Path, folders):
         for name in RUN_FILES:
@@ -259,7 +259,7 @@ def check_runs(folders: Sequence[Path | str]) -> None:
 
 
 def read_run(folder: Path | str) -> ReportedRun:
-    """Reads one folder; its label is the controller's name.
+    """Reads one folder of a run; its label is the controller's name.
 
     Raises:
         LeglabError: As `read_runs`.
@@ -295,16 +295,16 @@ def read_run(folder: Path | str) -> ReportedRun:
 
 
 def read_metrics(folder: Path) -> RunMetrics:
-    """Reads `metrics.json` alone.
+    """Reads only `metrics.json`.
 
     Raises:
-        LeglabError: It cannot be read or does not have the form.
+        LeglabError: The file cannot be read or does not have the required form.
     """
     return record.read(RunMetrics, folder / METRICS)
 
 
 def _labels(runs: Sequence[ReportedRun]) -> list[str]:
-    """The controllers' names with every setting in which runs of one controller differ."""
+    """Returns distinct labels: the controllers' names, with differing settings where needed."""
     labels = [run.metrics.controller for run in runs]
     told = ("scenario", "model", "reference", "severity", "duration", "ramp_duration", "element")
     for name in (*told, "tolerance", "vary", "seed"):
@@ -323,11 +323,11 @@ def _labels(runs: Sequence[ReportedRun]) -> list[str]:
 
 
 def check_settings(runs: Sequence[RunSettings]) -> None:
-    """Refuses what cannot be run before anything is.
+    """Tests the settings of all runs before any run is made.
 
     Raises:
-        LeglabError: A controller, the scenario or one of its options is not known or not allowed,
-            or a controller is given twice.
+        LeglabError: There is no run, a controller, scenario or option is unknown or not allowed,
+            or a controller is repeated.
     """
     if not runs:
         raise SettingsError("no controllers to run; give ", allowed="one or more")
@@ -345,26 +345,26 @@ def make_runs(
     timeout: float = TIMEOUT,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Makes the folders of runs that are not there yet.
+    """Makes the runs whose folders are missing or out of date.
 
-    A folder is there as a whole or not at all, so the same call goes on where it was interrupted.
-    A folder counts only with the same settings, code and model, as `run_all` of
-    `leglab.runs.comparison` has it; another one is replaced.
+    A folder is written completely or not at all, so the same call continues after an interruption.
+    A folder is reused only if its settings, code and model are the same, as in `run_all` of
+    `leglab.runs.comparison`; otherwise it is replaced.
 
     Args:
-        runs: What to run.
-        folders: Where each run goes.
-        jobs: Processes at a time; -1 is one a core.
-        overwrite: Whether to repeat runs that are there.
-        timeout: Wall time that a run may take [s].
+        runs: Settings of the runs.
+        folders: Folder of each run.
+        jobs: Number of processes; -1 for one per core.
+        overwrite: Whether to repeat existing runs.
+        timeout: Maximum wall time of a run [s].
         progress: Called after each run.
 
     Returns:
         The folders.
 
     Raises:
-        LeglabError: A run cannot be set up, a folder cannot be written or holds something other
-            than a run, or another process writes to it. The other runs are made.
+        LeglabError: A run fails, a folder cannot be written or holds something other than a run,
+            or another process writes to it. The other runs are made all the same.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     numbers = range(len(runs))
@@ -391,7 +391,7 @@ def make_runs(
 
 
 def _asked(settings: RunSettings) -> dict:
-    """The settings as they come back from a file."""
+    """Returns the settings as they read back from a JSON file."""
     return json.loads(json.dumps(asdict(settings)))
 
 
@@ -402,7 +402,7 @@ def _is_made(settings: RunSettings, folder: Path, basis: Mapping[str, str]) -> b
 
 
 def content_with(wanted: Mapping[str, Any], path: Path) -> dict[str, Any] | None:
-    """Returns the content of a JSON file; None where there is none with just these entries."""
+    """Returns the content of a JSON file if it has these entries; None otherwise."""
     try:
         content = read_json(path)
     except LeglabError:
@@ -418,7 +418,7 @@ def make_folder(given: dict[str, Any]) -> None:
         given: `settings` of the run, their `basis` and the `folder`.
 
     Raises:
-        LeglabError: It cannot be set up, or the folder not be written.
+        LeglabError: The run cannot be set up, or the folder cannot be written.
         KeyboardInterrupt: The user interrupts.
     """
     settings = RunSettings(**given["settings"])

@@ -1,4 +1,4 @@
-"""History of a closed loop, one row a control period: in blocks, and as a whole."""
+"""History of a closed loop, one row per control period: in blocks, and complete."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -11,24 +11,24 @@ from leglab.control import ReferencePoint
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Everything that a closed loop left behind, one row a control period."""
+    """Recorded quantities of a closed loop, one row per control period."""
 
     time: np.ndarray  #: [s], shape (n,)
     position: np.ndarray  #: True positions of the driven joints [rad], (n, joints)
     velocity: np.ndarray  #: True velocities of the driven joints [rad/s], (n, joints)
-    #: True positions of joints that nothing drives, by joint [rad or m], each (n,).
+    #: True positions of passive joints, by joint [rad or m], each (n,).
     passive: dict[str, np.ndarray]
     command: np.ndarray  #: Commands in [-1, 1] from `time` on, (n, joints)
-    #: What was sent for them: to a valve the command, to a native actuator a control in its own
-    #: unit, (n, joints).
+    #: Actuator inputs for these commands: the command of a valve, or the control input of a native
+    #: actuator in its unit, (n, joints).
     control: np.ndarray
     #: Position [rad], velocity [rad/s] and acceleration [rad/s^2], each (n, joints).
     reference: ReferencePoint
-    #: Values of the plugin states asked for, by column name, each (n,).
+    #: Values of the recorded plugin states, by column name, each (n,).
     states: dict[str, np.ndarray]
-    encoder_shift: np.ndarray  #: Added to every position by encoder faults [rad], (n, joints)
-    encoder_lost: np.ndarray  #: Where an encoder repeated its last reading, (n, joints)
-    diagnostics: dict[str, np.ndarray]  #: What the controller reports, by name, each (n, joints)
+    encoder_shift: np.ndarray  #: Offset of positions by encoder faults [rad], (n, joints)
+    encoder_lost: np.ndarray  #: True where an encoder repeated its last reading, (n, joints)
+    diagnostics: dict[str, np.ndarray]  #: Reports of the controller by name, each (n, joints)
 
     @property
     def error(self) -> np.ndarray:
@@ -40,9 +40,9 @@ class Rows:
 class Ending:
     """How a closed loop ended."""
 
-    rows: int  #: Periods that were recorded
-    wall_time: float  #: Of the loop alone [s]
-    failure: str = ""  #: Why it ended early; empty if it did not
+    rows: int  #: Number of recorded periods
+    wall_time: float  #: Wall time of the loop only [s]
+    failure: str = ""  #: Reason of an early end; empty without one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +56,10 @@ class History(Rows, Ending):
 
 
 class Whole:
-    """Blocks of rows put together.
+    """Concatenation of blocks of rows.
 
     Args:
-        count: Most rows.
+        count: Maximum number of rows.
     """
 
     def __init__(self, count: int) -> None:
@@ -67,23 +67,23 @@ class Whole:
         self._values: dict[tuple[str, str], np.ndarray] = {}
 
     def keep(self, rows: Rows) -> None:
-        """Copies the next rows."""
+        """Appends a copy of the next rows."""
         start = self._rows
         self._rows = start + len(rows.time)
         for place, values in _parts(rows):
             if place not in self._values:
-                # In the order in memory that it comes in: sums are rounded by it.
+                # Keeps the memory order of the block, on which the rounding of sums depends.
                 whole = np.empty_like(values, shape=(self._count, *values.shape[1:]))
-                whole[:start] = np.nan  # a report that a controller began later
+                whole[:start] = np.nan  # for a report that the controller began to make later
                 self._values[place] = whole
             self._values[place][start : self._rows] = values
 
     def history(self, ending: Ending) -> History:
-        """Returns all rows; none can be kept after it."""
+        """Returns all rows; `keep` must not be called afterwards."""
         found: dict[str, Any] = {"passive": {}, "states": {}, "diagnostics": {}, "reference": {}}
         for (field, key), values in self._values.items():
             kept = values[: self._rows]
-            if values.ndim == 1:  # A recording takes over what is whole and cannot be written.
+            if values.ndim == 1:  # A recording takes over a read-only array without a copy.
                 values.resize(self._rows, refcheck=False)
                 values.setflags(write=False)
                 kept = values
@@ -96,7 +96,7 @@ class Whole:
 
 
 def _parts(rows: Rows) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
-    """Yields the arrays with their field, and their key in it where it has several."""
+    """Yields the arrays with the name of their field and, if it holds several, their key in it."""
     for field in fields(rows):
         value = getattr(rows, field.name)
         if isinstance(value, np.ndarray):

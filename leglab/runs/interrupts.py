@@ -1,4 +1,4 @@
-"""Ctrl-C during a run: noted instead of raised, so that what was recorded is kept and written."""
+"""Deferred handling of Ctrl-C during a run, so that the samples recorded so far are kept."""
 
 import signal
 import threading
@@ -8,10 +8,10 @@ from typing import Any
 
 
 class Hold:
-    """State of a held-back Ctrl-C.
+    """State of a deferred Ctrl-C.
 
     Attributes:
-        begun: Whether the first one is noted from now on; until then it interrupts at once.
+        begun: Whether the first Ctrl-C is deferred; if False, it interrupts at once.
     """
 
     def __init__(self) -> None:
@@ -19,12 +19,12 @@ class Hold:
         self._noted = False
 
     def take(self) -> bool:
-        """Returns whether there was one that nobody has taken yet, and takes it."""
+        """Returns whether a Ctrl-C is pending, and clears it."""
         noted, self._noted = self._noted, False
         return noted
 
     def _handle(self, number: int, frame: Any) -> None:
-        # The second one in a row is meant: it interrupts whatever is going on.
+        # A second Ctrl-C interrupts at once.
         if not self.begun or self._noted:
             raise KeyboardInterrupt
         self._noted = True
@@ -35,16 +35,16 @@ _present: Hold | None = None
 
 @contextmanager
 def held(*, later: bool = False) -> Iterator[Hold]:
-    """Holds Ctrl-C back to the end of the block, or of the outermost of such blocks.
+    """Defers Ctrl-C to the end of the block, or of the outermost of nested blocks.
 
     Args:
-        later: Whether holding begins only with a block inside that is not later.
+        later: Whether deferring begins only in a nested block with `later=False`.
 
     Yields:
-        Tells whether there was one. In a thread, or where Ctrl-C is handled by others, never.
+        State of the Ctrl-C. Outside the main thread or with another handler nothing is deferred.
 
     Raises:
-        KeyboardInterrupt: At the end, if nobody has taken one that came; at once for the second.
+        KeyboardInterrupt: At the end, if a Ctrl-C is still pending; at once for a second Ctrl-C.
     """
     global _present
     if _present is not None:

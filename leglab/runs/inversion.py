@@ -1,11 +1,11 @@
 """Iterative inversion of the simulated machine: commands that give zero tracking error.
 
-Iterative learning control with an inverse of the plant that is measured on it (Bristow, Tharayil
-and Alleyne 2006, IEEE Control Systems Magazine 26(3), 96): from one trial to the next the commands
-change by what an inverse model makes of the last error, filtered without phase shift. The inverse
-model says what command a small change of the motion takes, by the slope of the nominal valve map
-times a linear function of position, velocity, acceleration and jerk of all joints; its coefficients
-come from the difference of two trials, of which the second has small random commands added.
+Iterative learning control with an identified plant inverse (Bristow, Tharayil and Alleyne 2006,
+IEEE Control Systems Magazine 26(3), 96): after each trial the command correction is the output of
+an inverse model for the last error, low-pass filtered without phase shift. The inverse model maps
+a small change of the motion to a change of the command: the slope of the nominal valve map times a
+linear function of position, velocity, acceleration and jerk of all joints. Its coefficients are
+fitted to the difference of two trials, the second of which has small random commands added.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,19 +18,19 @@ from leglab.base.scale import rms
 from leglab.commissioning.calibration import ValveMap
 from leglab.controllers.static_feedforward import ValveMapTable
 
-# Low pass of errors and corrections, and of the random commands [Hz]; their RMS.
+# Cutoff of the low pass of errors and corrections, and of the random commands [Hz]; RMS of these.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
-# Share of the correction that is taken; trials in all; trials without a gain of this share that
-# end the search.
+# Learning gain; maximum number of trials; number of trials without an improvement by at least the
+# last value (relative) that ends the iteration.
 _GAIN, _TRIALS, _PATIENCE, _LEAST_GAIN = 0.8, 30, 5, 0.03
 _DERIVATIVES = 3
-# A part of the run that is shorter tells too little of its machine [s].
+# Minimum duration of a part of the run to fit an inverse model to it [s].
 _SHORTEST = 1.0
-# Speed over which the slope of the valve maps is taken, as a share of full speed.
+# Half width of the difference quotient for the slope of the valve maps, as a share of full speed.
 _SLOPE = 0.05
 
-# Runs the machine with commands (n, joints) beside its feedback; returns the error, reference less
-# true position [rad], and the feedback's part of the command, (n, joints) each.
+# Runs the machine with commands (n, joints) added to the feedback; returns the error, reference
+# less true position [rad], and the feedback part of the command, (n, joints) each.
 Trial = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -44,12 +44,12 @@ def exact_commands(
     """Iterates on the commands until the machine follows its reference.
 
     Args:
-        try_out: Runs the machine with exact sensors.
+        try_out: Function that runs the machine with exact sensors.
         slope: Nominal valve command per joint speed along the reference [s/rad], (n, joints).
         start: First commands, (n, joints).
-        period: From one row to the next [s].
-        changes: Rows from which on the machine is another: each part has its own inverse, and one
-            of less than a second only its feedback's corrections.
+        period: Sampling period [s].
+        changes: Rows at which the machine changes. Each part between them has its own inverse
+            model; a part shorter than a second is corrected by the feedback's commands only.
 
     Returns:
         The commands of the trial with the least RMS error, in [-1, 1], (n, joints).
@@ -87,15 +87,15 @@ def exact_commands(
 def valve_slopes(
     maps: Sequence[ValveMap], position: np.ndarray, velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Commands of calibrated valve maps along a motion, and their slope over speed.
+    """Computes commands of calibrated valve maps along a motion, and their slope over speed.
 
     Args:
-        maps: Of the joints.
-        position: [rad], (n, joints).
-        velocity: [rad/s], (n, joints).
+        maps: Valve maps of the joints.
+        position: Joint positions [rad], (n, joints).
+        velocity: Joint velocities [rad/s], (n, joints).
 
     Returns:
-        Commands, and command per speed [s/rad], each (n, joints).
+        Commands, and their derivative with respect to speed [s/rad], each (n, joints).
     """
     command = ValveMapTable(maps)
     width = _SLOPE * np.array([valve_map.velocity[-1] for valve_map in maps])
@@ -108,13 +108,13 @@ def valve_slopes(
 
 
 def _filter(order: int, cutoff: float, period: float) -> Callable[[np.ndarray], np.ndarray]:
-    from scipy.signal import butter, sosfiltfilt  # half a second that few runs need
+    from scipy.signal import butter, sosfiltfilt  # imported late: half a second that few runs need
 
     return partial(sosfiltfilt, butter(order, 2 * cutoff * period, output="sos"), axis=0)
 
 
 def _derivatives(signal: np.ndarray, period: float) -> np.ndarray:
-    """The signal (n, joints) and its derivatives, (1 + derivatives, n, joints)."""
+    """Returns the signal (n, joints) and its derivatives, (1 + derivatives, n, joints)."""
     found = [signal]
     for _ in range(_DERIVATIVES):
         found.append(np.gradient(found[-1], period, axis=0))
@@ -122,7 +122,7 @@ def _derivatives(signal: np.ndarray, period: float) -> np.ndarray:
 
 
 def _fit(motion: np.ndarray, slope: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Coefficients of the inverse model by least squares, (derivatives, joints, joints)."""
+    """Fits the inverse model's coefficients by least squares, (1 + derivatives, joints, joints)."""
     orders, _, joints = motion.shape
     inverse = np.empty((orders, joints, joints))
     features = np.moveaxis(motion, 1, 0).reshape(len(command), -1)

@@ -1,4 +1,4 @@
-"""The closed loop: machine, sensors, controller and a scenario's changes, one period a step."""
+"""Closed loop of machine, sensors, controller and a scenario's changes, in control periods."""
 
 import math
 import time
@@ -36,17 +36,17 @@ from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, prepared, scenario_of
 from leglab.runs.sampled_machine import SampledMachine
 
-# Periods between two looks at the clock, the blow-up check and the progress report.
+# Periods between two blow-up checks, progress reports and checks for an interrupt.
 _CHECK_INTERVAL = 50
 
-# More of them are more hours than anybody waits for.
+# Upper limit on the control periods of a run.
 _MOST_PERIODS = 50_000_000
 
-# A last piece of a reference is taken with as many samples before it: matrices of few rows are
-# multiplied by other code, with other roundings.
+# Minimum number of samples at which a reference is evaluated at once (a short piece is extended to
+# the left), since products of matrices with few rows are rounded differently.
 _LEAST_SAMPLES = 64
 
-# Columns of a recording by plugin state; `_position` is kept for joints.
+# Recording column suffix: plugin state. The suffix `_position` is reserved for joints.
 _RECORDED = {
     "pressure_a": "pressure_a",
     "pressure_b": "pressure_b",
@@ -56,15 +56,15 @@ _RECORDED = {
     "seal_clearance": "seal_clearance",
 }
 
-# Shown reference beyond the scenario's duration is sampled in pieces [s].
+# Length of the pieces in which the reference is sampled after the scenario's duration [s].
 _PIECE = 1.0
 
-# Recordings for identification offline: seed that no comparison uses, length, and when the motion
-# is near the reference [s].
+# Recordings for offline identification: seed that no comparison uses, duration [s], and time from
+# which the motion is close to the reference [s].
 BENCH_SEED = 1_000_003
 _BENCH_DURATION, _BENCH_SETTLED = 40.0, 10.0
 
-# Sensors without noise and resolution; their latency stays.
+# Sensors without noise and quantisation; their latency is kept.
 _EXACT_SENSORS = {"position_noise": 0.0, "encoder_counts": 0}
 
 Progress = Callable[[float], None]
@@ -72,51 +72,51 @@ Progress = Callable[[float], None]
 
 @dataclass(slots=True, eq=False)
 class Period:
-    """One control period as the controller meets it; a loop has one, filled anew each period."""
+    """Data of one control period for the controller; a loop overwrites one instance each period."""
 
     number: int  #: Counted from 0
-    measurement: Measurement  #: What the sensors say
-    reference: ReferencePoint  #: Where the joints should be
-    #: What the controller wants, not checked or clipped; None without a controller.
+    measurement: Measurement  #: Sensor readings
+    reference: ReferencePoint  #: Reference of the joints
+    #: Command of the controller, not checked or clipped; None without a controller.
     command: np.ndarray | None
 
 
 class Loop:
-    """A controller on a machine through a scenario; headless runs, viewer and environment step it.
+    """Closed loop of a controller and a machine for headless runs, viewer and environment.
 
-    A period is `observe`, `act` and `advance`; `step` does all three. The same settings give the
-    same bits, whoever steps. After the scenario's duration a loop goes on; its drawn sensor noise
-    repeats then.
+    A period is `observe`, `act` and `advance`; `step` does all three. The same settings give
+    bitwise equal results in all three uses. A loop can continue after the scenario's duration; its
+    sensor noise repeats then.
 
     Args:
-        settings: Of the run.
-        preparation: Of the same model, sensors and tolerance; None for the one that is kept.
-        scenario: In place of the one that the settings name.
-        simulation: A machine from `preparation.machine`; None for one of its own.
-        controller: In place of the one that the settings name.
+        settings: Settings of the run.
+        preparation: Preparation for the same model, sensors and tolerance; None for a cached one.
+        scenario: Scenario to use instead of the one in the settings.
+        simulation: Machine from `preparation.machine`; None to make a new one.
+        controller: Controller to use instead of the one in the settings.
         controlled: Whether there is a controller; without one, every `act` needs an action.
-        pressures: Whether pressures are measured; None if the controller uses them.
+        pressures: Whether pressures are measured; None to measure them if the controller uses them.
         ahead: Periods by which `reference_ahead` looks beyond the scenario's duration.
-        kept: Periods whose noise and reference are kept at a time, where `ahead` is 0; None for all
-            of the scenario's duration. The bits do not depend on it.
+        kept: Number of periods whose noise and reference are in memory at a time, if `ahead` is 0;
+            None for all of the scenario's duration. Results do not depend on it.
 
     Attributes:
-        settings: Of the run.
-        scenario: What happens to the machine.
-        preparation: Of the run.
+        settings: Settings of the run.
+        scenario: Scenario with the changes of the machine.
+        preparation: Preparation of the run.
         simulation: The machine.
-        controller: What drives it; None if nothing does.
+        controller: The controller; None without one.
         reference: Trajectory of the driven joints.
-        machine: The machine as the controller meets it.
+        machine: The machine with sensors and commands in control periods.
         period: Control period [s].
-        count: Periods of the scenario's duration.
-        wanted: Samples of the reference, of the kept periods and `ahead` more.
+        count: Number of periods in the scenario's duration.
+        wanted: Samples of the reference for the `kept` periods in memory and `ahead` more.
         present: The period that `observe` began last; number -1 before the first.
-        call_times: Of the controller's `command` since `reset`.
-        watch: Called with the number of each period, after its command and before it passes.
+        call_times: Durations of the controller's `command` calls since `reset`.
+        watch: Called with the number of each period, after its command and before `advance`.
 
     Raises:
-        LeglabError: If a name, a setting or the machine does not fit.
+        LeglabError: A name, a setting or the machine is not suitable.
     """
 
     def __init__(
@@ -170,12 +170,12 @@ class Loop:
         self._pressures, self._ahead = pressures, ahead
         self._kept = min(kept or self.count, self.count)
         self.machine: SampledMachine | None = None
-        for first in range(self._kept, self.count, self._kept):  # What it refuses, it does so now.
+        for first in range(self._kept, self.count, self._kept):  # Raises its errors at once.
             self._sample_reference(first, min(self._kept, self.count - first))
         self.reset()
 
     def reset(self) -> None:
-        """Starts the run anew: the seed's specimen at rest, the noise drawn, nothing learned."""
+        """Restarts the run: specimen at rest, noise from its start, controller not yet adapted."""
         self.close()
         self.preparation.start(self.simulation, self.settings.seed, self.settings.tolerance)
         self.machine = machine = SampledMachine(
@@ -187,7 +187,7 @@ class Loop:
             seed=self.settings.seed,
             pressures=self._pressures,
         )
-        # A loop has some tens of microseconds a period: what can be looked up once is.
+        # A period takes some tens of microseconds, so attribute look-ups are cached.
         self._measure, self._send, self.advance = machine.measure, machine.send, machine.advance
         self._next, self._clock = 0, time.perf_counter_ns
         self.call_times = CallTimes(self.period)
@@ -197,7 +197,7 @@ class Loop:
         self.present = Period(-1, first, self.reference_now(), None)
 
     def observe(self) -> Period:
-        """Begins a period: changes happen, sensors are read, the controller computes."""
+        """Begins a period: applies changes, reads the sensors and calls the controller."""
         measurement = self._measure()
         number = self._next
         self._next = number + 1
@@ -225,10 +225,10 @@ class Loop:
         return period
 
     def failed(self, method: str, error: BaseException) -> SimulationError:
-        """The error that an exception in anybody's code ends a run with; what was recorded stays.
+        """Returns the error that ends a run after an exception in the controller's code.
 
         Args:
-            method: Of the controller, for instance "diagnostics: "; "" for `command`.
+            method: Prefix of the message, for instance "diagnostics: "; "" for `command`.
             error: The exception.
         """
         name, now = self.settings.controller, self.simulation.data.time
@@ -245,10 +245,10 @@ class Loop:
             action: Commands, (joints,); None for the controller's.
 
         Raises:
-            LeglabError: They are no finite numbers or of another shape.
+            LeglabError: The commands are not finite numbers or have the wrong shape.
         """
         wish = self.present.command if action is None else action
-        if not self._send(wish):  # wrong, or of another type of number
+        if not self._send(wish):  # invalid, or not an array of float64
             wish = self.checked(wish).astype(float)
             self._send(wish)
         sent = getattr(self.controller, "sent", None)
@@ -273,23 +273,23 @@ class Loop:
         return period
 
     def checked(self, command: Any) -> np.ndarray:
-        """Returns commands of the present period, if they can be sent; raises as `act`."""
+        """Returns the commands of the present period if they are valid; raises as `act`."""
         time = self.present.measurement.time
         return check_command(command, self._setup, self.settings.controller, time)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns what the controller reports of the present period, by name, (joints,) each."""
+        """Returns the controller's reports for the present period, by name, (joints,) each."""
         return {} if self.controller is None else diagnostics_of(self.controller)
 
     def reference_now(self) -> ReferencePoint:
-        """Returns where the joints should be in the next period, before it is observed."""
+        """Returns the reference of the next period, before it is observed."""
         row, wanted = self._next - self._first, self.wanted
         if row == len(wanted.position):  # `observe` samples the next piece.
             row, wanted = 0, self.reference.sample(np.array([self._next * self.period]))
         return ReferencePoint(*(part[row] for part in wanted))
 
     def reference_ahead(self, periods: np.ndarray) -> np.ndarray:
-        """Reference positions [rad] so many periods after the present one, (periods, joints)."""
+        """Returns reference positions [rad] at offsets `periods` from now, (periods, joints)."""
         return self.wanted.position[self.present.number - self._first + periods]
 
     def run(
@@ -301,11 +301,11 @@ class Loop:
         """Runs the scenario headless, from the present state to its end.
 
         Args:
-            progress: As `stream`.
-            interrupted: As `stream`.
+            progress: As in `stream`.
+            interrupted: As in `stream`.
 
         Raises:
-            LeglabError: If not even one period could be recorded.
+            LeglabError: Not a single period could be recorded.
         """
         whole = Whole(self.count)
         return whole.history(self.stream(whole.keep, progress, interrupted=interrupted))
@@ -318,20 +318,20 @@ class Loop:
         freeze: bool = False,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> Ending:
-        """Runs the scenario headless and hands on what comes, `kept` periods at a time.
+        """Runs the scenario headless and passes its rows to `keep`, `kept` periods at a time.
 
-        It ends early, and hands on what was recorded, if the simulation blows up, the controller
-        gives something that is no command, or the user interrupts it.
+        It ends early, with the rows recorded so far, if the simulation blows up, the controller
+        returns an invalid command, or the user interrupts it.
 
         Args:
-            keep: Called with the rows of some periods, in order. Their arrays are written to again
-                after it returns.
-            progress: Called now and then with the simulated time [s].
+            keep: Called with blocks of rows, in order. Their arrays are overwritten after it
+                returns.
+            progress: Called periodically with the simulated time [s].
             freeze: Whether the controller stops adapting just before the machine changes.
-            interrupted: Asked now and then whether to end.
+            interrupted: Called periodically; the run ends if it returns True.
 
         Raises:
-            LeglabError: If not even one period could be recorded.
+            LeglabError: Not a single period could be recorded.
         """
         records = _Records(self, self._kept)
         change = min(self.scenario.breakpoints, default=math.inf)
@@ -367,7 +367,7 @@ class Loop:
         progress: Progress | None,
         interrupted: Callable[[], bool],
     ) -> str:
-        """Runs some periods; returns why they ended early, empty if they did not."""
+        """Runs some periods; returns the reason of an early end, empty without one."""
         simulation, step = self.simulation, self.step
         try:
             for k in numbers:
@@ -388,7 +388,7 @@ class Loop:
         return ""
 
     def close(self) -> None:
-        """Takes the loads off the model's bodies."""
+        """Restores the model: removes loads from bodies, undoes changes of joints and drives."""
         if self.machine is not None:
             self.machine.close()
 
@@ -401,8 +401,8 @@ class Loop:
         self._points = map(ReferencePoint, *self.wanted)
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
-        """Recordings of this machine before and after its changes, for identification offline."""
-        # The specimen is the seed's; the sensor noise could not be told from another.
+        """Records this machine before and after its changes, for offline identification."""
+        # A tolerance needs the run's seed, which selects the specimen; its noise does no harm.
         seed = self.settings.seed if self.settings.tolerance else BENCH_SEED
         settings = replace(self.settings, controller="bsnn_arx", controller_config={}, seed=seed)
         before = replace(self.scenario, duration=_BENCH_DURATION, changes=())
@@ -413,7 +413,7 @@ class Loop:
         )
 
     def _exact_commands(self) -> np.ndarray:
-        """Valve commands that this machine needs for its reference, with exact sensors."""
+        """Computes valve commands by which this machine tracks its reference with exact sensors."""
         settings = self.settings
         exact = replace(settings, sensors={**settings.sensors, **_EXACT_SENSORS})
         controller = ExactInverse(self._setup, PdConfiguration())
@@ -438,11 +438,11 @@ _bench_cache: dict[str, BenchRun] = {}
 
 
 def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparation) -> BenchRun:
-    """Measurements and commands of a run, from when the motion is near the reference.
+    """Records measurements and commands of a run once the motion is close to the reference.
 
-    The very measurements, latency included: whoever identifies takes them as old as they are.
+    The measurements include the sensor latency, which the identification has to consider.
     """
-    # Neither name nor severity matters: what has not changed yet is recorded once for all changes.
+    # The key omits name and severity, so all scenarios share the recording of the healthy machine.
     told = replace(scenario, name="", summary="", severity=None)
     common = replace(settings, scenario="nominal", severity=None, ramp_duration=0.0, element=None)
     key = f"{common!r} {told!r}"
@@ -468,7 +468,7 @@ def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparati
 
 
 class _Records:
-    """So many rows at most of all that a run keeps, one a control period, until handed on."""
+    """Buffer of at most `most` rows of a run, one per control period, until they are passed on."""
 
     def __init__(self, loop: Loop, most: int) -> None:
         assert loop.machine is not None
@@ -500,7 +500,7 @@ class _Records:
         self._takes = tuple(taker.take for taker in takers)
 
     def take(self, _number: int) -> None:
-        """Keeps the machine as it is now and what its controller reports as the next row."""
+        """Stores the current state of the machine and the controller's reports as the next row."""
         row = self.rows
         for take in self._takes:
             take(row)
@@ -515,7 +515,7 @@ class _Records:
         self.rows = row + 1
 
     def _keep(self, reports: dict[str, np.ndarray], row: int) -> None:
-        """Keeps reports one by one; later rows at once, while they come in the same arrays."""
+        """Stores reports one by one; sets up a fast copier for rows with the same arrays."""
         kept = self._reports
         for key, value in reports.items():
             if key not in kept:
@@ -531,14 +531,14 @@ class _Records:
                 self._copier = None
 
     def clear(self) -> None:
-        """Forgets all rows."""
+        """Removes all rows."""
         self.rows = 0
         for values in self._reports.values():
             values.fill(np.nan)
 
     def cut(self, first: int, error: LeglabError) -> str:
-        """Says why a loop failed, and forgets rows from which on it is unsound."""
-        # The error may be late: blow-ups are looked for now and then only.
+        """Returns why a loop failed, and removes the rows from the first unsound state on."""
+        # The error may be late, since blow-ups are checked for periodically only.
         for row, values in enumerate(self._qvel[: self.rows]):
             try:
                 self._simulation.check((first + row) * self._loop.period, values)
@@ -548,7 +548,7 @@ class _Records:
         return str(error)
 
     def given(self, first: int) -> Rows:
-        """Returns the rows, of which the first is that of the period of this number."""
+        """Returns the rows, the first of which belongs to the period of number `first`."""
         rows, machine, qpos = self.rows, self._simulation, self._qpos[: self.rows]
         states = zip(self._columns, self._states[:rows].T, strict=True)
         keys = enumerate(self._schedule.others)
@@ -572,7 +572,7 @@ class _Records:
 
 
 def _state_columns(simulation: Simulation, schedule: Schedule) -> tuple[list[str], np.ndarray]:
-    """Columns of the plugin states that every run records, and their places."""
+    """Returns the columns of recorded plugin states and their indices in `plugin_state`."""
     columns, slots = [], []
     for joint, actuator in zip(simulation.hydraulic_joints, simulation.cylinders, strict=True):
         for column, quantity in _RECORDED.items():

@@ -1,4 +1,4 @@
-"""How well a run tracked its reference. Pure functions of arrays; errors in rad, times in s."""
+"""Tracking metrics of a run. Pure functions of arrays; errors in rad, times in s."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
@@ -9,10 +9,10 @@ from leglab.base.errors import ModelError, RecordingError, SettingsError
 from leglab.base.scale import rms
 from leglab.base.scenario import Phase
 
-# Share of a sampling period by which time stamps may be off through rounding.
+# Tolerance for the rounding of time stamps, as a share of the sampling period.
 _ROUNDING = 1e-6
 
-# Samples that are taken together where intermediate results are larger than the samples.
+# Samples per block, where intermediate results need more memory than the samples.
 _BLOCK = 65536
 
 
@@ -21,7 +21,7 @@ def joint_rms(error: np.ndarray) -> np.ndarray:
     return np.asarray(rms(_samples(error), axis=0))
 
 
-# Of errors (n, joints), by joint.
+# Functions that map errors (n, joints) to a figure of each joint (joints,).
 _FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "rms_rad": joint_rms,
     "peak_rad": lambda error: np.max(np.abs(error), axis=0),
@@ -32,10 +32,10 @@ _FIGURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 def by_joint(
     figure: Callable[[np.ndarray], np.ndarray], values: np.ndarray, joints: Sequence[str]
 ) -> dict[str, float]:
-    """Returns a figure of samples by joint, and under "all" that of the samples of all joints.
+    """Computes a figure by joint, and under "all" from the pooled samples of all joints.
 
     Args:
-        figure: Of samples (n, joints), (joints,).
+        figure: Function that maps samples (n, joints) to figures (joints,).
         values: Samples, (n, joints).
         joints: Names of the columns.
     """
@@ -55,13 +55,12 @@ def phase_table(
         phases: Parts of the run; the last one includes its end.
 
     Returns:
-        One dict a phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
-        (95 % of the samples are no larger), each by joint and under "all", which pools the samples
-        of all joints. A phase that the run did not reach is left out, one that it did not finish
-        ends with the last sample.
+        One dict per phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
+        (95th percentile), each by joint and under "all", which pools the samples of all joints.
+        Phases that the run did not reach are left out; an unfinished one ends with the last sample.
 
     Raises:
-        LeglabError: Shapes do not fit, or a joint is called "all".
+        LeglabError: Shapes do not match, or a joint is named "all".
     """
     error = _samples(error)
     if error.shape != (len(time), len(joints)):
@@ -75,7 +74,7 @@ def phase_table(
         raise ModelError(told, given="all")
     table = []
     for phase, part in _parts(time, phases):
-        # The end of a run may come a period after its last sample.
+        # The last sample may be one period before the nominal end of the run.
         last, period = float(time[-1]), float(time[-1] - time[-2]) if len(time) > 1 else np.inf
         end = last if phase.end > last + 1.5 * period and part.stop == len(time) else phase.end
         row: dict[str, Any] = {"name": phase.name, "start": phase.start, "end": end}
@@ -91,27 +90,27 @@ def usage_table(
     joints: Sequence[str],
     phases: Iterable[Phase],
 ) -> list[dict[str, Any]]:
-    """Summarises in each phase what tracking cost.
+    """Summarises the effort and energy of tracking in each phase.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).
         command: Valve commands in [-1, 1]. Shape (n, joints).
-        energy: Hydraulic energy drawn since some time before [J], NaN for a joint that draws none
-            from a supply. Shape (n, joints).
+        energy: Cumulative hydraulic energy drawn from the supply [J], NaN for a joint without a
+            supply. Shape (n, joints).
         joints: Names of the columns.
         phases: Parts of the run; the last one includes its end.
 
     Returns:
-        One dict a phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
-        command between samples [1/s]) and `energy_j` (drawn from the supply less given to the tank
-        [J], left out where no joint draws any), each by joint and under "all": the RMS over all
-        joints, and the sum of the energies.
-        Phases as in `phase_table`. A difference belongs to the phase of its later sample.
+        One dict per phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
+        command between samples [1/s]) and `energy_j` (drawn from the supply less returned to the
+        tank [J], left out if no joint has a supply), each by joint and under "all": the RMS over
+        all joints, and the sum of the energies. Phases as in `phase_table`. A difference between
+        two samples counts to the phase of the later one.
     """
     table = []
     for _, part in _parts(time, phases):
         start = max(part.start, 1)
-        rates = np.zeros_like(command[:1])  # of a phase that is no longer than the first sample
+        rates = np.zeros_like(command[:1])  # for a phase with only the first sample of the run
         if part.stop > start:
             rates = np.diff(command[start - 1 : part.stop], axis=0)
             rates /= np.diff(time[start - 1 : part.stop])[:, None]
@@ -128,7 +127,7 @@ def usage_table(
 
 
 def _parts(time: np.ndarray, phases: Iterable[Phase]) -> Iterator[tuple[Phase, slice]]:
-    """Yields each phase that has samples, and which they are; the last one includes its end."""
+    """Yields each phase that has samples, with their slice; the last phase includes its end."""
     phases = tuple(phases)
     for phase in phases:
         first = int(np.searchsorted(time, phase.start))
@@ -138,9 +137,9 @@ def _parts(time: np.ndarray, phases: Iterable[Phase]) -> Iterator[tuple[Phase, s
 
 
 def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarray:
-    """Returns the RMS error, all joints pooled, over the window that ends at each sample.
+    """Computes the RMS error, all joints pooled, over the window that ends at each sample.
 
-    Takes a running sum, so the cost does not grow with the window.
+    A running sum makes the cost independent of the window length.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).
@@ -148,7 +147,7 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
         window: Length of the window [s]: samples in (t - window, t] count.
 
     Returns:
-        Windowed RMS error [rad], NaN where the window starts before the run. Shape (n,).
+        Windowed RMS error [rad], NaN if the window starts before the run. Shape (n,).
 
     Raises:
         LeglabError: The window is not positive.
@@ -159,8 +158,8 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
     period = float(time[1] - time[0]) if len(time) > 1 else 0.0
     slack = _ROUNDING * period
     result = np.empty(len(time))
-    # Extended precision: the sum over the whole run must not swamp a window of small errors.
-    # `total` holds the sums of all samples before number `begin`, before the next one, and so on.
+    # Extended precision: differences of sums over a long run shall resolve windows of small errors.
+    # `total[i]` is the sum over all samples before sample number `begin + i`.
     total, begin = np.zeros(1, dtype=np.longdouble), 0
     for start in range(0, len(time), _BLOCK):
         part = slice(start, min(start + _BLOCK, len(time)))
@@ -171,7 +170,7 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
         last = np.arange(part.start, part.stop) + 1
         mean = np.maximum(total[last - begin] - total[first - begin], 0) / (last - first)
         result[part] = np.sqrt(mean)
-    # The first full window has its first sample a period after its beginning.
+    # The first sample in a window (t - window, t] is one period after the window's start.
     result[time - time[0] < window - (1 + _ROUNDING) * period] = np.nan
     return result
 
@@ -179,17 +178,18 @@ def sliding_rms(time: np.ndarray, error: np.ndarray, window: float) -> np.ndarra
 def settling_time(
     time: np.ndarray, windowed: np.ndarray, change: float, window: float, threshold: float
 ) -> float | None:
-    """Time from a change on from which no window that begins later exceeds a threshold.
+    """Computes the time after a change from which no later window exceeds a threshold.
 
     Args:
         time: Times at which windows end [s], increasing. Shape (n,).
-        windowed: Windowed error; NaN where there is none. Shape (n,).
-        change: [s].
+        windowed: Windowed error; NaN without a full window. Shape (n,).
+        change: Time of the change [s].
         window: Length of the windows [s].
-        threshold: In the unit of the error.
+        threshold: Threshold in the unit of the error.
 
     Returns:
-        [s], 0 where none exceeds it, None where the last window still does.
+        Time from the change to the start of the first such window [s]; 0 if no window exceeds the
+        threshold, None if the last one still does.
     """
     exceeding = np.flatnonzero((time >= change) & (windowed > threshold))
     if exceeding.size == 0:
@@ -203,20 +203,20 @@ def settling_time(
 def excess_error_area(
     time: np.ndarray, error: np.ndarray, change: float, window: float
 ) -> float | None:
-    """Integrates what the windowed error exceeds its value before a change by.
+    """Integrates the excess of the windowed error over its value before a change.
 
-    How much a change costs in all: high and short as low and long. Times at which the error is
-    below its value before do not make up for others.
+    The area weighs a short high error like a long low one. Times at which the error is below its
+    value before the change count as 0.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).
         error: Tracking error [rad]. Shape (n, joints).
-        change: When the machine starts to change [s].
-        window: One stride [s].
+        change: Time at which the machine starts to change [s].
+        window: Period of a stride [s].
 
     Returns:
-        Area from the change to the end of the run [rad s], trapezoidal; None where there is no full
-        window before the change, or no sample from it on.
+        Area from the change to the end of the run [rad s], trapezoidal; None without a full window
+        before the change, or without a sample after it.
     """
     windowed = sliding_rms(time, error, window)
     first = int(np.searchsorted(time, change))

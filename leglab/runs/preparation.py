@@ -1,4 +1,4 @@
-"""From the settings of a run to its parts: nominal machine, specimen, reference."""
+"""Preparation of a run from its settings: nominal machine, specimen, reference."""
 
 import copy
 import json
@@ -102,14 +102,14 @@ class RunSettings:
 
 
 def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None) -> Scenario:
-    """Builds the scenario that settings ask for, by the healthy values of its machine.
+    """Builds the scenario of a run from its settings and the nominal parameters of its machine.
 
     Args:
-        settings: Of the run.
-        preparation: Of the run; None for one that is made where a value of the model is asked for.
+        settings: Settings of the run.
+        preparation: Preparation of the run; None to make one if a model parameter is needed.
 
     Raises:
-        SettingsError: If the seed, the name or an option of the scenario is not allowed.
+        SettingsError: The seed, the name or an option of the scenario is not allowed.
     """
     if settings.seed < 0:
         told = f"seed {settings.seed} is negative; allowed: "
@@ -132,8 +132,8 @@ def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None)
 def _healthy(
     settings: RunSettings, preparation: "Preparation | None", parameter: str
 ) -> tuple[float, ...]:
-    """Values of a parameter in the nominal machine of a run, of the elements that change."""
-    if preparation is None:  # of the model as it is: a sweep of parameters compiles it once
+    """Returns the values of a parameter in the nominal machine, of the elements that change."""
+    if preparation is None:  # without `parameters`, so that a sweep over them compiles it only once
         plain = RunSettings(scenario="", model=settings.model, timestep=settings.timestep)
         preparation = prepared(plain)
     placed = placed_parameters(settings.parameters, preparation.nominal.elements)
@@ -141,16 +141,16 @@ def _healthy(
 
 
 def _draws(seed: int) -> tuple[float, float]:
-    """Draws of a seed for time and phase, in [0, 1) each, apart from noise and specimen."""
+    """Draws time and phase for a seed, each in [0, 1), independent of noise and specimen."""
     time, phase = np.random.default_rng([seed, 3]).random(2).tolist()
     return time, phase
 
 
 def check_controllers(names: Sequence[str]) -> None:
-    """Refuses names of controllers that are not known, or given twice.
+    """Tests that names of controllers are known and not repeated.
 
     Raises:
-        SettingsError: Names the first one.
+        SettingsError: A name is unknown or repeated; the message names the first one.
     """
     for i, name in enumerate(names):
         CONTROLLERS.get(name)
@@ -159,19 +159,19 @@ def check_controllers(names: Sequence[str]) -> None:
 
 
 class Preparation:
-    """Preparation that runs with the same model and sensors share.
+    """Machine and controller setup that runs with the same model and sensors share.
 
     Args:
-        settings: Of a run.
+        settings: Settings of a run.
 
     Attributes:
         sensors: Sensors and timing.
-        files: Of the model; None of one that ships with leglab.
-        nominal: The nominal machine in its rest pose; a run moves a machine of its own.
-        controller_setup: What every controller may know.
+        files: Files of the model; None for a model that ships with leglab.
+        nominal: The nominal machine in its rest pose; each run simulates a copy.
+        controller_setup: Data about the machine that every controller may use.
 
     Raises:
-        LeglabError: If the model or a setting does not fit.
+        LeglabError: The model or a setting is not valid.
     """
 
     def __init__(self, settings: RunSettings) -> None:
@@ -188,17 +188,17 @@ class Preparation:
             raise changed_meanwhile(settings.model)
         timestep = self.nominal.model.opt.timestep
         self.sensors = in_whole_steps(asked, timestep)
-        # Before anything is sized by the period.
+        # Checks the timing before arrays are allocated by the control period.
         loop_timing(self.sensors, timestep)
         self.controller_setup = controller_setup(self.nominal, settings.model, self.sensors)
 
     def fitted(self, scenario: Scenario) -> Scenario:
-        """The scenario as the machine can carry it out, with a motion that it can make.
+        """Returns the scenario adapted to the machine, with a reference that its joints can follow.
 
-        References for a leg give way to `multisine` where no joint is one of a leg.
+        References for legs are replaced by `multisine` if no joint is a leg joint.
 
         Raises:
-            SettingsError: The machine has nothing that the scenario changes; lists those that fit.
+            SettingsError: The machine lacks all that the scenario changes; lists suitable ones.
         """
         known = fitted(scenario, self.nominal)
         if known.reference in LEG_REFERENCES and not set(self.nominal.joints) & set(GAIT):
@@ -206,7 +206,7 @@ class Preparation:
         return known
 
     def reference(self, settings: RunSettings, scenario: Scenario) -> Reference:
-        """The trajectory of a run, of the nominal machine's joints."""
+        """Returns the reference trajectory of a run for the nominal machine's joints."""
         return make_reference(
             settings.reference or scenario.reference,
             reference_joints(self.nominal),
@@ -215,23 +215,23 @@ class Preparation:
         )
 
     def machine(self, *, visual: bool = False) -> Simulation:
-        """A machine of its own for runs, which `start` brings to the start of one.
+        """Returns a new machine for runs, which `start` brings to the initial state of a run.
 
         Args:
-            visual: Whether it can be seen: with the shapes that are there for that only.
+            visual: Whether the model includes shapes that serve rendering only.
         """
         return Simulation(self._load(visual=True) if visual else copy.copy(self.nominal.model))
 
     def start(self, simulation: Simulation, seed: int, tolerance: float = 0.0) -> None:
-        """Puts a machine where a run starts: the seed's specimen, at rest in its rest pose.
+        """Resets a machine to the start of a run: the seed's specimen, at rest in its rest pose.
 
         Args:
-            simulation: From `machine`, in any state, its bodies without loads.
-            seed: Picks the specimen, where there is a tolerance.
+            simulation: Machine from `machine`, in any state, without loads on its bodies.
+            seed: Seed that selects the specimen, used if `tolerance` is not 0.
             tolerance: Relative standard deviation of its parameters [1].
 
         Raises:
-            ModelError: If a cylinder cannot hold its joint there.
+            ModelError: A cylinder cannot hold its joint in the rest pose.
         """
         check_tolerance(tolerance)
         if tolerance or simulation.varied:
@@ -258,24 +258,24 @@ class Preparation:
         return load_model(self._model, timestep=self._timestep, visual=visual, edit=edit)
 
 
-# Preparations that are kept for the next run with the same machine, by what decides them.
+# Number of preparations that are cached for further runs with the same machine.
 _PREPARED = 8
 
 
 def prepared(settings: RunSettings, digest: str | None = None) -> Preparation:
-    """The preparation of a run, kept in this process for the next runs of the same machine.
+    """Returns the preparation of a run, cached in this process for runs with the same machine.
 
     Args:
-        settings: Of the run.
-        digest: Of the model as the run is to have it; None for the model as it is.
+        settings: Settings of the run.
+        digest: Required digest of the model's files; None to take the model as it is.
 
     Raises:
-        LeglabError: As `Preparation`, or the model is another one by now.
+        LeglabError: As `Preparation`, or the model's files have changed.
     """
     now = model_digest(settings.model)
     if digest not in (None, now):
         raise changed_meanwhile(settings.model)
-    # A path is that of another file where the process works in another folder.
+    # Absolute, since a relative path depends on the working folder of the process.
     file = os.path.abspath(settings.model) if Path(settings.model).is_file() else ""
     shared = ("model", "timestep", "tolerance", "sensors", "parameters")
     values = {name: getattr(settings, name) for name in shared}
@@ -290,21 +290,21 @@ def _prepared(key: str) -> Preparation:
 
 
 def basis_of(settings: RunSettings) -> dict[str, str]:
-    """Digests of all that a run depends on beside its settings: what is kept of it goes by them.
+    """Returns digests of code and model, which decide whether stored results are up to date.
 
     Raises:
-        LeglabError: There is no such model, or MuJoCo refuses it.
+        LeglabError: The model does not exist, or MuJoCo rejects it.
     """
     return {"code": fingerprint(), "model_digest": model_digest(settings.model)}
 
 
 def forget_preparations() -> None:
-    """Frees the memory of all preparations that are kept."""
+    """Frees the memory of all cached preparations."""
     _prepared.cache_clear()
 
 
 def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> None:
-    """Writes parameters into a specification, by element and name."""
+    """Sets plugin parameters in a model specification, by element and name."""
     plugins = {plugin.name: plugin for plugin in spec.plugins if plugin.name}
     plugins |= {a.name: plugins.get(a.plugin.name, a.plugin) for a in spec.actuators}
     for (element, name), value in parameters.items():
@@ -313,9 +313,9 @@ def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> N
 
 
 def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
-    """Settings of the reference: the scenario's, for its own reference, below the user's.
+    """Returns the reference's settings: the user's override the scenario's for its own reference.
 
-    Where the settings say so, the phase is the seed's.
+    With `vary` the seed draws the phase, unless scenario or user set it.
     """
     own = settings.reference in (None, scenario.reference)
     kind = REFERENCES.get(settings.reference or scenario.reference).configuration
@@ -327,7 +327,7 @@ def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any
 
 
 def reference_joints(simulation: Simulation) -> tuple[Joint, ...]:
-    """The driven joints with their limits, at rest in the present pose."""
+    """Returns the driven joints with their limits and the current pose as rest position."""
     rows = zip(
         simulation.joints,
         simulation.position(),

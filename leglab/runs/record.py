@@ -1,4 +1,4 @@
-"""`metrics.json` and `run.json`, the JSON files of a run: their content, read and written."""
+"""Content of the JSON files of a run, `metrics.json` and `run.json`, with reading and writing."""
 
 import json
 from pathlib import Path
@@ -16,8 +16,8 @@ from leglab.causes.fault_names import FaultEvent, FaultTrend, Name
 
 METRICS, CONFIGURATION, RECORDING = "metrics.json", "run.json", "recording.parquet"
 RUN_FILES = (METRICS, CONFIGURATION, RECORDING)
-MODEL = "model"  # folder of the model's files, where it does not ship with leglab
-# All that commands write into the folder of a run.
+MODEL = "model"  # folder of the model's files, for a model that does not ship with leglab
+# All files and folders that commands write into the folder of a run.
 RUN_FOLDER = (
     *RUN_FILES, MODEL, "tracking.png", "tracking_change.png", "pressures.png", "commands.png",
     "report.html", "report.mp4", "video.mp4",
@@ -105,12 +105,12 @@ class RunMetrics(BaseModel):
     slides: list[Name] = []
 
     def error_unit(self, *joints: str) -> str:
-        """Unit in which tracking errors are told, of some joints or of all: "mrad" or "mm"."""
+        """Returns the unit of reported errors of some or all joints: "mrad", "mm", "mrad or mm"."""
         names = joints or tuple(name for name in self.phases[0].rms_rad if name != "all")
         return error_unit(name in self.slides for name in names)
 
     def told(self) -> str:
-        """The run in one line."""
+        """Returns a summary of the run in one line."""
         phases = ", ".join(
             f"{1e3 * p.rms_rad['all']:.3g} {self.error_unit()} {p.name}" for p in self.phases
         )
@@ -121,7 +121,7 @@ class RunMetrics(BaseModel):
         )
 
     def as_html(self) -> str:
-        """RMS and peak error by joint and phase, as a table for notebooks."""
+        """Returns RMS and peak error by joint and phase as an HTML table for notebooks."""
         head = ["joint", *(f"{p.name} {p.start:g}-{p.end:g} s" for p in self.phases)]
         errors = [(p.rms_rad, p.peak_rad) for p in self.phases]
         rows = [
@@ -157,7 +157,7 @@ class ChangeRecord(BaseModel):
 
     @property
     def place(self) -> str:
-        """Where, for people: "all elements", a name or pattern, or a joint for all its elements."""
+        """Changed elements for display: "all elements", a name, a pattern, or a joint name."""
         return "all elements" if self.element == "*" else self.element.partition(",")[0]
 
 
@@ -193,12 +193,12 @@ _Content = TypeVar("_Content", bound=BaseModel)
 
 
 def as_json(content: BaseModel) -> dict[str, Any]:
-    """Returns what was given of a content, as plain Python types."""
+    """Returns the explicitly set fields of a model as plain Python types."""
     return content.model_dump(exclude_unset=True)
 
 
 def write(content: BaseModel, path: Path) -> None:
-    """Writes a content as JSON.
+    """Writes a model's fields as JSON.
 
     Raises:
         LeglabError: The file cannot be written.
@@ -208,10 +208,10 @@ def write(content: BaseModel, path: Path) -> None:
 
 
 def read(model: type[_Content], path: Path) -> _Content:
-    """Reads a content.
+    """Reads and validates a JSON file.
 
     Raises:
-        LeglabError: The file cannot be read or does not have the form of a run's; the message
+        LeglabError: The file cannot be read or does not have the required form; the message
             names the file and the entry.
     """
     try:

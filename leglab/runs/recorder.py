@@ -1,4 +1,4 @@
-"""Logger beside the closed loop: true values with the noise of its own sensors."""
+"""Recording of a closed loop: true values, and readings with noise independent of the loop's."""
 
 import copy
 from collections.abc import Iterable
@@ -23,13 +23,13 @@ from leglab.runs.loop import Loop
 
 
 class Recorder:
-    """Turns the rows of one run into columns, block after block.
+    """Converter of one run's rows into columns of a recording, block after block.
 
-    The bits do not depend on where a block ends: each sensor has its noise from where that of the
-    one before it ends if the run comes to its end.
+    Results do not depend on the block size: each sensor's noise starts in the random sequence where
+    the previous sensor's noise of a complete run ends.
 
     Args:
-        loop: Whose rows they are.
+        loop: The loop that makes the rows.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -44,7 +44,7 @@ class Recorder:
         self._last: list[float | None] = [None] * len(loop.simulation.joints)
 
     def columns(self, rows: Rows) -> dict[str, np.ndarray]:
-        """Returns the columns of the next rows, by name, each (n,); some are views of the rows'."""
+        """Returns the columns of the next rows, by name, each (n,); some are views of `rows`."""
         simulation, sensors = self._loop.simulation, self._sensors
         if not self._noise:
             self._begin(rows)
@@ -72,8 +72,8 @@ class Recorder:
                 scale, offset = self._pressures[name]
                 noisy = values + self._noise[name].normal(0, sensors.pressure_noise, len(values))
                 columns[name] = scale * noisy + offset
-                columns[name].setflags(write=False)  # The recording need not copy it.
-        # Encoders of joints that nothing drives, as linear scales of the same noise, rad or m.
+                columns[name].setflags(write=False)  # Saves the recording a copy.
+        # Encoders of passive joints: linear scales with the same noise, in rad or m.
         for name, values in rows.passive.items():
             read = values + self._noise[name].normal(0, sensors.position_noise, len(values))
             columns[f"{name}_position"] = read
@@ -81,10 +81,10 @@ class Recorder:
         return columns
 
     def metadata(self, columns: Iterable[str]) -> dict[str, Any]:
-        """Returns what a recording tells of the run.
+        """Returns the metadata of the recording.
 
         Args:
-            columns: Its names.
+            columns: Names of its columns.
         """
         simulation, settings = self._loop.simulation, self._loop.settings
         units = units_of_columns(columns, simulation.slides)
@@ -117,7 +117,7 @@ class Recorder:
         }
 
     def _begin(self, rows: Rows) -> None:
-        """Gives each noisy sensor the generator of its noise, apart from that of the loop's."""
+        """Creates a noise generator for each sensor, independent of the loop's sensor noise."""
         noise = np.random.default_rng([self._loop.settings.seed, 1])
         pressures = [name for name in rows.states if name in self._pressures]
         for name in (*self._loop.simulation.joints, *pressures, *rows.passive):
@@ -125,7 +125,7 @@ class Recorder:
             skip_normal(noise, self._loop.count)
 
     def _positions(self, rows: Rows) -> np.ndarray:
-        """Positions without latency [rad], (n, joints)."""
+        """Returns encoder readings without latency [rad], (n, joints)."""
         columns = []
         for i, joint in enumerate(self._loop.simulation.joints):
             true = rows.position[:, i]

@@ -1,4 +1,4 @@
-"""One scenario from settings to results: closed loop, recording, metrics."""
+"""Execution of one run from settings to results: closed loop, recording, metrics."""
 
 import platform
 from collections.abc import Callable
@@ -25,22 +25,22 @@ from leglab.runs.record import ChangeRecord, RunConfiguration, RunMetrics, as_js
 from leglab.runs.recorder import Recorder
 from leglab.runs.view import draw
 
-# Periods that a run keeps in memory before they become rows of its recording.
+# Number of periods that a run keeps in memory before they become rows of its recording.
 BLOCK = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Results of a run, or as much of them as there is."""
+    """Results of a run, which may have ended early."""
 
-    settings: RunSettings  #: What was asked for
-    scenario: Scenario  #: The scenario as it was built
-    recording: Recording  #: What sensors and commands were; format of `leglab.base.recording`
+    settings: RunSettings  #: The requested settings
+    scenario: Scenario  #: The scenario that ran
+    recording: Recording  #: Sensor readings and commands; format of `leglab.base.recording`
     record: RunMetrics  #: Content of `metrics.json`
     configuration: RunConfiguration  #: Content of `run.json`
     window: float  #: Window of the sliding error [s]
     joints: tuple[str, ...]  #: Names of the driven joints
-    files: ModelFiles | None  #: Of the model that ran; None of one that ships with leglab
+    files: ModelFiles | None  #: Files of the model; None for a model that ships with leglab
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Result:
         """Draws the tracking error and the valve commands of all joints, and the changes.
 
         Returns:
-            The axes, below each other, of a new figure of `matplotlib.pyplot`.
+            The vertically stacked axes of a new `matplotlib.pyplot` figure.
         """
         return draw(self.recording, self.configuration.changes)
 
@@ -72,10 +72,10 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Run(Result):
-    """A finished run in memory, or as much of it as there is.
+    """Results of a run, complete or ended early, with its history in memory.
 
     Attributes:
-        history: True states and everything else of the loop.
+        history: True states and all other recorded quantities of the loop.
     """
 
     history: History
@@ -90,17 +90,17 @@ def run_scenario(
     """Runs a scenario headless.
 
     Args:
-        settings: What to run.
-        preparation: Of settings with the same model, parameters, time step, sensors and tolerance:
-            a second run with it starts sooner, and gives the same bits.
-        progress: Called now and then with the simulated time [s]; half of it while the frozen
-            twin of an adaptive controller is still to be run.
+        settings: Settings of the run.
+        preparation: Preparation for the same model, parameters, time step, sensors and tolerance;
+            reusing it saves time and does not change the results.
+        progress: Called periodically with the simulated time [s]; with half of it if the frozen
+            twin of an adaptive controller has to be run afterwards.
 
-    Ctrl-C ends the run: what was recorded comes back. While it is set up, it interrupts.
+    Ctrl-C ends the run, which returns what was recorded; during setup it raises KeyboardInterrupt.
 
     Raises:
-        LeglabError: If a name, a setting or the machine does not fit. A run that fails half way
-            does not raise: `history.failure` says why it ended.
+        LeglabError: A name, a setting or the machine is not suitable. A run that fails half way
+            does not raise: `history.failure` is the reason.
     """
     loop = Loop(settings, preparation=preparation, kept=BLOCK)
     recorder, configuration = Recorder(loop), _configuration(loop)
@@ -117,17 +117,17 @@ def run_scenario(
 
 
 def record_scenario(settings: RunSettings, path: Path, progress: Progress | None = None) -> Result:
-    """Runs a scenario headless and writes its recording as it comes.
+    """Runs a scenario headless and writes its recording to a file block by block.
 
-    The recording is that of `run_scenario`, bit for bit, and what the computer has to remember
-    hardly grows with the duration.
+    The recording is bitwise equal to that of `run_scenario`; the memory use hardly grows with the
+    duration.
 
     Args:
-        settings: What to run.
-        path: The recording; Parquet.
+        settings: Settings of the run.
+        path: Path of the Parquet file.
         progress: As in `run_scenario`.
 
-    Ctrl-C ends the run: what was recorded is in the file. While it is set up, it interrupts.
+    Ctrl-C ends the run; the file holds what was recorded. During setup it raises KeyboardInterrupt.
 
     Raises:
         LeglabError: As in `run_scenario`, or the file cannot be written.
@@ -152,9 +152,9 @@ def _result(
     progress: Progress | None,
     interrupted: Callable[[], bool],
 ) -> Result:
-    """Results of a loop that was run."""
+    """Computes the results of a finished loop, for which it may run the frozen twin."""
     settings = loop.settings
-    events = told(loop)  # of this run: its twin forgets them
+    events = told(loop)  # before the run of the twin, which resets the controller
     twin_error = None
     if _has_twin(loop) and not ending.failure:
         twin_error, failure = _twin(loop, progress, interrupted)
@@ -177,7 +177,7 @@ def _result(
 
 
 def told(loop: Loop) -> dict[str, Any]:
-    """Changes and wear that the controller named, if it does, as in `metrics.json`."""
+    """Returns fault events and wear trends that the controller reported, as in `metrics.json`."""
     found = {}
     for key, name in (("events", "events"), ("health", "trends")):
         if (said := getattr(loop.controller, name, None)) is not None:
@@ -186,16 +186,16 @@ def told(loop: Loop) -> dict[str, Any]:
 
 
 def _has_twin(loop: Loop) -> bool:
-    """Whether the controller adapts and can be told to stop, and there is something to adapt to."""
+    """Tests whether the scenario has changes and the controller can freeze its adaptation."""
     return bool(loop.scenario.changes) and callable(getattr(loop.controller, "freeze", None))
 
 
 def _twin(
     loop: Loop, progress: Progress | None, interrupted: Callable[[], bool]
 ) -> tuple[np.ndarray, str]:
-    """Tracking error [rad] of the same run with adaptation stopped just before the first change.
+    """Runs the frozen twin: the same run with adaptation stopped just before the first change.
 
-    And why it failed; empty if it did not.
+    Returns its tracking error [rad], (n, joints), and the reason of its failure, or "".
     """
     half = loop.scenario.duration / 2
     loop.reset()
@@ -219,13 +219,13 @@ def _share(loop: Loop, progress: Progress | None) -> Progress | None:
 def _metrics(
     loop: Loop, recording: Recording, ending: Ending, twin: np.ndarray | None
 ) -> dict[str, Any]:
-    """Content of `metrics.json` beside the names: a summary of a run, as far as it came."""
+    """Computes the content of `metrics.json` except names and seed, up to the end of the run."""
     scenario, simulation, stride = loop.scenario, loop.simulation, loop.reference.period
     joints, length = simulation.joints, float(recording.time[-1])
     error = recording.stack(joints, "truth")
     error -= recording.stack(joints, "reference")
     finite = np.isfinite(error).all(axis=1)
-    # Columns of long runs are large: one that is whole is not copied, and no two are kept.
+    # Saves memory, since columns of long runs are large: without NaN no copy is made.
     kept = slice(None) if finite.all() else finite
     time, error = recording.time[kept], error[kept]
     errors = phase_table(time, error, joints, scenario.phases)
@@ -262,7 +262,7 @@ def _metrics(
 
 
 def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[dict[str, Any]]:
-    """Energy and valve travel by phase, of some rows."""
+    """Computes effort, valve activity and energy by phase, of the rows in `kept`."""
     simulation = loop.simulation
     command = simulation.commands(recording.stack(simulation.actuators, "command")[kept])
     energy = np.full_like(command, np.nan)
@@ -308,5 +308,5 @@ def _configuration(loop: Loop) -> RunConfiguration:
 
 @cache
 def _package_versions() -> dict[str, str]:
-    """Versions of what results depend on; looking one up takes milliseconds."""
+    """Returns the versions of packages that results depend on; cached, as look-ups take ms."""
     return {name: version(name) for name in ("mujoco", "numpy", "scipy", "control", "pyarrow")}

@@ -1,4 +1,4 @@
-"""Reads the settings of a run: TOML, the `run.json` of a run, `--set`."""
+"""Reading of run settings from TOML files, the `run.json` of a run, and `--set` options."""
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -20,7 +20,7 @@ from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
 
 SUFFIXES = (".toml", ".json")
-# Sections of `--set` and of a TOML file, and the settings that they stand for.
+# Sections of `--set` and of a TOML file, and the fields of `RunSettings` that they map to.
 SECTIONS = {
     "controller": "controller_config",
     "reference": "reference_config",
@@ -33,9 +33,9 @@ def read_settings(path: Path) -> dict[str, Any]:
     """Reads the settings of a run, by the names of `RunSettings`.
 
     Args:
-        path: A TOML file with these names, in which a table `controller` or `reference` holds a
-            `name` and that one's own settings; or the `run.json` of a run, with every setting and
-            the model that ran.
+        path: A TOML file with these names, in which a table `controller` or `reference` may hold
+            its `name` and settings; or the `run.json` of a run, with all settings, which selects
+            the copy of the model in the run's folder.
 
     Raises:
         LeglabError: The file cannot be read, or a name or a value is not allowed.
@@ -84,7 +84,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Reads a TOML file.
 
     Raises:
-        LeglabError: It cannot be read, or is not TOML.
+        LeglabError: The file cannot be read, or is not TOML.
     """
     content = read_bytes(path)
     try:
@@ -94,10 +94,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Returns settings whose names and types are those of `RunSettings`.
+    """Checks names and types of settings against `RunSettings` and returns them as a dict.
 
     Raises:
-        SettingsError: Names the setting, its value and what is allowed.
+        SettingsError: A setting is unknown, missing or of the wrong type; the message names it.
     """
     for name in values:
         if name not in NAMES:
@@ -110,10 +110,10 @@ def checked(values: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def check_type(name: str, value: Any, where: str) -> None:
-    """Refuses a value of another type than the setting of this name has in `RunSettings`.
+    """Checks that a value has the type of the field of this name in `RunSettings`.
 
     Raises:
-        SettingsError: Says where it stands, the value and what is allowed.
+        SettingsError: The type is wrong; names place, value and what is allowed.
     """
     try:
         _type(name).validate_python(value, strict=True)
@@ -131,12 +131,12 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
     """Returns settings with single entries changed.
 
     Args:
-        values: By the names of `RunSettings`.
-        entries: Such as "controller.memory=1500", "sensors.latency=0" or "reference.period=1.0";
-            values as TOML writes them, anything else as text.
+        values: Settings by the names of `RunSettings`.
+        entries: For example "controller.memory=1500", "sensors.latency=0" or
+            "reference.period=1.0"; a value that is not valid TOML is taken as text.
 
     Raises:
-        SettingsError: An entry has another form.
+        SettingsError: An entry does not have this form.
     """
     found = {**values, **{name: deepcopy(values.get(name) or {}) for name in SECTIONS.values()}}
     for entry in entries:
@@ -158,7 +158,7 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
 
 
 def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """Settings of a TOML file, its tables `controller` and `reference` as two settings each."""
+    """Splits the TOML tables `controller` and `reference` into name and settings."""
     found = dict(content)
     for section in ("controller", "reference"):
         table = found.get(section)
@@ -166,7 +166,7 @@ def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
             continue
         del found[section]
         own = dict(table)
-        if "name" in own:  # TOML takes no table and name of one key: a table says the name itself.
+        if "name" in own:  # A TOML key cannot be both text and table: the table holds the name.
             found[section] = own.pop("name")
         beside = found.get(SECTIONS[section], {})
         if not isinstance(beside, dict):

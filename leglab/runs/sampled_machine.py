@@ -1,4 +1,4 @@
-"""The machine with its sensors and a scenario's changes, in steps of one control period."""
+"""Simulated machine with sensors and a scenario's changes, in steps of one control period."""
 
 import numpy as np
 
@@ -18,33 +18,33 @@ from leglab.machine.simulation import Simulation
 
 
 class SampledMachine:
-    """Takes a simulation through a scenario in steps of one control period.
+    """Simulation of a machine through a scenario in steps of one control period.
 
-    One period is `measure`, `send` and `advance`. Whoever steps the machine, a headless run, an
-    environment or a viewer, gets the same bits from the same seed.
+    One period is `measure`, `send` and `advance`. A headless run, an environment and a viewer get
+    bitwise equal results from the same seed.
 
     Args:
         simulation: The machine, at the start of the run.
-        scenario: Changes.
-        sensors: Resolution, noise and timing.
-        count: Periods after which the noise repeats.
-        kept: Periods whose noise is drawn at a time; the bits do not depend on it.
-        seed: Of the sensor noise.
-        pressures: Whether pressures are measured, where there are cylinders.
+        scenario: Scenario with the changes.
+        sensors: Resolution, noise and timing of the sensors.
+        count: Number of periods after which the noise repeats.
+        kept: Number of periods whose noise is drawn at a time; results do not depend on it.
+        seed: Seed of the sensor noise.
+        pressures: Whether pressures are measured, if there are cylinders.
 
     Attributes:
         simulation: The machine.
         period: Control period [s].
-        bodies: Loads on its bodies; `close` takes them off.
+        bodies: Loads on its bodies; `close` removes them.
         encoders: Its encoders and their faults.
-        schedule: Carries out the scenario's changes.
-        send: Function that sends commands (joints,) to valves and native actuators, clipped to
-            [-1, 1]; False, and nothing sent, for what is no array of finite numbers.
-        row: Number of the present period within the noise that is drawn.
-        exact: Whether the model gives its sensors no faults of their own.
+        schedule: Applies the scenario's changes.
+        send: Function that sends commands (joints,), clipped to [-1, 1], to valves and native
+            actuators; for anything but an array of finite numbers it returns False and sends none.
+        row: Index of the present period in the drawn block of noise.
+        exact: True if the model defines no faults of encoders and pressure sensors.
 
     Raises:
-        LeglabError: If the timing or a change does not fit the machine.
+        LeglabError: The timing or a change does not fit the machine.
     """
 
     def __init__(
@@ -82,12 +82,12 @@ class SampledMachine:
         hydraulic = simulation.hydraulic_joints
         self._pressure_faults = PressureFaults.of(simulation.model, hydraulic) or None
         self._pressures = pressures and bool(hydraulic)
-        # Noise of pressures comes behind that of all positions.
+        # In the random sequence the pressure noise follows the noise of all positions.
         self._noise = self._encoder_noise
         if self._pressures and self._kept < count:
             self._noise = np.random.default_rng(seed)
             skip_normal(self._noise, count * joints)
-        # A control loop runs thousands of times a second: what can be looked up once is.
+        # A control loop runs thousands of times per second, so attribute look-ups are cached.
         self._step, self._state = simulation.step, simulation.data.plugin_state
         self._apply, self._read = self.schedule.apply, self.encoders.read
         self._sample = self.encoders.sample
@@ -104,7 +104,7 @@ class SampledMachine:
         self.row = -1
 
     def measure(self) -> Measurement:
-        """Begins a period: what changes now does so, and the sensors are read."""
+        """Begins a period: applies the changes that are due and reads the sensors."""
         now = self._periods * self.period
         row = self.row + 1
         if row == self._end:
@@ -124,7 +124,7 @@ class SampledMachine:
         return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
 
     def _draw(self) -> None:
-        """Draws the noise of the next periods, or of the first ones again."""
+        """Draws the noise of the next block of periods; after the last block, the first again."""
         self._first += self._end
         if self._first == self._count:
             self._first, self._encoder_noise = 0, np.random.default_rng(self._seed)
@@ -134,16 +134,16 @@ class SampledMachine:
         self.encoders.begin(self._first, noise)
 
     def pressure_noise(self, count: int) -> np.ndarray:
-        """Draws the noise of pressures for as many periods as are measured one by one otherwise.
+        """Draws the pressure noise of `count` periods, equal to that of as many calls of `measure`.
 
         Returns:
-            [Pa], (count, 2 cylinders); without columns where no pressure is measured.
+            Noise [Pa], (count, 2 cylinders); without columns if no pressure is measured.
         """
         columns = 2 * self._cylinders if self._pressures else 0
         return self._noise.normal(0.0, self._pressure_noise, (count, columns))
 
     def advance(self) -> None:
-        """Ends a period: the command is held, and the next sample taken ahead of its end."""
+        """Ends a period: holds the command, and takes the next sample before the period's end."""
         if self._to_sample:
             self._step(self._to_sample)
         self._sample()
@@ -153,6 +153,6 @@ class SampledMachine:
             self._step(self._to_command)
 
     def close(self) -> None:
-        """Gives the model back as it was: bodies without loads, joints and drives unchanged."""
+        """Restores the model: removes loads from bodies, undoes changes of joints and drives."""
         self.bodies.restore()
         self._native.restore()

@@ -12,7 +12,7 @@ def draw(recording: Recording, changes: Sequence[ChangeRecord]) -> list[Any]:
     """Draws true tracking error [mrad or mm] and command of every joint; changes are dashed lines.
 
     Returns:
-        The axes, below each other, of a new figure of `matplotlib.pyplot`.
+        The vertically stacked axes of a new `matplotlib.pyplot` figure.
     """
     axes, unit = panels(2), recording.error_unit(recording.tracked)
     for joint in recording.tracked:

@@ -1,8 +1,8 @@
-"""The benchmark of adaptation: sixteen faults in three sizes on specimens, for any controller.
+"""The benchmark of adaptation: sixteen faults of three magnitudes on specimens, for any controller.
 
-Every controller meets the same machines, motions, times of the change and noise: the seed draws
-them all. `static_feedforward` and `pd` run beside it, as what it must not be worse than and what
-its valve travel and energy are compared with.
+The seed draws machines, motions, times of the change and noise, so that they are the same for every
+controller. Two controllers run for comparison: `static_feedforward`, whose error must not be
+exceeded, and `pd`, for valve travel and energy.
 """
 
 from collections import defaultdict
@@ -21,18 +21,17 @@ from leglab.runs.sweeps.plan import SweepPlan, check_run
 
 STATIC, PD = "static_feedforward", "pd"
 
-# Standard deviation of the logarithm of every parameter about the drawing; length of a run [s].
+# Standard deviation of the logarithm of every parameter about its nominal value; run length [s].
 TOLERANCE, DURATION = 0.1, 20.0
-# The first windows see the start of learning; from here on a window counts [s].
+# Time from which windows count [s]: earlier ones contain the start of learning.
 SAFE_FROM = 7.0
 _MOST_SPECIMENS = 1000
 
 
 def faults(model: str = "leg") -> dict[str, tuple[float, ...]]:
-    """Returns the magnitudes of each fault on a model: small, middle, and large beyond the bank's.
+    """Returns the magnitudes of each fault on a model: small, middle, and one beyond the bank's.
 
-    What is not in them is no fault of the machine that a controller could adapt to: a cold start,
-    and what an encoder says.
+    Scenarios to which a controller cannot adapt, a cold start and faults of encoders, are left out.
     """
     machine = prepared(RunSettings(scenario="", model=model)).nominal
     sizes = {}
@@ -53,9 +52,9 @@ def adaptation_plan(
     """Returns the sweep of the benchmark, and the faults that the model cannot have.
 
     Args:
-        controllers: Names; those that others are compared with are added.
+        controllers: Names of controllers; the two for comparison are added.
         model: Name of a model or path of an MJCF file.
-        specimens: How many, a seed each.
+        specimens: Number of specimens, one seed each.
         only: Names of faults; None for all.
 
     Raises:
@@ -102,31 +101,31 @@ def adaptation_plan(
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How a controller took one fault, or all of them."""
+    """Results of a controller under one fault, or under all of them."""
 
-    controller: str  #: Its name
+    controller: str  #: Name of the controller
     fault: str  #: Name of the scenario; "all" for all together
     runs: int  #: Number of runs
-    failed: int  #: Number of those that failed, which no other figure counts
+    failed: int  #: Number of failed runs, which the figures below exclude
     before_mrad: float | None  #: Median of the error before the change: the nominal error [mrad]
-    recovered: float | None  #: Median share of the damage that is undone at the end
-    #: Median time to nine tenths of that [s]; infinite where most never do.
+    recovered: float | None  #: Median share of the added error that is undone at the end
+    #: Median time until nine tenths of that are undone [s]; infinite if most runs never get there.
     t90_median_s: float | None
-    t90_worst_s: float | None  #: The longest of those that there are [s]
+    t90_worst_s: float | None  #: Longest finite time [s]
     never: int  #: Number of runs that never undo nine tenths
-    told: int  #: Number of runs that the change damaged, of which these three tell
-    #: Largest ratio of its error over 2 s to that of `static_feedforward` over the same 2 s, from 7
-    #: s on.
+    told: int  #: Number of runs whose error the change raised, on which the figures above are based
+    #: Largest ratio of the error over 2 s to that of `static_feedforward` over the same 2 s, from
+    #: 7 s on.
     worst_over_static: float | None
     travel_over_pd: float | None  #: Median ratio of valve travel to that of `pd`
     energy_over_pd: float | None  #: Median ratio of energy from the supply to that of `pd`
 
 
 def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:
-    """Sums up the rows of the benchmark's sweep, by controller and fault, all together first.
+    """Summarises the rows of the benchmark's sweep by controller and fault, all faults first.
 
     Args:
-        rows: Of the dataset, with traces.
+        rows: Rows of the dataset, with traces.
     """
     machines: dict[tuple[Any, ...], dict[str, Mapping[str, Any]]] = defaultdict(dict)
     for row in rows:
@@ -145,7 +144,7 @@ def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:
 def _figures(
     row: Mapping[str, Any], static: Mapping[str, Any] | None, pd: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Figures that a run adds to its group; None where it has none."""
+    """Returns the figures that a run adds to its group; None for a missing one."""
     if row["status"] != "ok":
         return {"failed": True}
     found: dict[str, Any] = {"failed": False, "before": row["before_rad"], "told": False}
@@ -162,7 +161,7 @@ def _figures(
 
 
 def worst_window(row: Mapping[str, Any], other: Mapping[str, Any]) -> float | None:
-    """Largest ratio of the errors of two runs over the same 2 s, from 7 s on; None without one."""
+    """Returns the largest ratio of two runs' errors over the same 2 s, from 7 s on, or None."""
     pairs = zip(row["trace_s"], row["worst_rad"], other["worst_rad"], strict=True)
     ratios = [ours / theirs for t, ours, theirs in pairs if t >= SAFE_FROM and ours and theirs]
     return max(ratios, default=None)
@@ -202,7 +201,7 @@ HEAD = (
 
 
 def cells(score: Score) -> list[str]:
-    """A line of the table, below `HEAD`."""
+    """Formats a line of the table with the columns `HEAD`."""
     undone = None if score.recovered is None else 100.0 * score.recovered
     numbers = (
         score.before_mrad,
@@ -220,7 +219,7 @@ def cells(score: Score) -> list[str]:
 
 
 def as_json(found: Sequence[Score]) -> list[dict[str, Any]]:
-    """The scores as JSON can hold them; a median that is never becomes None."""
+    """Returns the scores as JSON values; an infinite median becomes None."""
     return [
         {k: None if isinstance(v, float) and np.isinf(v) else v for k, v in asdict(one).items()}
         for one in found

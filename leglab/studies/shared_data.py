@@ -1,4 +1,4 @@
-"""Finds recordings that are not part of this project."""
+"""Search for recordings that are not part of this project."""
 
 import os
 from pathlib import Path
@@ -8,13 +8,13 @@ from leglab.base.errors import FileError
 
 
 def shared_data(part: str) -> Path:
-    """Finds a file or folder below $LEGLAB_DATA; unset, below shared/data beside or in the sources.
+    """Finds a path below $LEGLAB_DATA or, if unset, below shared/data next to or in the sources.
 
     Args:
-        part: Its place there, for instance "knee_bench/nominal".
+        part: Path relative to that folder, for instance "knee_bench/nominal".
 
     Raises:
-        LeglabError: It is in none of them; names the folders.
+        LeglabError: None of the folders, which the message names, has the path.
     """
     root, named = Path(leglab.__file__).resolve().parents[1], os.environ.get("LEGLAB_DATA")
     beside = [root.parent / "shared" / "data", root / "shared" / "data"]

@@ -20,22 +20,22 @@ _COLOURS = {
     "command": (0.85, 0.85, 0.85),
     "feed-forward": (1.0, 0.6, 0.1),
 }
-# Added to the time shown [s]: the viewer's own reset leaves 0, which a restart shows as well.
+# Added to the displayed time [s], so that the viewer's reset, to 0, differs from a restart.
 _NOT_RESET = 1e-9
 # Points of a line, a moment each, and of a dash.
 _POINTS, _DASH = 200, 4
-# Size of a figure: share of the view's width and height, and what its text needs [px].
+# Size of a figure: share of the view's width and height, and least size for its text [px].
 _SHARE, _LEAST = (0.30, 0.22), (300, 150)
 
 
 class Display:
     """A copy of the machine for the viewer.
 
-    The machine itself stays as it is: the copy has one actuator more for each slider, without gain,
-    and takes its state from the machine. What the user does to it is read back from it.
+    The machine itself is unchanged: the copy has an additional actuator, without gain, for each
+    slider, and takes its state from the machine. The user's inputs are read from the copy.
 
     Args:
-        session: To be shown.
+        session: Session to show.
         model: Name of the model or path of its file.
 
     Attributes:
@@ -77,11 +77,11 @@ class Display:
         self.show()
 
     def reset_sliders(self) -> None:
-        """Puts the sliders where the session has them."""
+        """Sets the sliders to the session's values."""
         self.data.ctrl[self._actuators :] = list(self._session.values.values())
 
     def show(self) -> None:
-        """Takes over the machine's state."""
+        """Copies the machine's state to the display."""
         source = self._session.simulation.data
         self.data.time = source.time + _NOT_RESET
         for name in ("qpos", "qvel", "act", "plugin_state"):
@@ -90,7 +90,7 @@ class Display:
         mujoco.mj_forward(self.model, self.data)
 
     def take_over(self) -> bool:
-        """Carries what the user did to the machine: sliders and pushes.
+        """Applies the user's inputs, sliders and pushes, to the machine.
 
         Returns:
             Whether the user reset the viewer's state: the session should restart.
@@ -105,10 +105,10 @@ class Display:
         return False
 
     def draw_ghost(self, scene: mujoco.MjvScene, eye: np.ndarray) -> None:
-        """Draws the driven joints at their reference into a scene, in place of what it held.
+        """Replaces a scene's content by a ghost with the driven joints at their reference.
 
         The ghost is moved a little away from the camera at `eye` [m], (3,), so that it does not
-        flicker on the surface of a leg that is where it should be.
+        flicker on the surface of a leg that is at its reference.
         """
         ghost, simulation = self._ghost, self._session.simulation
         ghost.qpos[:] = self.data.qpos
@@ -124,7 +124,7 @@ class Display:
             geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
     def eye(self, camera: mujoco.MjvCamera) -> np.ndarray:
-        """Place of a camera [m], (3,)."""
+        """Returns the position of a camera [m], (3,)."""
         if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED:
             return self.data.cam_xpos[camera.fixedcamid]
         turn, rise = np.deg2rad([camera.azimuth, camera.elevation])
@@ -132,7 +132,7 @@ class Display:
         return camera.lookat - camera.distance * ahead
 
     def figures(self, viewport: mujoco.MjrRect) -> list[tuple[mujoco.MjrRect, mujoco.MjvFigure]]:
-        """Tracking error of all joints, and command and feed-forward of the worst one."""
+        """Returns figures of the RMS error, and of command and feed-forward of the worst joint."""
         moments = list(self._session.moments)[:: -max(len(self._session.moments) // _POINTS, 1)]
         if not moments:
             return []
@@ -158,7 +158,7 @@ class Display:
         return [(upper, _figure(ages, *above)), (lower, _figure(ages, title, lines))]
 
     def texts(self, *, paused: bool) -> tuple[str, str]:
-        """Two columns: what is shown, and its values."""
+        """Returns two columns of text: names and values."""
         session = self._session
         rows = {"time": f"{session.time:.1f} s", "scenario": session.scenario.name}
         rows["fault"] = "on" if session.fault else "off" if session.scenario.changes else "none"
@@ -177,13 +177,13 @@ class Display:
 
 
 def short_label(name: str) -> str:
-    """The name of an actuator as it fits into the control panel."""
+    """Shortens the name of an actuator to fit the control panel."""
     short = name if len(name) <= LABEL else name.removesuffix("_valve")
     return short if len(short) <= LABEL else f"{short[: LABEL - 1]}~"
 
 
 def _figure(ages: np.ndarray, title: str, lines: dict[str, np.ndarray]) -> mujoco.MjvFigure:
-    """Lines over the last moments; all but the first are dashed."""
+    """Makes a figure of lines over the last `HISTORY` seconds; all but the first are dashed."""
     figure = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.title = title
@@ -193,7 +193,7 @@ def _figure(ages: np.ndarray, title: str, lines: dict[str, np.ndarray]) -> mujoc
     figure.range[0] = (-HISTORY, 0.0)
     values = np.concatenate(list(lines.values()))
     figure.range[1] = (min(0.0, float(values.min())), max(float(values.max()), 1e-3))
-    # What comes first is drawn over the others: dashes, through whose gaps one sees those.
+    # Earlier lines are drawn over later ones: dashes come first, as their gaps show the others.
     whole, *dashed = lines
     starts = range(0, len(ages), 2 * _DASH)
     pieces = [(name, slice(i, i + _DASH + 1)) for name in dashed for i in starts]

@@ -14,7 +14,7 @@ from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
 from leglab.viewer.sliders import sliders
 
-# A live run has no end; a scenario needs one [s].
+# Duration of the scenario of a live run, which has no end [s].
 _NEVER = 1e9
 # Shown history [s].
 HISTORY = 10.0
@@ -30,25 +30,25 @@ class Moment(NamedTuple):
 
 
 class Session:
-    """A controller on a machine, stepped by whoever shows it.
+    """A live run of a controller on a machine, stepped by the caller.
 
-    Until something is changed by hand it is the run of `leglab.runs.run.run_scenario`, bit for bit.
-    It goes on after the scenario's duration; the sensor noise repeats then.
+    Until the user changes something, it equals that of `leglab.runs.run.run_scenario`, bit for bit.
+    It continues after the scenario's duration; the sensor noise then repeats.
 
     Args:
-        settings: Of the run.
+        settings: Settings of the run.
 
     Attributes:
         simulation: The machine.
-        scenario: The scenario asked for.
+        scenario: The requested scenario.
         joints: Names of the driven joints.
-        unit: In which their errors are told, "mrad" or "mm".
+        unit: Unit of their errors, "mrad", "mm" or "mrad or mm".
         period: Control period [s].
-        sliders: What can be changed by hand, by name.
+        sliders: Sliders that the user can move, by name.
         values: Present values of the sliders, by name.
         fault: Whether a change of the scenario is in force.
         moments: The last `HISTORY` seconds.
-        point: Where the joints should be now.
+        point: Present reference of the joints.
         failure: Why the run cannot go on; empty if it can.
 
     Raises:
@@ -76,7 +76,7 @@ class Session:
         return self._loop.reference.period
 
     def restart(self) -> None:
-        """Starts the run anew, sliders as they are at the beginning."""
+        """Restarts the run, with the sliders at their initial values."""
         self._loop.reset()
         self._begin()
 
@@ -118,11 +118,11 @@ class Session:
 
     @property
     def fault(self) -> bool:
-        """Whether a change of the scenario has begun."""
+        """True if a change of the scenario has begun."""
         return any(change.start <= self.time for change in self._faults)
 
     def switch_fault(self) -> None:
-        """Undoes the scenario's changes, or has them begin now."""
+        """Undoes the scenario's changes if one has begun, else starts them at the present time."""
         if self.fault:
             self._faults = ()
         elif self.scenario.changes:
@@ -132,7 +132,7 @@ class Session:
         self._follow()
 
     def named(self) -> dict[str, str]:
-        """Present names of the controller, by "named" and "wear"; empty without any."""
+        """Returns the latest fault and slow wear named by the controller: "named" and "wear"."""
         controller = self._loop.controller
         events = [event for event in getattr(controller, "events", []) if not event.withdrawn]
         trends = getattr(controller, "trends", [])
@@ -140,11 +140,11 @@ class Session:
         return rows | ({"wear": trends[-1].short()} if trends else {})
 
     def close(self) -> None:
-        """Takes the loads off the model's bodies."""
+        """Removes the loads from the model's bodies."""
         self._loop.close()
 
     def _show(self, number: int) -> None:
-        """Keeps the present period for the figures."""
+        """Stores the present period for the figures."""
         self.point = self._loop.present.reference
         error = self.simulation.position() - self.point.position
         feedforward = self._loop.diagnostics().get("feedforward", np.full_like(error, np.nan))

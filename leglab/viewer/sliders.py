@@ -8,7 +8,7 @@ from leglab.base.scenario import ParameterChange
 from leglab.machine.changes import ADDED_MASS, Bodies
 from leglab.machine.simulation import Simulation
 
-# Where there is a body of this name it carries the load, as in the scenario "payload".
+# Body that carries the load if the model has it, as in the scenario "payload".
 _LOADED = "shank"
 
 
@@ -16,18 +16,18 @@ _LOADED = "shank"
 class Slider:
     """A slider of the control panel."""
 
-    name: str  #: How it is called
+    name: str  #: Its name in the session
     label: str  #: Name of its actuator in the viewer's model, which the panel cuts at 14 letters
     unit: str  #: Unit of its value
     lowest: float  #: Smallest value
     highest: float  #: Largest value
-    change: ParameterChange  #: What it changes, with the value of the unchanged machine
-    #: Reads from the machine what the slider and the scenario make together.
+    change: ParameterChange  #: Change that it makes, with the unchanged machine's value
+    #: Reads the present value from the machine: the joint result of slider and scenario.
     present: Callable[[], float]
 
 
 def sliders(simulation: Simulation) -> tuple[Slider, ...]:
-    """The sliders of a machine: of cylinders seal_wear and oil_temperature, of all payload."""
+    """Returns the sliders: payload, and with cylinders seal_wear and oil_temperature as well."""
     bodies = Bodies(simulation.model).elements
     loaded = _LOADED if _LOADED in bodies else bodies[-1]
     masses, body = simulation.model.body_mass, simulation.model.body(loaded).id

@@ -20,13 +20,13 @@ close the window to end"""
 # GLFW's codes of the keys.
 SPACE, ENTER, BACKSPACE, HOME = 32, 257, 259, 268
 _FRAME = 1.0 / 60.0
-# Bounds of the time that a frame may spend on the machine [s], as long as the frame before it;
-# what the machine lacks then is not caught up.
+# Bounds of a frame's time for simulation [s], which is the duration of the previous frame; periods
+# that do not fit into it are not caught up.
 _BUDGET = (0.25, 1.0)
 
 
 def check_window() -> None:
-    """Raises `LeglabError` where the viewer can open no window."""
+    """Raises `LeglabError` if the viewer cannot open a window."""
     check_display("the viewer", "leglab run, then leglab video")
 
 
@@ -34,15 +34,15 @@ class Window:
     """The window of a session.
 
     Args:
-        session: To be shown.
+        session: Session to show.
         model: Name of its model or path of the file.
 
     Attributes:
-        display: What is shown.
+        display: Display model.
         handle: MuJoCo's handle of the window.
 
     Raises:
-        LeglabError: If no window can be opened; names the way without one.
+        LeglabError: If no window can be opened; the message names the way without one.
     """
 
     def __init__(self, session: Session, model: str) -> None:
@@ -51,7 +51,7 @@ class Window:
         self.display = Display(session, model)
         self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._paused, self._ghost = False, True
-        # The callback comes from the window's thread.
+        # The window's thread calls the callback, hence the queue.
         self._window = LiveWindow(
             self.display.model,
             self.display.data,
@@ -75,7 +75,7 @@ class Window:
             time.sleep(max(0.0, _FRAME - (time.monotonic() - now)))
 
     def frame(self, elapsed: float) -> None:
-        """Goes on by some time [s] and shows it."""
+        """Advances the session by `elapsed` [s] and shows it."""
         session = self._session
         self._use_keys()
         until = session.time + elapsed

@@ -9,29 +9,29 @@ from leglab.control.backstepping.data import InverseDynamics
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.control.feedforward.motion import SmoothingWindow
 
-# Samples of the smoothing window and of control periods from one estimate to the next.
+# Samples in the smoothing window; control periods from one estimate to the next.
 _WINDOW, _INTERVAL = 21, 5
-# Commands beyond this, anywhere in the window, teach nothing: the valve may be at its stop.
+# No update where any command in the window exceeds this: the valve may be at its stop.
 _SATURATED = 0.97
-# Flows below this share of the flow at full opening, and forces below this share of the piston's,
-# are not told from noise and unmodelled detail.
+# RMS noise and unmodelled detail of the residuals: share of the flow at full opening, share of the
+# piston's force at supply pressure.
 _FLOW_NOISE, _FORCE_NOISE = 2e-3, 5e-3
 # Nothing is learned below this share of the no-load speed.
 _LEAST_SPEED = 3e-3
 
 
 class Adaptation:
-    """Physical parameters of all joints from smoothed measurements.
+    """Recursive estimator of the physical parameters of all joints from smoothed measurements.
 
-    Flow, chamber by chamber, in (C_i, C_A, C_B, null, lap), with Q from the valve equation at the
-    spool that the commands must have led to:
+    Flow balance of each chamber for (C_i, C_A, C_B, null, lap), with Q from the valve equation at
+    the spool position that follows from the commands:
 
         Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
         Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
 
-    Force in (b, F_c, s, d_0, d_1, d_2), with tau the nominal inverse dynamics of the measured
-    motion, z the bristles and q in half ranges from the middle; d is a load that the nominal
-    machine does not have, as that of a foot on the ground:
+    Force balance for (b, F_c, s, d_0, d_1, d_2), with tau the nominal inverse dynamics of the
+    measured motion, z the bristle force over F_c and q in half ranges from mid-range; d is a load
+    that the nominal machine does not have, such as ground contact of the foot:
 
         p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
 
@@ -39,12 +39,12 @@ class Adaptation:
         model: The nominal hydraulics.
         torque: The nominal rigid bodies.
         period: Control period [s].
-        latency: Age of a measurement when its command is given [s].
-        valve_delay: Of the spool behind its command [s].
+        latency: Age of a measurement when its command is sent [s].
+        valve_delay: Delay of the spool behind its command [s].
         speed: No-load speed [m/s], (joints,).
         flow_memory: Time constant of forgetting of the flow equations while learning [s].
-        force_memory: The same of the force equation [s].
-        dead_zone: Residuals up to so many times the noise teach nothing.
+        force_memory: Time constant of forgetting of the force equation [s].
+        dead_zone: Residuals up to `dead_zone` times the noise change nothing.
 
     Attributes:
         flow: Estimator of (C_i, C_A, C_B, null, lap): leakage [m^3/s/Pa], shift of the valves'
@@ -73,7 +73,7 @@ class Adaptation:
         self._middle, self._half = (low + high) / 2, (high - low) / 2
         # Positions, both pressures, commands, supply pressure.
         self._window = SmoothingWindow(4 * joints + 1, _WINDOW, period, derivatives=2)
-        # The command before a measurement held, on average, half a period before it was followed.
+        # Time shift from command samples to spool: half a period of hold, latency, valve delay.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
         ones, zero = np.ones(joints), np.zeros(joints)
@@ -115,13 +115,13 @@ class Adaptation:
         supply_pressure: float,
         command: np.ndarray,
     ) -> None:
-        """Takes one period's measurements and the command before them; learns now and then.
+        """Adds one period's measurements and the command before them; updates every `_INTERVAL`.
 
         Args:
             position: Measured [rad], (joints,).
             pressure: Measured [Pa], (2, joints).
             supply_pressure: Measured [Pa].
-            command: As sent to the valves before, in [-1, 1], (joints,).
+            command: Sent to the valves before the measurement, in [-1, 1], (joints,).
         """
         self._window.push(position, pressure.ravel(), command, (supply_pressure,))
         self._count += 1
@@ -178,11 +178,11 @@ class Adaptation:
     def load_force(
         self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
     ) -> np.ndarray:
-        """Force that a motion needs as the parameters are now [N], (joints,).
+        """Computes the force that a motion needs by the present parameters [N], (joints,).
 
         Args:
             position: Joint positions [rad], (joints,).
-            speed: Of the pistons [m/s], (joints,).
+            speed: Piston speeds [m/s], (joints,).
             bristles: From `Bristles.advance`, (joints,).
             needed: tau/r of the nominal machine [N], (joints,).
         """

@@ -11,22 +11,22 @@ import numpy as np
 from leglab.control.backstepping.data import NominalCylinders
 
 _ATMOSPHERE = 101325.0  # Pa
-# Share of the supply pressure below which a pressure drop is taken for this much: the inverse of
-# the flow equation has no solution without a pressure drop.
+# Lower bound of a pressure drop, as a share of the supply pressure: the inverse of the flow
+# equation has no solution without a pressure drop.
 _LEAST_DROP = 0.02
-# Spool positions beyond this are of no use: the stops are at 1.
+# Bound of the spool position that is solved for; the spool's mechanical stops are at 1.
 _FULL = 1.5
 
 
 class Chambers(NamedTuple):
-    """Chambers at a position and pressures.
+    """Hydraulic quantities of both chambers at a piston position and pressures.
 
     Attributes:
         edge: Flow per edge opening from the supply and to the tank [m^3/s], (2, 2, joints): first
             axis supply, tank.
         compliance: V/beta [m^3/Pa], (2, joints).
         weight: A beta/V, force rate of a flow into the chamber [N/m^3], (2, joints).
-        stiffness: Of the oil spring [N/m], (joints,).
+        stiffness: Stiffness of the oil spring [N/m], (joints,).
     """
 
     edge: np.ndarray
@@ -36,7 +36,7 @@ class Chambers(NamedTuple):
 
 
 class CylinderModel:
-    """The hydraulics of all joints as their data sheets tell."""
+    """Hydraulic equations of all joints with the values of their data sheets."""
 
     def __init__(self, data: NominalCylinders) -> None:
         self.data = data
@@ -60,7 +60,7 @@ class CylinderModel:
         self._offset = np.arange(joints) * self._columns
 
     def geometry(self, position: np.ndarray) -> np.ndarray:
-        """Levers [m/rad] and piston positions [m], (2, joints), at joint positions [rad]."""
+        """Interpolates levers [m/rad] and piston positions [m], (2, joints), at positions [rad]."""
         at = (position - self._start) * self._per_step
         at = np.minimum(np.maximum(at, 0.0), self._columns - 1.0)
         column = np.minimum(at.astype(np.intp), self._columns - 2)
@@ -73,7 +73,7 @@ class CylinderModel:
     def chambers(
         self, pressure: np.ndarray, supply_pressure: np.ndarray | float, piston: np.ndarray
     ) -> Chambers:
-        """Evaluates what depends on pressures and positions alone.
+        """Computes edge flows, compliance and stiffness from pressures and piston positions.
 
         Args:
             pressure: Gauge [Pa], (2, joints).
@@ -95,7 +95,7 @@ class CylinderModel:
         return Chambers(edge, compliance, weight, (data.area * weight).sum(axis=0))
 
     def bulk_modulus(self, pressure: np.ndarray) -> np.ndarray:
-        """Effective bulk modulus [Pa] of the oil with its air at gauge pressures [Pa].
+        """Computes the effective bulk modulus [Pa] of oil with air at gauge pressures [Pa].
 
         beta = (g + l)/(g/(n p) + l/beta_l), g = x_0 (p_0/p)^(1/n), l about 1 - x_0.
         """
@@ -106,7 +106,7 @@ class CylinderModel:
         return (gas + oil) / (gas * self._inverse_index / absolute + oil / data.bulk_modulus)
 
     def openings(self, spool: np.ndarray, lap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Openings of the edges for positive and negative spool, (2, joints), and their slopes."""
+        """Computes edge openings for positive and negative spool and slopes, (2, joints) each."""
         d = self._chamber_sign * spool - lap
         root = np.sqrt(d * d + 4 * self._quarter)
         return 0.5 * (d + root), 0.5 * (1.0 + d / root)
@@ -114,13 +114,13 @@ class CylinderModel:
     def rate_for(
         self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
-        """Force rate that valve flow must give for a piston speed at constant force [N/s].
+        """Computes the force rate by valve flow that keeps a piston speed at constant force [N/s].
 
         Args:
-            speed: Of the piston [m/s], (joints,).
+            speed: Piston speeds [m/s], (joints,).
             pressure: [Pa], (2, joints).
             leakage: Internal, and external of A and B [m^3/s/Pa], (3, joints).
-            chambers: At these pressures.
+            chambers: Chambers at these pressures.
         """
         across = leakage[0] * (pressure[0] - pressure[1])
         outside = leakage[1:] * pressure
@@ -128,10 +128,10 @@ class CylinderModel:
         return chambers.stiffness * speed + lost_a - chambers.weight[1] * lost_b
 
     def spool_for(self, rate: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
-        """Spool positions that change the load force at a rate, (joints,).
+        """Computes the spool positions that change the load force at a rate, (joints,).
 
-        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's rule from the solution
-        with one edge open.
+        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's method, starting at the
+        solution with one edge open.
 
         Args:
             rate: Wanted force rate by valve flow alone [N/s], (joints,).
@@ -150,14 +150,14 @@ class CylinderModel:
         return spool
 
     def rate_of(self, spool: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
-        """Force rate by valve flow at spool positions [N/s], (joints,): inverse of `spool_for`."""
+        """Computes the force rate by valve flow [N/s], (joints,); the inverse of `spool_for`."""
         up, down = _rates(chambers)
         opening, _ = self.openings(spool, lap)
         return up * opening[0] - down * opening[1]
 
 
 def _rates(chambers: Chambers) -> tuple[np.ndarray, np.ndarray]:
-    """Force rates by valve flow per opening of the edges for positive and negative spool."""
+    """Computes force rates by valve flow per edge opening, for positive and negative spool."""
     (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
     weight_a, weight_b = chambers.weight
     return weight_a * supply_a + weight_b * tank_b, weight_a * tank_a + weight_b * supply_b
@@ -169,11 +169,11 @@ class Bristles:
     z' = v - sigma_0 |v| z/g(v), solved exactly for a speed held over a step (Canudas de Wit et al.
     1995, IEEE Trans. Autom. Control 40(3), 419). Model-based compensation of hydraulic actuators
     with it: Yao, Deng and Jiao 2015, IEEE Trans. Ind. Electron. 62(10), 6469. After a reversal the
-    force builds up over some tens of micrometres, which a function of speed cannot tell.
+    force builds up over some tens of micrometres, which no function of speed can represent.
     """
 
     def __init__(self, data: NominalCylinders) -> None:
-        # Without dry friction the shape does not matter: what it is multiplied by is zero.
+        # Without dry friction the shape does not matter: the friction that scales it is zero.
         coulomb = np.maximum(data.coulomb, 1e-6)
         self._excess = np.maximum(data.static / coulomb, 1.0) - 1.0
         self._stiffness = data.sigma_0 / coulomb
@@ -185,11 +185,11 @@ class Bristles:
         self._force = np.zeros_like(self._speed)
 
     def advance(self, speed: np.ndarray, time: float) -> np.ndarray:
-        """Moves all pistons on; returns sigma_0 z/F_c, (joints,).
+        """Advances all bristles by a time step; returns sigma_0 z/F_c, (joints,).
 
         Args:
-            speed: [m/s], (joints,).
-            time: Over which it holds [s].
+            speed: Piston speeds during the step [m/s], (joints,).
+            time: Duration of the step [s].
         """
         level = 1.0 + self._excess * np.exp(-((speed / self._speed) ** 2))
         steady = np.copysign(level, speed)

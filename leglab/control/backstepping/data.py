@@ -41,7 +41,7 @@ class NominalCylinders:
     piston: np.ndarray  #: Piston position there [m], (joints, p)
 
     def joints(self, indices: Sequence[int] | np.ndarray) -> "NominalCylinders":
-        """The data of some joints, in this order, perhaps several times."""
+        """Returns the data of the joints with these indices, in this order; they may repeat."""
         tables = ("position", "lever", "piston")
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return NominalCylinders(
@@ -51,18 +51,18 @@ class NominalCylinders:
 
 # Corner frequency of the filter of the chambers' common pressure [rad/s].
 PRESSURE_CUTOFF = 150.0
-# Of the filter of the unknown force on its way into the expected pressures [rad/s]. A fast one
-# would compensate a worn seal's leakage so promptly that its damping is gone, and a bit late: at
-# 50 rad/s hip yaw and hip roll of the walking leg oscillate when all leakages have grown tenfold.
+# Corner frequency of the filter of the unknown force in the expected pressures [rad/s]. A fast
+# filter would cancel, with a delay, the damping by a worn seal's leakage: at 50 rad/s hip yaw and
+# hip roll of the walking leg oscillate when all leakages have grown tenfold.
 FORCE_CUTOFF = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class BacksteppingGains:
-    """Gains that `Feedback` is designed from; one value a joint, (joints,) each."""
+    """Design parameters of `Feedback`, one value per joint, (joints,) each."""
 
     position_gain: np.ndarray  #: k_1, rate at which the position error decays [1/s]
-    force_damping: np.ndarray  #: Damping ratio wanted of the oil spring beyond its own
+    force_damping: np.ndarray  #: Damping ratio that the feedback adds to the oil spring's
     #: Random walk of the unknown force, in forces of the piston at supply pressure [1/sqrt(s)].
     force_drift: np.ndarray
     #: Random walk of the unknown flow, in flows at the no-load speed [1/sqrt(s)].

@@ -1,15 +1,15 @@
 """Tracking error, its rate, the force error and two lumped disturbances, estimated and predicted.
 
 Errors of one joint in piston coordinates, e = x_d - x and p = (F - F_d)/k, with F the load force,
-F_d the force that the model asks for at the reference, k the stiffness of the oil, w^2 = k/m:
+F_d the force that the model predicts for the reference, k the stiffness of the oil, w^2 = k/m:
 
-    e'' = -w^2 (p - phi) - (b/m) e'      phi k: force that the model does not know
+    e'' = -w^2 (p - phi) - (b/m) e'      phi k: unmodelled force
     p'  = v + e' - eta                   v: flow beyond that for the reference; eta: flow lost
 
 phi and eta are random walks: the lumped disturbances of both equations that an extended state
-observer gives (Yao, Jiao and Ma 2014, IEEE Trans. Ind. Electron. 61(11), 6285). Steady Kalman
-gains; e and p are measured `latency` before the command and the command acts after the valve's
-delay, so the estimate is moved on by both.
+observer gives (Yao, Jiao and Ma 2014, IEEE Trans. Ind. Electron. 61(11), 6285). The Kalman gains
+are stationary. e and p are measured `latency` before the command, which acts after the valve's
+delay: the estimate is predicted over both times.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ _STATES = 5  # e, e', p, phi, eta
 
 
 def _sampled(a: np.ndarray, b: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """State transition and input response over a time, of batches (n, s, s) and (n, s)."""
-    from scipy.linalg import expm  # half a second that other controllers do without
+    """Discretises batches a (n, s, s) and b (n, s): transition and input response over a time."""
+    from scipy.linalg import expm  # the import takes half a second, for this controller alone
 
     n, states = b.shape
     block = np.zeros((n, states + 1, states + 1))
@@ -36,8 +36,8 @@ class ErrorObserver:
         frequency: w of each joint [rad/s], (joints,).
         damping: b/m [1/s], (joints,).
         period: Control period [s].
-        delay: From a measurement to the instant at which its command begins to act [s], at most
-            two periods.
+        delay: Time from a measurement to the instant at which its command begins to act [s], at
+            most two periods.
         noise: RMS noise of measured e and p [m], (2, joints).
         drift: Random walk of phi [m/sqrt(s)] and eta [m/s/sqrt(s)], (2, joints).
 
@@ -72,7 +72,7 @@ class ErrorObserver:
         self._transition = whole
         self._older = np.einsum("nij,nj->ni", late, late_input)
         self._newer = early_input
-        # To the middle of the time over which the command holds.
+        # Prediction to the middle of the period in which the command is held.
         self._ahead, self._ahead_input = _sampled(a, b, delay + period / 2)
         rows = zip(whole, noise.T, drift.T, frequency, strict=True)
         self._gain = np.stack([self._kalman(a, period, *row) for a, *row in rows])
@@ -87,7 +87,7 @@ class ErrorObserver:
         drift: np.ndarray,
         frequency: float,
     ) -> np.ndarray:
-        """Steady gain (5, 2) of a filter that corrects with the newest measurement."""
+        """Computes the stationary gain (5, 2) of a filter that corrects after each measurement."""
         from scipy.linalg import solve_discrete_are
 
         c = np.zeros((2, _STATES))
@@ -103,18 +103,18 @@ class ErrorObserver:
         return gain * scale[:, None] / noise[0]
 
     def clear(self) -> None:
-        """Forgets everything."""
+        """Sets the state and the past inputs to zero."""
         self.state[:] = 0.0
         self._inputs = [np.zeros(len(self.state)) for _ in range(self.past + 2)]
 
     def start(self, error: np.ndarray, force_error: np.ndarray) -> None:
-        """Starts at rest at measured errors e and p [m]: p is all disturbance."""
+        """Starts at rest at measured errors e and p [m]; attributes all of p to phi."""
         self.clear()
         self.state[:, 0] = error
         self.state[:, 2] = self.state[:, 3] = force_error
 
     def predict(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
-        """Takes measured e and p [m]; returns the state when the command will act, (joints, 5)."""
+        """Updates with measured e, p [m]; predicts the state when the command acts, (joints, 5)."""
         state, inputs = self.state, self._inputs
         state = np.matmul(self._transition, state[:, :, None])[:, :, 0]
         state += self._older * inputs[0][:, None]
@@ -128,10 +128,10 @@ class ErrorObserver:
         return ahead + self._ahead_input * inputs[-1][:, None]
 
     def sent(self, velocity: np.ndarray) -> None:
-        """Takes v as it is sent now [m/s], (joints,)."""
+        """Records the speed v that is sent in this period [m/s], (joints,)."""
         self._inputs = [*self._inputs[1:], velocity]
 
     def matrices(self, joint: int) -> tuple[np.ndarray, ...]:
-        """Transition, older and newer input, gain, prediction and its input, of one joint."""
+        """Returns transition, older and newer input, gain, prediction and its input of a joint."""
         parts = (self._transition, self._older, self._newer)
         return tuple(part[joint] for part in (*parts, self._gain, self._ahead, self._ahead_input))

@@ -6,14 +6,14 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.control.backstepping.error_observer import ErrorObserver
 
-# Noise that the observer reckons with at least [rad], [Pa], that of the default sensors: with
-# better ones it would become so fast that the valve, which it takes for a delay, makes the loop
-# unstable.
+# Lower bounds of the noise that the observer assumes [rad], [Pa]: that of the default sensors.
+# With less noise it would become so fast that the valve's lag, which it models as a delay, makes
+# the loop unstable.
 _LEAST_NOISE = (2e-5, 1.5e4)
 
 
 def no_load_speed(data: NominalCylinders) -> np.ndarray:
-    """Piston speed of a fully open valve without load, retracting [m/s], (joints,).
+    """Computes the piston speed of a fully open valve without load, retracting [m/s], (joints,).
 
     v = K sqrt(A_B p_s/(A_A^3 + A_B^3)), case a of docs/concepts/physics.md.
     """
@@ -23,7 +23,7 @@ def no_load_speed(data: NominalCylinders) -> np.ndarray:
 
 
 class Feedback:
-    """Piston speed beyond the reference's that brings position and load force back.
+    """State feedback: piston speed beyond the reference's that removes position and force errors.
 
     With z_1 = e and virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e), the
     speed that makes the force error decay with k_3 is the state feedback whose error dynamics are
@@ -34,18 +34,18 @@ class Feedback:
 
     Args:
         model: The nominal hydraulics.
-        gains: What it is designed from.
-        position_noise: Of the measured joint positions [rad].
-        pressure_noise: Of the measured pressures [Pa].
+        gains: Design parameters.
+        position_noise: Noise of the measured joint positions [rad].
+        pressure_noise: Noise of the measured pressures [Pa].
         period: Control period [s].
-        latency: Age of a measurement when its command is given [s].
+        latency: Age of a measurement when its command is sent [s].
 
     Attributes:
-        stiffness: Of the oil around mid stroke [N/m], (joints,).
-        frequency: w, of the nominal mass on it [rad/s], (joints,).
-        valve_delay: Of the slowest spool, 2 zeta/w_n [s].
+        stiffness: Stiffness of the oil around mid stroke [N/m], (joints,).
+        frequency: w, natural frequency of the nominal mass on the oil [rad/s], (joints,).
+        valve_delay: Delay of the slowest spool, 2 zeta/w_n [s].
         observer: Estimates e, e', p, phi and eta.
-        weights: Of (e, e', p, phi, eta), (joints, 5).
+        weights: Feedback gains of (e, e', p, phi, eta), (joints, 5).
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class Feedback:
 
     @property
     def unknown_force(self) -> np.ndarray:
-        """Force beyond the model's that the load needs, k phi [N], (joints,)."""
+        """Estimated load force beyond the model's, k phi [N], (joints,)."""
         return self.stiffness * self.observer.state[:, 3]
 
     def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
-        """Speed [m/s], (joints,), from measured e and p [m], (joints,) each.
+        """Computes the speed [m/s], (joints,), from measured e and p [m], (joints,) each.
 
-        The estimate behind it is left in `observer`; tell `observer.sent` what became of it.
+        `observer` keeps the estimate; pass the speed that is sent to `observer.sent`.
         """
         return np.einsum("ij,ij->i", self.weights, self.observer.predict(error, force_error))

@@ -12,12 +12,12 @@ class BoundedLeastSquares:
 
     Args:
         start: First parameters, (parameters, joints).
-        scale: Size of a change worth expecting, (parameters, joints).
-        lower: Bounds, (parameters, joints).
-        upper: (parameters, joints).
-        forgetting_factor: Of one update.
+        scale: Expected magnitude of a change, (parameters, joints).
+        lower: Lower bounds, (parameters, joints).
+        upper: Upper bounds, (parameters, joints).
+        forgetting_factor: Forgetting factor of one update.
         noise: RMS of a residual without any change, (joints,).
-        dead_zone: Residuals up to so many times the noise teach nothing.
+        dead_zone: Residuals up to `dead_zone` times the noise change nothing.
 
     Attributes:
         values: Parameters, (parameters, joints).
@@ -47,7 +47,7 @@ class BoundedLeastSquares:
         self._information = np.tile(self._identity, (self._start.shape[1], 1, 1))
 
     def update(self, regressor: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> None:
-        """Takes one equation a joint: residual = regressor . (true - present parameters).
+        """Updates with an equation per joint: residual = regressor . (true - present parameters).
 
         Args:
             regressor: (parameters, joints), in physical units.
@@ -55,7 +55,7 @@ class BoundedLeastSquares:
             usable: Joints whose equation is to be used, (joints,).
         """
         scaled = residual / self._noise
-        # A residual far out of proportion is a bad sample more often than a big change.
+        # Residuals are clipped: one far beyond the noise is more often an outlier than a change.
         scaled = np.minimum(np.maximum(scaled, -self._largest), self._largest)
         usable = usable & (np.abs(scaled) > self._dead)  # false for NaN
         if not usable.any():
@@ -63,8 +63,8 @@ class BoundedLeastSquares:
         phi = (regressor * self._scale / self._noise).T
         phi = np.where(usable[:, None], phi, 0.0)
         scaled = np.where(usable, scaled, 0.0)
-        # What is forgotten is replaced by what was known at the start: information 1 of itself. So
-        # the information matrix is never below one, and rounding cannot make it indefinite.
+        # Forgotten information is replaced by that of the prior, the identity. So no eigenvalue of
+        # the information matrix falls below 1, and rounding cannot make it indefinite.
         new = np.where(usable, 1.0 - self._factor, 0.0)
         information = self._information
         information *= (1.0 - new)[:, None, None]

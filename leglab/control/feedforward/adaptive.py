@@ -1,4 +1,4 @@
-"""Learns the inverse map while the machine moves, and gives the feed-forward from it, safely."""
+"""Adaptive feed-forward from an inverse map that is learned in operation, with safeguards."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,40 +16,40 @@ from leglab.control.feedforward.thresholds import DISCREPANCY
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls, SplineNarx
 
-# What a period reports, in the order of the core's rows behind the command.
+# Signals of a period, in the order of the core's output rows after the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
-# The state of the valves in use, for a proposed map.
+# Passed for a proposed map without a valve state: the map uses the present one.
 _AS_USED = np.empty((0, 5))
 
-# Chosen numbers, by the names of the core.
+# Tuning constants, by their names in the C++ core.
 _CONSTANTS = {
-    # Readings that bend more [rad/s^2] are no motion: some fifteen times the walking stride's knee.
+    # Readings with more acceleration [rad/s^2] are rejected: some 15 times the knee's in walking.
     "greatest_acceleration": 1000.0,
-    # Time constant of the errors by which the learned and the calibrated map are judged [s]; the
-    # calibrated one takes over where the learned one's RMS error is so many times its own. Tracking
-    # errors below the last number [rad] are no reason to distrust the model.
+    # Supervisor: time constant of the mean squared errors of the learned and the calibrated map
+    # [s]; ratio of their RMS errors above which the calibrated map takes over; RMS tracking error
+    # [rad] below which it never does.
     "trust_time": 0.5,
     "margin": 1.05,
     "noise": 0.2e-3,
-    # What was learned beyond the slow map is used by the share that held over this time [s], as
-    # predicted by snapshots so far apart [s]. This share of the slow map's mean squared error
-    # counts as evidence for what was learned, so that it is used before there is other evidence.
-    # What the two maps differ by without being held to it [share of full speed].
+    # The learned map's difference from the slow map is used by the share that held over this time
+    # [s], as predicted by snapshots this far apart [s]. This share of the slow map's mean squared
+    # error is prior evidence for the difference, so that it is used before there is other evidence.
+    # Differences below the last number need no evidence [share of full speed].
     "proof_time": 0.15,
     "proof_horizon": 0.02,
     "proof_doubt": 0.06,
     "proof_noise": 0.0005,
-    # A command that changes by this has turned [valve command]: noise of the feedback does less.
+    # A command that goes back by this has reversed [valve command]: feedback noise does less.
     "turn": 0.002,
-    # A valve's state in use follows errors within this time [s]: half a stride, in which commands
-    # turn some times. What a little more of it would do is seen over this step [valve command].
+    # Time constant with which the valve state in use adapts [s]: half a stride, in which commands
+    # reverse some times; step of the finite difference of flow over that state [valve command].
     "state_time": 0.5,
     "state_step": 0.01,
-    # Squared errors of maps beside each other are averaged over this time [s], the logarithms of
-    # their ratios over the second one, a quarter of a stride; each has so many independent errors.
-    # A map of which the ratio to the one that knows nothing exceeds the last number is out: what is
-    # right may err more than what has just learned the motion of now, but not so much.
+    # Squared errors of contending maps are averaged over the first time [s], the logarithms of
+    # their ratios over the second, a quarter of a stride; each mean has this many independent
+    # errors. A map is out where its error over that of the map without a fault exceeds the last
+    # number: a right map errs more than one that has just learned this motion, but not by so much.
     "contest_time": 0.08,
     "contest_gather": 0.25,
     "contest_errors": 4.0,
@@ -122,7 +122,7 @@ class LearningConfiguration(Configuration):
 
     @property
     def rls(self) -> Rls:
-        """How the parameters of the map are learned."""
+        """Settings of the recursive least squares that learns the map."""
         gain = max(self.initial_gain, self.change_gain)
         return Rls(
             initial_gain=self.initial_gain,
@@ -143,28 +143,28 @@ class LearningConfiguration(Configuration):
 
 
 class AdaptiveFeedforward:
-    """Feed-forward of all joints beside PD: the calibrated valve map at the flow that is learned.
+    """Feed-forward of all joints, added to PD: the calibrated valve map at the learned flow.
 
-    A sample is the motion in the middle of the smoothing window and the flow there: the speed that
-    the calibrated valve map gives for the command sent, smoothed alike. What the learner takes for
-    its output is the difference of that flow and the motion's own speed: what leaks, what is
-    compressed, what load and oil take away. The reference drives the learner with the same shift in
-    time, so whatever delay valve and oil have beyond it is learned as a dependence on the
-    derivatives. The core is C++ (`csrc/feedforward`); the tests say the same in NumPy.
+    A sample is the motion in the middle of the smoothing window and the flow at that instant: the
+    speed that the calibrated valve map gives for the command sent, smoothed alike. The learner's
+    output is that flow less the measured speed: leakage, compression, and losses by load and oil.
+    The reference is evaluated with the same time shift, so any further delay of valve and oil is
+    learned as a dependence on the derivatives. The core is C++ (`csrc/feedforward`); the tests
+    compare it with NumPy.
 
     Args:
         inverse_map: Structure of the learner.
-        table: Calibrated valve maps: where learning starts.
-        position_gain: Of the feedback [1/rad], (joints,); how fast it forgets an error.
-        velocity_gain: Of the feedback [s/rad], (joints,).
-        config: How it is learned.
+        table: Calibrated valve maps, with which learning starts.
+        position_gain: Gain of the feedback [1/rad], (joints,); sets how fast its errors decay.
+        velocity_gain: Gain of the feedback [s/rad], (joints,).
+        config: Settings of learning and safeguards.
         loads: Structure of the map from motion to load; None without pressures.
         sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
             (joints,) or (joints, p) each; None without pressures.
         valve_states: Whether maps can be proposed with a state of the valves.
         control_period: [s].
         latency: Age of a measurement when its command takes effect [s].
-        velocity_delay: Age of a velocity estimate then [s].
+        velocity_delay: Age of a velocity estimate at that time [s].
 
     Attributes:
         learner: The learned map.
@@ -172,7 +172,7 @@ class AdaptiveFeedforward:
             pressure]; None without pressures.
         report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
-            1 where the calibrated map stands in. The arrays change with the next period.
+            1 where the calibrated map is used. The arrays are reused in the next period.
     """
 
     def __init__(
@@ -242,13 +242,13 @@ class AdaptiveFeedforward:
     def propose(
         self, learner: SplineNarx, odds: float, error: float, valves: np.ndarray | None = None
     ) -> None:
-        """Lets another map learn beside `learner`, and uses it by how well it predicts.
+        """Adds a contender: a map that learns in parallel, weighted by how well it predicts.
 
         Args:
-            learner: The map, of `learner`'s structure.
-            odds: Of this map against `learner` before either has predicted.
-            error: Mean squared error that it would have made lately, over that of `learner`.
-            valves: State of the valves that it is for, as `valves`; without it the one in use.
+            learner: The map, of the same structure as `self.learner`.
+            odds: Prior odds of this map against `self.learner`.
+            error: Its mean squared error on the latest samples, over that of `self.learner`.
+            valves: Valve state that the map assumes, as `self.valves`; None for the present one.
         """
         self._core.propose(
             learner._bank, math.log(odds), error, _AS_USED if valves is None else valves
@@ -259,9 +259,9 @@ class AdaptiveFeedforward:
     def revise(
         self, contender: int, shift: np.ndarray, error: float, valves: np.ndarray | None = None
     ) -> None:
-        """Moves the parameters of a contender by (joints, parameters); `error` as of `propose`.
+        """Adds a shift (joints, parameters) to a contender's parameters; `error` as in `propose`.
 
-        `valves` are for one that was proposed with a state.
+        `valves` is the new valve state of a contender that was proposed with one.
         """
         learner = self.contenders[contender]
         learner.parameters = learner.parameters + shift.reshape(learner.parameters.shape)
@@ -269,21 +269,21 @@ class AdaptiveFeedforward:
 
     @property
     def valves(self) -> np.ndarray:
-        """State of the valves that `learner` is for, (joints, 5).
+        """Valve state that `learner` assumes, (joints, 5).
 
-        Shift of the null, dead band to either side and width of the play [valve command], and what
-        positive and negative commands need more, as a share.
+        Shift of the null, dead band to either side and width of the play [valve command], and the
+        relative increases of positive and of negative commands.
         """
         return np.array(self._core.valves())
 
     def shares(self) -> np.ndarray:
-        """Share of `learner` in the map in use, and of each contender, (1 + contenders,)."""
+        """Returns weights of `learner` and each contender in the map in use, (1 + contenders,)."""
         return np.array(self._core.shares())
 
     def narrow(self, best: int) -> None:
-        """Leaves `learner` and a contender, by its place in `shares`, to go on.
+        """Keeps `learner` and one contender, by its index in `shares`; drops the others.
 
-        One with a state of the valves goes on alone: the other can never learn it.
+        A contender with a valve state is kept alone: `learner` cannot learn that state.
         """
         if best == 0 or self._with_valves[best - 1]:
             self.settle(best)
@@ -291,7 +291,7 @@ class AdaptiveFeedforward:
             self._core.only(best - 1)
 
     def settle(self, best: int) -> None:
-        """Goes on with one map alone, by its place in `shares`."""
+        """Keeps a single map, by its index in `shares`."""
         if best > 0:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
@@ -299,31 +299,31 @@ class AdaptiveFeedforward:
             self.contenders, self._with_valves = [], []
 
     def keep(self, samples: int) -> None:
-        """Keeps learned samples from now on, so many at most, for `kept`; `reset` ends it."""
+        """Starts to keep learned samples for `kept`, at most `samples`; `reset` ends it."""
         shape = (samples, self._map.joints, self.learner.parameters.shape[-1] + 3)
         self._kept = np.empty(shape)
         self._core.keep(samples)
 
     def kept_count(self) -> int:
-        """Number of samples kept since `kept` was called last."""
+        """Returns the number of samples kept since the last call of `kept`."""
         return self._core.kept()
 
     def kept(self) -> np.ndarray:
         """Returns the samples kept since the last call, (samples, joints, parameters + 3).
 
-        A row is a regressor, its output [share of full speed], the a-priori error and 1; only
-        zeros where the sample taught that joint nothing.
+        A row is a regressor, its output [share of full speed], the a-priori error and 1; all
+        zeros where the sample was not learned for that joint.
         """
         count = self._core.take_kept(self._kept)
         return self._kept[:count].copy()
 
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
-        """Learns from a measurement and gives the valve commands; call it once a period.
+        """Learns from a measurement and computes the valve commands; call it once a period.
 
-        Where there are data sheets the measurement has pressures. Feedback holds the reference
-        against the measurement at the time it was taken. Where a measurement is NaN the command is
-        the feed-forward alone. What is sent counts as clipped to [-1, 1]. The array (joints,)
-        changes with the next period.
+        With data sheets the measurement must have pressures. Feedback compares a measurement with
+        the reference at the time it was taken. Where a measurement is NaN the command is the
+        feed-forward alone. The learner takes the command as clipped to [-1, 1]. The array
+        (joints,) is reused in the next period.
         """
         time, position, velocity, pressure_a, pressure_b, supply = measurement
         if self.loads is None or supply is None:
@@ -335,7 +335,7 @@ class AdaptiveFeedforward:
         return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:
-        """Takes the commands (joints,) that were sent, where they are not what `step` gave."""
+        """Records the commands (joints,) that were sent, where they differ from those of `step`."""
         self._core.sent(command)
 
 
@@ -348,17 +348,17 @@ def step_together(
     reference: ReferencePoint,
     out: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """As `AdaptiveFeedforward.step` of each member, in threads.
+    """Calls `AdaptiveFeedforward.step` of each member, in threads.
 
     Args:
-        team: Has the threads.
-        members: Of the machines that are stepped.
-        machines: Their places in the arrays, (members,) of int64.
+        team: The threads.
+        members: Feed-forwards of the machines that are stepped.
+        machines: Rows of these machines in the arrays, (members,) of int64.
         sent: The commands that were sent last, (machines, joints).
         measurement: Time (machines,), positions and velocities (machines, joints), pressures of
             cap and rod sides and of the supply (machines, 2 joints + 1), which may be empty.
         reference: With arrays (machines, joints).
-        out: Commands and feed-forwards are written there, (machines, joints) each.
+        out: Arrays that receive commands and feed-forwards, (machines, joints) each.
     """
     time, position, velocity, pressures = measurement
     team.step(

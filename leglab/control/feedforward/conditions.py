@@ -1,4 +1,4 @@
-"""Conditions that a sound machine passes through, as temperatures of the oil; they are no wear."""
+"""Conditions: reversible changes of a sound machine, such as oil temperature, that are no wear."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from leglab.causes.fault_names import ALL
 from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 
-# Name of each, and the faults of the bank whose sizes, in one unit, are its values.
+# Conditions by name, with the faults of the bank whose sizes, in one unit, are their values.
 CONDITIONS = {
     condition: tuple(cause.name for cause in CAUSES.values() if cause.condition == condition)
     for condition in dict.fromkeys(c.condition for c in CAUSES.values() if c.condition)
@@ -14,10 +14,10 @@ CONDITIONS = {
 
 
 def with_conditions(bank: FaultBank) -> FaultBank:
-    """The bank with `CONDITIONS` in place of the faults that they consist of.
+    """Returns the bank with `CONDITIONS` in place of the faults that they consist of.
 
-    A machine may be at any value of a condition when it is first seen: there is a curve upwards
-    and one downwards from each.
+    The first value of a condition is unknown: from each of its tabulated values there is a curve
+    upwards and one downwards.
     """
     curves = [c for c in bank.curves if not any(c.fault in own for own in CONDITIONS.values())]
     for name, faults in CONDITIONS.items():
@@ -45,7 +45,7 @@ def with_conditions(bank: FaultBank) -> FaultBank:
 
 
 def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
-    """The curves of each condition in a bank."""
+    """Returns the curves of each condition in a bank."""
     found = {name: tuple(c for c in bank.curves if c.fault == name) for name in CONDITIONS}
     return {name: FaultBank(curves=curves) for name, curves in found.items() if curves}
 
@@ -53,7 +53,7 @@ def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
 def joint_by_joint(
     bank: FaultBank, moments: Moments, normal: np.ndarray, discrepancy: float
 ) -> tuple[float, np.ndarray]:
-    """Cost and values, (joints,), of a condition with a value of its own for each joint's map."""
+    """Fits a condition with a separate value per joint; returns cost and values, (joints,)."""
     cost, values = 0.0, np.zeros(len(normal))
     for joint in range(len(normal)):
         fit = bank.fit(moments, normal, discrepancy, joint)

@@ -1,6 +1,6 @@
-"""Bank of faults: how each shifts the parameters of the learned map, along a curve of its sizes.
+"""Bank of faults: the shift of the learned map's parameters by each fault, over its size.
 
-Sums over samples (`Moments`) and fits are C++ (`csrc/monitor`); the tests say the same in NumPy.
+Sums over samples (`Moments`) and fits are C++ (`csrc/monitor`); the tests compare them with NumPy.
 """
 
 from collections.abc import Sequence
@@ -16,27 +16,27 @@ from leglab.base.errors import ModelError, SettingsError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultCurve:
-    """Parameter shifts of one fault of one element, straight between its sizes.
+    """Parameter shifts of one fault of one element, piecewise linear in the fault's size.
 
     Raises:
         LeglabError: Shapes do not fit, sizes are not monotone or the first shift is not zero.
     """
 
-    fault: str  #: Its name, that of the scenario it was made with
+    fault: str  #: Name of the fault and of the scenario that it was simulated with
     element: str  #: Name of a joint whose cylinder and spring have it, or "all"
-    meaning: str  #: What the size says, with its unit
+    meaning: str  #: Meaning of the size, with its unit
     sizes: np.ndarray  #: Strictly monotone, the healthy one first, (sizes,)
     #: Parameters with the fault less those without, (sizes, joints, parameters); zero at the
     #: healthy size.
     shifts: np.ndarray
-    #: State of the valves beyond that of healthy ones, (sizes, joints, 5), as of
-    #: `AdaptiveFeedforward.valves`; None of a fault that is none of valves alone.
+    #: Valve states relative to healthy valves, (sizes, joints, 5), with the columns of
+    #: `AdaptiveFeedforward.valves`; None unless the fault is one of valves alone.
     valves: np.ndarray | None = None
-    #: Share of the weighted squared error beyond noise that the shifts took away where they were
-    #: made: what a map of this structure can say of the fault.
+    #: Share of the weighted squared error beyond noise that the shifts removed in the simulation
+    #: that gave them: the part of the fault that a map of this structure can represent.
     explains: float = 1.0
-    #: When the change began that the curve leads back from [s]; None of one that leads away from
-    #: the healthy size. Such a curve has the present size first.
+    #: Onset of the change that the curve undoes [s], starting at its present size; None of a curve
+    #: that leads away from the healthy size.
     undoes: float | None = None
 
     def __post_init__(self) -> None:
@@ -53,11 +53,11 @@ class FaultCurve:
             raise ModelError(f"{where}: shifts must be finite, and zero at the healthy size")
 
     def shift(self, size: float) -> np.ndarray:
-        """Shift at a size, (joints, parameters); beyond the ends that of the end."""
+        """Interpolates the shift at a size, (joints, parameters); constant beyond the ends."""
         return self._at(size, self.shifts)
 
     def valves_at(self, size: float) -> np.ndarray | None:
-        """State of the valves at a size, (joints, 5), likewise."""
+        """Interpolates the valve state at a size, (joints, 5); None if the curve has none."""
         return None if self.valves is None else self._at(size, self.valves)
 
     def _at(self, size: float, nodes: np.ndarray) -> np.ndarray:
@@ -69,14 +69,14 @@ class FaultCurve:
 
 
 class SizeEstimate(NamedTuple):
-    """The best size of each curve of a bank by weighted least squares.
+    """Sizes fitted to each curve of a bank by weighted least squares.
 
     Attributes:
-        size: In the unit of the curve, (curves,).
+        size: Best size, in the unit of the curve, (curves,).
         spread: Change of size that raises the cost by one, (curves,).
         cost: Weighted sum of squared errors with the shift at that size, (curves,).
-        without: The same without any shift.
-        noise: What it would be of a machine that had not changed.
+        without: Weighted sum of squared errors without any shift.
+        noise: Expected weighted sum of squared errors of a machine that has not changed.
     """
 
     size: np.ndarray
@@ -91,10 +91,10 @@ class FaultBank:
     """Curves of many faults for one machine, motion and map.
 
     Raises:
-        LeglabError: There are none, or they differ in shape.
+        LeglabError: There are no curves, or they differ in shape.
     """
 
-    curves: tuple[FaultCurve, ...]  #: Of one number of joints and parameters
+    curves: tuple[FaultCurve, ...]  #: All with the same numbers of joints and parameters
 
     def __post_init__(self) -> None:
         shapes = {curve.shifts.shape[1:] for curve in self.curves}
@@ -114,11 +114,11 @@ class FaultBank:
 
     @cached_property
     def group(self) -> np.ndarray:
-        """Place of every curve's fault and element in `keys`, (curves,)."""
+        """Index of every curve's fault and element in `keys`, (curves,)."""
         return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
 
     def without(self, faults: Sequence[str]) -> "FaultBank":
-        """The bank without all curves of some faults.
+        """Returns the bank without the curves of some faults.
 
         Raises:
             LeglabError: A fault is not in the bank, or none is left.
@@ -143,12 +143,12 @@ class FaultBank:
     def fit(
         self, moments: Moments, normal: np.ndarray, discrepancy: float, joint: int = -1
     ) -> SizeEstimate:
-        """Finds the size of every curve that fits samples best.
+        """Fits the size of every curve to samples by weighted least squares.
 
         Args:
-            moments: Of the samples, about the map before the fault.
-            normal: Mean square errors of that map before it, (joints,).
-            discrepancy: Share of the error that a right fault leaves; a deviation.
-            joint: Whose samples count alone; those of all where it is -1.
+            moments: Sums over the samples, relative to the map before the fault.
+            normal: Mean square errors of that map before the fault, (joints,).
+            discrepancy: Standard deviation of the share of the error that the true fault leaves.
+            joint: Index of the only joint whose samples count; -1 for all joints.
         """
         return SizeEstimate(*self.core.fit(moments, normal, discrepancy, joint))

@@ -1,13 +1,13 @@
-"""Notices changes of a machine while a controller learns, and names them by a bank of faults.
+"""Fault monitor: detects changes of a machine while a controller learns, and names the fault.
 
-It sees the samples that the learner takes and nothing else. A change is noticed by a cumulative sum
-of the learner's own error (Page 1954, Biometrika 41, 100). From its onset on, samples are summed
+It uses nothing but the samples of the learner. A change is detected by a cumulative sum of the
+learner's prediction error (Page 1954, Biometrika 41, 100). From its onset on, samples are summed
 up, and at growing intervals every fault of the bank is fitted to them, its size by least squares
-along its curve. What fits best, by enough, is the name; its shift goes to the parameters at once,
-and later samples may revise it. What nothing explains is an unknown change.
+along its curve. The best fit, if clear enough, is named; its shift gives a map that is proposed at
+once, and later samples may revise it. A change that no fault explains is reported as unknown.
 
-The arithmetic of samples and fits is C++ (`csrc/monitor`, which also suits a microcontroller); what
-is said, and what stands, is decided here.
+Sums and fits are C++ (`csrc/monitor`, which also suits a microcontroller); this module decides
+which names are reported and which changes persist.
 """
 
 import math
@@ -78,17 +78,17 @@ class MonitorConfiguration(JudgeConfiguration):
 
 
 class ProposedMap(NamedTuple):
-    """A map that a change may have led to.
+    """Candidate map after a change.
 
     Attributes:
         key: Fault and element.
-        parameters: Of the map, (joints, parameters).
-        gain: Gain to be opened, as a share of the one on a change, (joints,); NaN leaves it.
-        odds: Of this map against one that learns without knowing of the fault, before either has
-            predicted: how probable the fault is among all. The share of the error that it leaves is
-            no part of them, since the errors themselves are compared next.
-        valves: State of the valves with the fault beyond that before it, (joints, 5); None of a
-            fault that is none of valves alone.
+        parameters: Parameters of the map, (joints, parameters).
+        gain: Gain to set, as a share of the one on a change, (joints,); NaN leaves it as it is.
+        odds: Prior odds of this map against one that learns without a fault: the probability of
+            the fault among all. The error that it leaves does not enter, since the errors of the
+            maps are compared next.
+        valves: Change of the valve state by the fault, (joints, 5); None unless it is a fault of
+            valves alone.
     """
 
     key: tuple[str, str]
@@ -106,8 +106,8 @@ class _Case:
     base: np.ndarray
     bank: FaultBank
     look: int = 0
-    # Times of looks, and until then squared errors of the map before the change and samples, each
-    # (joints,).
+    # A row per look: its time, squared errors of the map before the change summed up to it, and
+    # number of samples, (joints,) each.
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     size: float = 0.0
     key: tuple[str, str] | None = None
@@ -125,17 +125,17 @@ class FaultMonitor:
     """Detects and names changes from the samples of a learner.
 
     Args:
-        bank: Of the nominal machine.
-        joints: Their names.
-        config: How changes are noticed and named.
-        sample_period: From one learned sample to the next [s].
-        pace: Period of the reference over `STRIDE`, in proportion to which times are longer.
+        bank: Bank of the nominal machine.
+        joints: Names of the joints.
+        config: How changes are detected and named.
+        sample_period: Time from one learned sample to the next [s].
+        pace: Period of the reference over `STRIDE`; time constants are scaled by it.
 
     Attributes:
-        events: What was said since `reset`.
+        events: Changes reported since `reset`.
         report: By name, each (joints,): `fault` (1 + its number in the bank, -1 for an unknown
-            change, 0 for none), `fault_size` and `fault_confidence`; of the joints that it
-            concerns. The arrays change with the next block.
+            change, 0 for none), `fault_size` and `fault_confidence`; zero at joints without the
+            fault. The arrays are reused in the next block.
 
     Raises:
         LeglabError: The bank is of another number of joints.
@@ -181,13 +181,13 @@ class FaultMonitor:
         self.events: list[FaultEvent] = []
         self._core.reset(self._warm_up)
         self._case: _Case | None = None
-        self._absorbed: np.ndarray = np.zeros(1)  # shifts that states of the valves stand for
+        self._absorbed: np.ndarray = np.zeros(1)  # shifts that valve states represent
         self._standings.clear()
         self._tell(None)
 
     @property
     def busy(self) -> bool:
-        """Whether a change was noticed whose samples are being collected."""
+        """True while the samples of a detected change are being collected."""
         return self._case is not None
 
     @property
@@ -203,13 +203,13 @@ class FaultMonitor:
         """Takes a block of learned samples.
 
         Args:
-            time: Of the last one [s].
+            time: Time of the last sample [s].
             samples: As `AdaptiveFeedforward.kept`, (n, joints, parameters + 3); at most twice
                 `block`.
-            parameters: Of the map that learns without knowing of a fault, (joints, parameters).
+            parameters: Parameters of the map that learns without a fault, (joints, parameters).
 
         Returns:
-            Maps that the change may have led to, by what is known now; None where nothing new is.
+            Candidate maps by the latest fit of the bank; None where there was no new fit.
 
         Raises:
             ValueError: Arrays have other shapes.
@@ -235,11 +235,11 @@ class FaultMonitor:
         return self._decide(case, time)
 
     def absorb(self, shift: np.ndarray) -> None:
-        """Takes it that a state of the valves does from now on what this shift would have done."""
+        """Records that a valve state has from now on the effect of this parameter shift."""
         self._absorbed = self._absorbed + shift
 
     def _close(self, case: _Case) -> None:
-        """Ends a case; remembers what was told last, for a machine that is changed again."""
+        """Ends a case; its last name becomes a persistent change in the bank of later cases."""
         self._case = None
         self._core.close(self._slow_window)
         name = case.name
@@ -251,8 +251,8 @@ class FaultMonitor:
             self._standings.add(name, case.base + self._absorbed)
 
     def _decide(self, case: _Case, time: float) -> list[ProposedMap]:
-        """Asks the bank, says what stands out, and proposes what may be."""
-        # Its age is counted at the pace of the motion.
+        """Fits the bank, reports the fault that is clear enough, and returns candidate maps."""
+        # The age of the case is scaled by the period of the motion.
         config, age = self._config, (time - case.onset) / self._pace
         moments = self._core.look()
         fit = case.bank.fit(moments, self._core.normal(), config.discrepancy)
@@ -274,7 +274,7 @@ class FaultMonitor:
         return [] if age > LATE else self._proposals(case, moments, judged)
 
     def _proposals(self, case: _Case, moments: Moments, judged: Explanation) -> list[ProposedMap]:
-        """The most likely faults, each as the map that it makes."""
+        """Returns the candidate maps of the most probable faults."""
         config, bank = self._config, case.bank
         hit = moments.power / np.maximum(moments.count, 1.0) > CHANGED * self._core.normal()
         found: list[ProposedMap] = []
@@ -292,9 +292,9 @@ class FaultMonitor:
         return found
 
     def _still_off(self, case: _Case, time: float) -> np.ndarray:
-        """Joints of which the map before the change predicts badly now, (joints,).
+        """Returns the joints that the map before the change still predicts badly, (joints,).
 
-        A motion never made before may err for a moment, a changed machine does so for good.
+        A new motion causes errors for a moment only, a change of the machine permanently.
         """
         _, power, count = case.errors[-1]
         earlier = [look for look in case.errors if look[0] <= time - self._pace * RECENT]

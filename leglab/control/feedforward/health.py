@@ -1,11 +1,11 @@
-"""Follows slow wear while a controller learns: what it is, how fast it grows, how long it may last.
+"""Health monitor: follows slow wear while a controller learns; fault, rate and remaining life.
 
-A learner follows a machine that wears slowly, so its own error shows nothing. This monitor holds
-the samples against the map of the healthy machine instead: it fits that map to the first minutes,
-and from then on every fault of the bank to what the map mispredicts in each look of a few strides.
-The sizes of the best fault over time are a straight line from its onset on (`wear_line`); where it
-reaches the size that is the end of life is the remaining life. It sees the samples of the learner
-and nothing else.
+A learner adapts to slow wear, so its prediction error shows nothing. This monitor compares the
+samples with a fixed map of the healthy machine instead, which it fits to the first looks (of a few
+strides each). In every later look it fits each fault of the bank to the errors of that map. A
+straight line is fitted to the sizes of the best fault over time, from their onset on (`wear_line`);
+the remaining life is the time until the line reaches the end-of-life size. The monitor uses nothing
+but the samples of the learner.
 """
 
 import math
@@ -78,16 +78,16 @@ class _Look:
 
 
 class _History:
-    """Sizes of all curves in the looks so far, in memory that is taken once.
+    """Sizes of all curves in the looks so far, in one preallocated array.
 
-    Small arrays that are kept among large ones that are not would hold much more than their own.
+    Small arrays kept between large temporary ones would block much more memory than their own.
     """
 
     def __init__(self, curves: int) -> None:
         self._rows, self.count = np.empty((MOST_LOOKS + 1, 1 + curves)), 0
 
     def add(self, time: float, size: np.ndarray) -> None:
-        """Adds a look; where there are too many, every second of the earlier ones goes."""
+        """Adds a look; beyond `MOST_LOOKS`, every second of the earlier ones is dropped."""
         self._rows[self.count, 0], self._rows[self.count, 1:] = time, size
         self.count += 1
         if self.count > MOST_LOOKS:
@@ -96,7 +96,7 @@ class _History:
             self._rows[: len(kept)], self.count = kept, len(kept)
 
     def of(self, curve: int) -> tuple[np.ndarray, np.ndarray]:
-        """Times and sizes of a curve, (looks,) each."""
+        """Returns times and sizes of a curve, (looks,) each."""
         return self._rows[: self.count, 0].copy(), self._rows[: self.count, 1 + curve].copy()
 
 
@@ -104,21 +104,21 @@ class HealthMonitor:
     """Follows slow wear from the samples of a learner.
 
     Args:
-        bank: Of the nominal machine.
-        joints: Their names.
+        bank: Bank of the nominal machine.
+        joints: Names of the joints.
         config: How wear is followed.
-        sample_period: From one learned sample to the next [s].
-        pace: As of a `FaultMonitor`.
+        sample_period: Time from one learned sample to the next [s].
+        pace: As for `FaultMonitor`.
 
     Attributes:
-        trends: Slow changes that were seen since `reset`; the last one goes on.
+        trends: Slow changes reported since `reset`; the last one is still updated.
         report: By name, each (joints,): `health_fault` (as the `fault` of a `FaultMonitor`; 0 for a
             condition), `health_size` and `health_remaining` [s] (NaN where unknown), of the joints
-            that it concerns. The arrays change with the next look.
+            that it concerns. The arrays are reused in the next look.
 
     Raises:
-        LeglabError: An end of life is of a fault that the bank has not, or no larger change than
-            none.
+        LeglabError: An end of life is of a fault that is not in the bank, or is not beyond the
+            healthy size in the direction of wear.
     """
 
     def __init__(
@@ -157,12 +157,12 @@ class HealthMonitor:
         self._tell(None)
 
     def drop(self) -> None:
-        """Forgets the samples of the present look, in which the machine has changed at once."""
+        """Discards the samples of the present look, in which the machine changed abruptly."""
         self._sums: Moments | None = None
         self._number = 0
 
     def renew(self) -> None:
-        """Takes the machine as it is now, after a change at once, for where wear goes on from."""
+        """Starts a new fit of the healthy map after an abrupt change; keeps the wear so far."""
         self.drop()
         if self._base is not None:
             judged = self._judged if self.trends else None
@@ -171,7 +171,7 @@ class HealthMonitor:
             self._base = None
 
     def take(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> None:
-        """Takes a block of learned samples; arguments as of `FaultMonitor.take`."""
+        """Takes a block of learned samples; arguments as for `FaultMonitor.take`."""
         if self._waits > 0:
             self._waits -= len(samples)
             return
@@ -213,10 +213,10 @@ class HealthMonitor:
             self._decide(time, self._judged)
 
     def _decide(self, time: float, judged: Explanation) -> None:
-        """Says what the last looks show."""
+        """Reports the change that the last looks show, if any."""
         config = self._config
         beyond = np.array([look.error for look in self._looks]) / np.maximum(self._normal, 1e-300)
-        least = beyond.max(axis=1).min()  # of a look, where it is largest
+        least = beyond.max(axis=1).min()  # over the looks, of the worst joint
         if least <= CHANGED:
             return
         if judged.enough(config.explained, config.evidence):
@@ -225,22 +225,22 @@ class HealthMonitor:
         elif (condition := self._condition(time, judged)) is not None:
             self._say(condition)
         elif least > UNEXPLAINED and not (self.trends and self.trends[-1].key == judged.key):
-            # A name that explains a little less than it did is not taken back.
+            # A name stays in force when its fault explains a little less than before.
             unknown = judged.unknown(self._joints, beyond[-1] > UNEXPLAINED)
             since = self._history.of(0)[0][-TOGETHER]
             self._say(FaultTrend(since=since, time=time, seen=time, **unknown))
 
     def _condition(self, time: float, judged: Explanation) -> FaultTrend | None:
-        """A condition that joints differ in, as the oil of a cylinder that works harder.
+        """Tests conditions that differ between joints, as hotter oil in a cylinder that works more.
 
-        Asked where no fault of the bank explains enough: free in every joint it would pass for
-        wear.
+        Called where no fault of the bank explains enough: with a free value per joint, a condition
+        could be mistaken for wear.
 
-        It has a value and an origin a joint, so by Schwarz (1978, Annals of Statistics 6, 461) its
-        cost is higher by the logarithm of the number of samples for each of them.
+        For its value and its origin per joint, the cost is raised by the logarithm of the number of
+        samples per added parameter (Schwarz 1978, Annals of Statistics 6, 461).
 
         Returns:
-            The one that explains the last looks best, and enough; None without any.
+            The first condition that explains the last looks well enough; None without one.
         """
         config, joints = self._config, len(self._joints)
         samples = joints * self._samples * TOGETHER / config.correlation
@@ -257,7 +257,7 @@ class HealthMonitor:
                 and chance >= config.confidence
             ):
                 values = self._looks[-1].own[name][1]
-                # The value of all joints together is the steadier one.
+                # The value fitted to all joints together varies less.
                 size = float(judged.fit.size[judged.best_of(self._bank.keys.index((name, ALL)))])
                 return FaultTrend(
                     fault=name,
@@ -276,7 +276,7 @@ class HealthMonitor:
         return None
 
     def _trend(self, time: float, judged: Explanation) -> FaultTrend:
-        """The best fault, with the line of its sizes so far."""
+        """Returns the trend of the best fault, with the line through its sizes so far."""
         curve, scale = judged.curve, self._config.discrepancy
         worn_out = None if curve.fault in CONDITIONS else self._end_of_life(curve)
         times, sizes = self._history.of(judged.best)
@@ -295,7 +295,7 @@ class HealthMonitor:
         size = float(np.clip(line.value + line.rate * late, *ends))
         value, rate = (line.quantile / NINETY * np.sqrt(np.diag(line.covariance))).tolist()
         low, high = interval(curve, size, value, scale)
-        # All sizes are off by the same share, for this machine is not the nominal one.
+        # All sizes have one relative error in common, since this machine is not the nominal one.
         spread = NINETY * math.hypot(rate, scale * line.rate)
         told |= {
             "since": line.onset,
@@ -317,7 +317,7 @@ class HealthMonitor:
         return FaultTrend(**told)
 
     def _end_of_life(self, curve: FaultCurve) -> float:
-        """Size at which a part is worn out; the bank's where the one given is of the other side."""
+        """Returns the end-of-life size; the bank's largest if the setting is for the other side."""
         healthy, largest = float(curve.sizes[0]), float(curve.sizes[-1])
         given = float(self._config.end_of_life.get(curve.fault, largest))
         return given if (given - healthy) * (largest - healthy) > 0 else largest
@@ -340,7 +340,7 @@ class HealthMonitor:
 
 
 def _check_end(bank: FaultBank, fault: str, size: float) -> None:
-    """Refuses an end of life that no wear comes to."""
+    """Raises `SettingsError` for an end of life that no wear reaches."""
     wears = [c for c in bank.curves if c.fault not in CONDITIONS]
     curves = [c for c in wears if c.fault == fault]
     if not curves:

@@ -1,4 +1,4 @@
-"""Structure of the learned map from motion to flow of every joint, linear in what it learns."""
+"""Structure of the learned map from motion to flow of every joint, linear in its parameters."""
 
 from dataclasses import replace
 
@@ -17,15 +17,15 @@ from leglab.identification import (
 # in `leglab.references`, whose knee reaches 63 rad/s^2.
 ACCELERATION, JERK = 50.0, 2000.0
 
-# Prior deviation of the parameters of a group of terms against those of the splines. Chosen on the
-# walking leg and the squat on the ground with worn seals and valves, external leakage, hot oil and
-# tired springs; factors of two change the errors by some ten percent. Products are small in slow
-# motion (a hundredth in the squat), so theirs is wide: with 2, friction left the squat at 1.5
-# times the offline fit's error, with 5 at 1.2; with 20 worn valves burst on the ground.
+# Prior standard deviation of a group's parameters, relative to the splines'. Chosen on the walking
+# leg and the squat on the ground with worn seals and valves, external leakage, hot oil and tired
+# springs; factors of two change the errors by some ten percent. Products are small in slow motion
+# (a hundredth in the squat), so their prior is wide: in the squat with friction 2 gives 1.5 times
+# the offline fit's error, 5 gives 1.2 times; with 20 the learner bursts with worn valves (ground).
 _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 
-# Leak paths whose flows the pressures tell, as `csrc/feedforward/pressure_valve.h` has them: from
-# the cap side to the rod side, and from either to the outside.
+# Leak paths whose flows follow from the pressures, as in `csrc/feedforward/pressure_valve.h`: from
+# the cap side to the rod side, and from each side to the outside.
 LEAKS = ("leak", "leak_a", "leak_b")
 
 # Knots of the velocity splines are dense within this share of full speed around standstill, where
@@ -34,25 +34,25 @@ _DENSE = 0.05
 
 
 class InverseMap:
-    """Structure of the map: flow into every joint, beyond its own speed, from the motion of all.
+    """Structure of the map from the motion of all joints to the flow of each beyond its speed.
 
     For joint i, with every signal scaled to about one, it is
 
         s(v_i) + p(q_i) + j_i + v_i q_i + sum_k (a_k + q_k + v_k + |v_i| a_k + |v_i| q_k),
 
-    each term with a parameter of its own. The spline s carries valve overlap and friction, p a
+    each term with its own parameter. The spline s represents valve overlap and friction, p a
     joint spring, the sum load (inertia, gravity, hence leakage flow), j its rate of change
     (compression flow), the products the pressure drop that load leaves at the valve.
 
     Args:
-        joints: How many.
-        rls: How it is learned.
+        joints: Number of joints.
+        rls: Settings of the recursive least squares.
         velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
         position_splines: Splines in p; 0 for a term linear in q_i.
         leaks: Prior deviation of the parameters of leak paths, whose flows at measured pressures
             are the last three inputs; 0 where there are no pressures.
-        least_memory: Samples a parameter that forgetting always keeps: the forgetting factor of
-            `rls`, then, is 1 - 1 / (least_memory * parameters). None leaves it as it is.
+        least_memory: Fewest samples per parameter that forgetting keeps; sets the forgetting factor
+            of `rls` to 1 - 1 / (least_memory * parameters). None leaves it as it is.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class InverseMap:
 def _structure(
     joints: int, rls: Rls, velocity_splines: int, position_splines: int, leaks: float
 ) -> SplineNarxSettings:
-    """The learner's settings; inputs in the order of `csrc/feedforward/inverse_map.h`."""
+    """Builds the learner's settings; inputs in the order of `csrc/feedforward/inverse_map.h`."""
     products = velocity_splines > 0
     inputs = [Signal(name="v")]
 
@@ -118,6 +118,6 @@ def _structure(
         inputs=tuple(inputs),
         features=tuple(features),
         rls=rls,
-        # A wide prior is a short range: leaks pass it without being wrong.
+        # No range check with leaks: a wide prior scales a narrow range, which real leaks exceed.
         plausible_range=0.0 if leaks else 5.0,
     )

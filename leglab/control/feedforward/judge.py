@@ -1,7 +1,7 @@
-"""Judges which fault of a bank explains the samples of a learner, and how it is told.
+"""Decides which fault of a bank explains the samples of a learner, and fills its report.
 
-One judge for changes at once (`fault_monitor`) and for slow wear (`health`). Sizes and costs of all
-faults and their odds are C++ (`csrc/monitor`); shares, evidence, intervals and words are here.
+Used for abrupt changes (`fault_monitor`) and for slow wear (`health`). Sizes, costs and odds of
+all faults are C++ (`csrc/monitor`); explained shares, evidence and intervals are computed here.
 """
 
 import math
@@ -39,17 +39,17 @@ class JudgeConfiguration(Configuration):
     confidence: float = Field(default=0.5, gt=0, lt=1)
 
     def evidence_of(self, gain: Any) -> Any:
-        """Log-likelihood ratio of what lowers the weighted squared error by a gain."""
+        """Returns the log-likelihood ratio of lowering the weighted squared error by `gain`."""
         return gain / (2 * self.correlation)
 
 
 def explained_share(cost: Any, without: float, noise: float) -> np.ndarray:
-    """Share of the squared error beyond noise that a fault takes away, within [0, 1].
+    """Returns the share of the squared error beyond noise that a fault removes, within [0, 1].
 
     Args:
-        cost: Weighted sum of squared errors with the fault's shift, of one or an array of many.
-        without: The same without any.
-        noise: What it would be of a machine without a fault.
+        cost: Weighted sum of squared errors with the fault's shift; a number or an array.
+        without: Weighted sum of squared errors without any shift.
+        noise: Expected weighted sum for a machine without a fault.
     """
     beyond = without - noise
     gain = np.asarray(without - cost)
@@ -61,12 +61,12 @@ class Explanation:
     """How well the faults of a bank explain a change."""
 
     bank: FaultBank  #: The bank
-    fit: SizeEstimate  #: Of its curves; costs are those of all looks together
+    fit: SizeEstimate  #: Fit of its curves; costs are sums over all looks
     config: JudgeConfiguration  #: How surely a fault must explain the samples
 
     @cached_property
     def explained(self) -> np.ndarray:
-        """Share of the squared error beyond noise that each curve takes away, (curves,)."""
+        """Share of the squared error beyond noise that each curve removes, (curves,)."""
         return explained_share(self.fit.cost, self.fit.without, self.fit.noise)
 
     @cached_property
@@ -80,17 +80,17 @@ class Explanation:
         return self.odds(self.fit.cost, self.bank.group.tolist())
 
     def odds(self, cost: np.ndarray, keys: list[int]) -> np.ndarray:
-        """Probability of rivals by the costs of each, (keys,).
+        """Computes the probabilities of rival faults from the costs of their curves, (keys,).
 
-        The odds of two are those of noise or of a machine that is not the nominal one, whichever
-        are weaker (`csrc/monitor/fault_fit.h`).
+        The odds of two faults follow from noise or from the model error of the nominal machine,
+        whichever are weaker (`csrc/monitor/fault_fit.h`).
         """
         config, noise = self.config, self.fit.noise
         return chances(cost, keys, config.correlation, config.independent, noise)
 
     @cached_property
     def best(self) -> int:
-        """Number of the curve that fits best."""
+        """Index of the curve that fits best."""
         return int(np.argmin(self.fit.cost))
 
     @property
@@ -100,32 +100,32 @@ class Explanation:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Its fault and element."""
+        """Fault and element of the curve that fits best."""
         return self.curve.fault, self.curve.element
 
     @cached_property
     def alike(self) -> list[int]:
-        """Keys that are hardly less probable than the best one, the most probable first."""
+        """Indices of faults within the factor `ALIKE` of the most probable one, which is first."""
         order = np.argsort(-self.chance).tolist()
         return [k for k in order if ALIKE * self.chance[k] > self.chance.max()]
 
     def best_of(self, key: int) -> int:
-        """Number of the curve of a fault and element that fits best."""
+        """Returns the index of the best-fitting curve of a fault and element."""
         curves = np.flatnonzero(self.bank.group == key)
         return int(curves[np.argmin(self.fit.cost[curves])])
 
     @property
     def certain(self) -> bool:
-        """Whether the best fault and those alike are few, and probable enough together."""
+        """True if the best fault and those alike are at most `TOLD`, together probable enough."""
         enough = self.chance[self.alike].sum() >= self.config.confidence
         return len(self.alike) <= TOLD and bool(enough)
 
     def enough(self, explained: float, evidence: float) -> bool:
-        """Whether the best fault explains so much that nothing else is to be looked for.
+        """Tests whether the best fault explains the samples well enough to be named.
 
         Args:
-            explained: Least share of the error that it must explain, of the share that a map can
-                say of it.
+            explained: Least share of the error that it must explain, as a fraction of the share
+                that a map can represent.
             evidence: Least log-likelihood ratio to no change.
         """
         return bool(
@@ -134,7 +134,7 @@ class Explanation:
         )
 
     def told(self) -> dict[str, Any]:
-        """Fields of a `NamedFault` of the best fault, but for times."""
+        """Returns the fields of a `NamedFault` for the best fault, except times."""
         curve, size = self.curve, float(self.fit.size[self.best])
         rivals = [
             FaultRival(
@@ -158,7 +158,7 @@ class Explanation:
         }
 
     def unknown(self, joints: tuple[str, ...], hit: np.ndarray) -> dict[str, Any]:
-        """The same where no fault explains what some joints show, `hit` (joints,)."""
+        """Returns these fields for an unknown change of the joints in `hit`, (joints,) of bool."""
         names = ",".join(name for name, own in zip(joints, hit, strict=True) if own)
         explained = float(self.explained[self.best])
         return {
@@ -172,7 +172,7 @@ class Explanation:
 def judge(
     bank: FaultBank, looks: Sequence[SizeEstimate], config: JudgeConfiguration
 ) -> Explanation:
-    """Judges looks at one change together; sizes are those of the last one."""
+    """Combines several looks at one change: costs are summed, sizes are those of the last look."""
     together = looks[-1]._replace(
         cost=np.sum([look.cost for look in looks], axis=0),
         without=sum(look.without for look in looks),
@@ -184,15 +184,15 @@ def judge(
 def interval(
     curve: FaultCurve, size: float, sampled: float, discrepancy: float
 ) -> tuple[float, float]:
-    """Ends of a size's 90 % interval, within the curve's.
+    """Computes the 90 % interval of a size, clipped to the range of the curve.
 
-    Samples scatter, and a machine is not the nominal one: its size is off by as much.
+    Its variance is that by sampling plus that by the model error of the nominal machine.
 
     Args:
-        curve: Of the fault.
-        size: Estimate.
-        sampled: Standard deviation by the samples.
-        discrepancy: Standard deviation of the machine, as a share of the change of the size.
+        curve: Curve of the fault.
+        size: Estimated size.
+        sampled: Standard deviation by sampling.
+        discrepancy: Standard deviation by model error, as a share of the change from healthy.
     """
     half = NINETY * math.hypot(sampled, discrepancy * abs(size - curve.sizes[0]))
     low, high = np.clip([size - half, size + half], np.min(curve.sizes), np.max(curve.sizes))
@@ -203,7 +203,7 @@ _Named = TypeVar("_Named", bound=NamedFault)
 
 
 def say(names: list[_Named], name: _Named, *, stands: bool) -> None:
-    """Adds a name to what was said; the same as the last one, if that stands, takes its place."""
+    """Appends a name; it updates the last one, but for its time, if that has its key and stands."""
     if names and stands and names[-1].key == name.key:
         names[-1] = name.model_copy(update={"time": names[-1].time})
     else:
@@ -219,10 +219,10 @@ def report(
     joints: tuple[str, ...],
     empty: float = 0.0,
 ) -> None:
-    """Fills three rows, (joints,) each, of what is said of the joints that a name concerns.
+    """Fills the three rows of a report, (joints,) each, at the joints that a name concerns.
 
-    They are the number of the fault (1 + its place in `faults`, -1 for an unknown change, 0 for
-    none), its size, and a third value, `last`, or `empty` without any.
+    They are the number of the fault (1 + its index in `faults`, -1 for an unknown change, 0 for
+    none), its size, and a third value, `last`, or `empty` without one.
     """
     number, size, third = rows.values()
     number[:], size[:], third[:] = 0.0, 0.0, empty

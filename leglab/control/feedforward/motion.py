@@ -1,4 +1,4 @@
-"""Motion from positions: smoothed derivatives of the measured, and the reference in time."""
+"""Smoothed derivatives of measured positions, and time shifts of the reference."""
 
 import math
 
@@ -9,17 +9,17 @@ from leglab.control import ReferencePoint
 
 
 def smoothing_kernel(window: int, timestep: float) -> np.ndarray:
-    """Least-squares polynomial of order 4 over a window: value and three derivatives at its middle.
+    """Computes weights that give value and three derivatives in the middle of a window of samples.
 
-    Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of the polynomial of
-    least squares are linear in the samples.
+    Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of a least-squares
+    polynomial, here of order 4, are linear in the samples.
 
     Args:
         window: Samples, odd, more than 4.
         timestep: Between samples [s].
 
     Returns:
-        Rows that times samples, oldest first, give x, x', x'' and x''', (4, window).
+        Rows whose products with the samples, oldest first, are x, x', x'' and x''', (4, window).
     """
     half = window // 2
     offsets = np.arange(-half, half + 1) / half
@@ -32,10 +32,10 @@ class SmoothingWindow:
     """Recent samples of several signals, and their smoothed values in the window's middle.
 
     Args:
-        signals: How many.
-        window: Samples, odd.
-        timestep: Between samples [s].
-        derivatives: Of every signal, at most 3.
+        signals: Number of signals.
+        window: Number of samples, odd.
+        timestep: Time between samples [s].
+        derivatives: Number of derivatives of every signal, at most 3.
     """
 
     def __init__(self, signals: int, window: int, timestep: float, *, derivatives: int = 3) -> None:
@@ -51,7 +51,7 @@ class SmoothingWindow:
 
     @property
     def full(self) -> bool:
-        """Whether there are samples for a whole window."""
+        """True once there are samples for a whole window."""
         return self._filled >= self._window
 
     def push(self, *parts: ArrayLike) -> None:
@@ -68,17 +68,17 @@ class SmoothingWindow:
         return self._rows[self._next : self._next + self._window]
 
     def middle(self) -> np.ndarray:
-        """Smoothed values in the middle and their derivatives, (1 + derivatives, signals)."""
+        """Computes smoothed values in the middle and derivatives, (1 + derivatives, signals)."""
         return np.dot(self._kernel, self.samples)
 
 
 class ReferenceMotion:
-    """A reference a little later and as the sensors would show it, by Taylor's series.
+    """Reference shifted in time by Taylor series: ahead by a lead, and back by the sensors' delays.
 
     Args:
-        joints: How many.
-        timestep: Between calls [s]; the jerk is the difference of two accelerations.
-        lead: How much later than now the motion is wanted [s].
+        joints: Number of joints.
+        timestep: Time between calls [s]; the jerk is the difference of two accelerations over it.
+        lead: Time from now at which the motion is wanted [s].
         position_delay: Age of a position measured now [s].
         velocity_delay: Age of a velocity estimated now [s].
     """
@@ -103,7 +103,7 @@ class ReferenceMotion:
         self._started = False
 
     def take(self, reference: ReferencePoint) -> tuple[np.ndarray, ReferencePoint]:
-        """Takes the reference of this period.
+        """Shifts the reference of this period.
 
         Returns:
             Motion (4, joints) `lead` from now, and the reference at the age of the measurements.
@@ -118,7 +118,7 @@ class ReferenceMotion:
 
 
 def _taylor(by: float) -> np.ndarray:
-    """Matrix (4, 4) that moves position, velocity, acceleration and jerk by a time [s]."""
+    """Returns the matrix (4, 4) that shifts position and three derivatives by a time [s]."""
     rows = np.eye(4)
     for row in range(4):
         for column in range(row, 4):

@@ -1,4 +1,4 @@
-"""Identification from a recording: what an engineer does on the bench."""
+"""Offline identification from a recording, as on a test bench."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,13 @@ class BenchRun:
     reference: ReferencePoint  #: Of the same times, each (n, joints)
 
     def identify(self, learning: AdaptiveFeedforward) -> np.ndarray:
-        """Parameters that a feed-forward learns from the recording as if it had been there.
+        """Replays the recording to a feed-forward; returns the parameters that it learns.
 
         It is reset first; with plain least squares the result, (joints, parameters) or, of one
-        joint, (parameters,), is that of a batch.
+        joint, (parameters,), equals that of batch least squares.
         """
         learning.reset()
-        still = np.zeros_like(self.position[0])  # velocities are the feedback's business alone
+        still = np.zeros_like(self.position[0])  # only the feedback uses velocities
         arrays = map(np.ascontiguousarray, (self.position, self.command, *self.reference))
         for time, position, command, *reference in zip(self.time.tolist(), *arrays, strict=True):
             learning.step(Measurement(time, position, still), ReferencePoint(*reference))

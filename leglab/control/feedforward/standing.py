@@ -1,8 +1,8 @@
 """Persistent faults: keeps their estimated size and follows repair or growth.
 
-From a machine with faults the bank's own curves begin where the machine is, not at a healthy one.
-The way back is known better than any simulation knows it: the learner has followed the change on
-this very machine, and its parameters moved by what is to be undone.
+For a machine with faults the curves of the bank start at the present size, not at the healthy one.
+The curve of a repair is measured rather than simulated: the learner has followed the change on this
+machine, and a repair undoes the parameter shift that it learned.
 """
 
 from dataclasses import dataclass, replace
@@ -16,25 +16,25 @@ from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 
 @dataclass(kw_only=True, eq=False)
 class Standing:
-    """A change that was noticed, as long as it is not undone."""
+    """A detected change that has not been undone."""
 
-    name: FaultName  #: As it was told last; of a fault that has grown, when it last did
-    size: float  #: In the fault's own unit; 1 of an unknown change
+    name: FaultName  #: As reported last; for a fault that has grown, the report of its last growth
+    size: float  #: In the unit of the fault; 1 of an unknown change
     healthy: float  #: Size of a machine without it; 0 of an unknown change
     before: np.ndarray  #: Parameters of the map before it, (joints, parameters)
-    #: By how much it moved the parameters, (joints, parameters); what is known of it from before
-    #: `before`, until `settle`.
+    #: Parameter shift learned with it, (joints, parameters); until `settle` only the part that was
+    #: learned earlier than `before`.
     learned: np.ndarray
-    settled: bool = False  #: Whether `learned` is all of it: the next change has begun
+    settled: bool = False  #: Whether `learned` is complete, as the next change has begun
 
     def settle(self, now: np.ndarray) -> None:
-        """Takes what the learner has made of it until now, (joints, parameters)."""
+        """Completes `learned` with the learner's present parameters, (joints, parameters)."""
         if not self.settled:
             self.learned = self.learned + (now - self.before)
             self.settled = True
 
     def back(self) -> FaultCurve | None:
-        """The curve from this size to the healthy one, by what was learned; None without one."""
+        """Returns the curve back to the healthy size by the learned shift; None if healthy."""
         if self.size == self.healthy:
             return None
         return FaultCurve(
@@ -48,30 +48,30 @@ class Standing:
 
 
 class Standings:
-    """The changes that stand, and the bank of what may come next.
+    """Persistent changes, and the bank of the changes that may follow.
 
     Args:
-        bank: Of the healthy machine.
+        bank: Bank of the healthy machine.
     """
 
     def __init__(self, bank: FaultBank) -> None:
-        from scipy.optimize import nnls  # half a second that other controllers do without
+        from scipy.optimize import nnls  # a slow import, for this controller alone
 
         self._bank, self._nnls = bank, nnls
         self.clear()
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Forgets all changes."""
         self._changes: list[Standing] = []
-        # Parameters of the map without them.
+        # Parameters of the map without the changes.
         self._origin = np.zeros(1)
 
     def bank(self, now: np.ndarray, regressor: np.ndarray) -> FaultBank:
-        """The bank for the change that begins now.
+        """Returns the bank for a change that begins now.
 
         Args:
             now: Parameters of the map before it, (joints, parameters).
-            regressor: Of the samples before it, (n, joints, parameters).
+            regressor: Regressors of the samples before it, (n, joints, parameters).
         """
         for change in self._changes:
             change.settle(now)
@@ -84,10 +84,10 @@ class Standings:
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
 
     def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
-        """Forgets changes that the learner has unlearned since: they went without being noticed.
+        """Forgets changes that disappeared undetected: the learner has unlearned them.
 
-        What the map predicts now less what it did without them is made of what it learned of each,
-        in shares that are not negative.
+        The predictions of the present map less those of the map without the changes are fitted by
+        the predictions of each learned shift, with non-negative shares.
         """
         if not self._changes:
             return
@@ -101,7 +101,7 @@ class Standings:
         self._changes = [change for change, share in kept if share > 1.0 - UNDONE]
 
     def add(self, name: FaultName, before: np.ndarray) -> None:
-        """Remembers a change that was told, and the map before it, (joints, parameters)."""
+        """Adds a named change, and the map before it, (joints, parameters)."""
         healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == name.key]
         change = Standing(
             name=name,
@@ -114,7 +114,7 @@ class Standings:
             self._origin = before
         earlier = [one for one in self._changes if one.name.key == name.key]
         if earlier and name.fault != UNKNOWN:
-            # More of the same: the way back is that of both.
+            # The fault has grown: a repair undoes both shifts.
             change.learned = change.learned + earlier[0].learned
             self._changes.remove(earlier[0])
         self._changes.append(change)
@@ -123,7 +123,7 @@ class Standings:
         self._changes = self._changes[-MOST_STANDING:]
 
     def undo(self, onset: float, size: float) -> None:
-        """Takes back a change as far as its size says."""
+        """Reduces a change to a size; removes it where nearly all of it is undone."""
         (change,) = [one for one in self._changes if one.name.onset == onset]
         left = (size - change.healthy) / (change.size - change.healthy)
         if left <= 1.0 - UNDONE:
@@ -134,13 +134,13 @@ class Standings:
 
 
 def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
-    """The rest of a curve for a machine that has a size of it already; None where none is left."""
+    """Returns the part of a curve beyond a present size; None where nothing is left."""
     if size is None:
         return curve
     side = np.sign(curve.sizes[-1] - curve.sizes[0])
     beyond = side * (curve.sizes - size) > 0.0
     if side * (size - curve.sizes[0]) <= 0.0 or not beyond.any():
-        return None  # of the other side of the healthy size, or at the end
+        return None  # size on the other side of healthy, or at the end
     start = curve.shift(size)
     shifts = np.concatenate([np.zeros((1, *start.shape)), curve.shifts[beyond] - start])
     valves = curve.valves_at(size)

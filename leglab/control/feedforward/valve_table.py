@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Commands from here on are the valve's limit, not a measurement.
+# Commands of at least this magnitude are the valve's limit, not a measurement.
 _SATURATED = 0.999
 
-# Least slope of a row: command per share of full speed. Loads alone never make a map flatter.
+# Lower bound of a row's slope, command per share of full speed: no load makes a map flatter.
 _LEAST_SLOPE = 1e-3
 
 
@@ -49,7 +49,7 @@ class ValveTable:
         )
 
     def command_per_share(self) -> np.ndarray:
-        """Command per share of full speed of the calibrated valves at half range, (joints,)."""
+        """Computes commands per share of full speed of the valves at half range, (joints,)."""
         low, high = np.searchsorted(self.share, [-0.5, 0.5])
         middle = self.command[:, self.command.shape[1] // 2]
         rise = np.abs(middle[:, high] - middle[:, low])
@@ -57,7 +57,7 @@ class ValveTable:
 
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
-    """Rows without their saturated ends, strictly monotone; hopeless ones from the next row."""
+    """Makes rows strictly monotone without saturated ends; copies the nearest for useless ones."""
     rows: dict[int, np.ndarray] = {}
     for place, row in enumerate(command):
         good = np.abs(row) < _SATURATED
@@ -72,7 +72,7 @@ def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray
         after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
         before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
         rows[place] = sign * np.concatenate([before, after])
-    if not rows:  # a machine that cannot hold itself: any line will do
+    if not rows:  # the machine cannot carry its weight: any line will do
         return np.tile(sign * share, (len(command), 1))
 
     def nearest(place: int) -> np.ndarray:

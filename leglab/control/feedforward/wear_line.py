@@ -1,4 +1,4 @@
-"""The straight line of a size that wears, and when it reaches a level.
+"""Straight line through the size of a wear fault over time, and when it reaches a level.
 
 The interval of that time is Fieller's (1954, Journal of the Royal Statistical Society B 16, 175).
 """
@@ -16,31 +16,31 @@ class Line:
 
     onset: float  #: When the sizes leave the healthy one [s]
     end: float  #: Time of the last size [s]
-    value: float  #: On the line at the end
+    value: float  #: Value of the line at the end
     rate: float  #: Slope [1/s]
-    covariance: np.ndarray  #: Of value and rate, (2, 2)
-    freedom: int  #: Degrees of freedom of the residuals that it is from
+    covariance: np.ndarray  #: Covariance of value and rate, (2, 2)
+    freedom: int  #: Degrees of freedom of the residuals
 
     @property
     def quantile(self) -> float:
-        """Of Student's distribution, for the ends of an interval."""
+        """Quantile of Student's t distribution for the ends of an interval."""
         from scipy.special import stdtrit
 
         return float(stdtrit(self.freedom, 1 - OUTSIDE / 2))
 
     def reaches(self, level: float, scale: float) -> tuple[float | None, float, float | None]:
-        """When the line is at a level: best estimate and both ends of its 90 % interval.
+        """Computes when the line reaches a level: best estimate and ends of its 90 % interval.
 
-        The ends are the times at which the level is at the edge of what the line may be there
+        The ends are the times at which the level lies on the confidence bounds of the line
         (Fieller 1954): the roots of (v + r t - level)^2 = q^2 var(v + r t) + var(level).
 
         Args:
             level: Size.
-            scale: Standard deviation of the level, in which the unknown scale of all sizes is put.
+            scale: Standard deviation of the level, which stands for the unknown scale of all sizes.
 
         Returns:
-            Times after the end [s], the first None where it goes elsewhere, the last None where
-            no slope is as likely.
+            Times after the end [s]; the first is None where the line leads away from the level, the
+            last is None where a slope of zero is within its interval.
         """
         gap, q2 = level - self.value, self.quantile**2
         best = gap / self.rate if gap * self.rate > 0 else (0.0 if gap == 0 else None)
@@ -48,16 +48,16 @@ class Line:
         spread = q2 * vv + (NINETY * scale) ** 2
         a, b, c = self.rate**2 - q2 * rr, -(gap * self.rate + q2 * vr), gap**2 - spread
         ends = sorted(root.real for root in np.roots([a, 2 * b, c]) if root.imag == 0.0)
-        if a <= 0 or not ends:  # the slope may be nil
+        if a <= 0 or not ends:  # the slope may be zero
             return best, 0.0 if c <= 0 else min((e for e in ends if e > 0), default=0.0), None
         return best, max(ends[0], 0.0), max(ends[1], 0.0)
 
 
 def line_of(time: np.ndarray, size: np.ndarray, healthy: float) -> Line | None:
-    """Fits the line of sizes that leave the healthy one at an onset.
+    """Fits a line to sizes that depart from the healthy one at an onset.
 
-    The onset is that of the broken line with the least squares. From it on the line is fitted
-    anew; neighbouring residuals that are alike count less (AR(1), by their own correlation).
+    The onset is that of the broken line with the least squared error. From it on the line is fitted
+    anew; its covariance allows for correlated neighbouring residuals (AR(1), estimated from them).
 
     Args:
         time: Of each size, increasing [s], (n,).
@@ -65,7 +65,7 @@ def line_of(time: np.ndarray, size: np.ndarray, healthy: float) -> Line | None:
         healthy: Size of the healthy machine.
 
     Returns:
-        None where fewer than four sizes lie behind the onset.
+        The line; None where there are fewer than four sizes.
     """
     count = len(time)
     if count < FEWEST:

@@ -1,11 +1,11 @@
 // Python module leglab._native.batch: control periods of many machines, in threads. A machine is a
-// MuJoCo model and its data, which Python made and keeps; here they are stepped, and what sensors and
-// reference say of the next period is written into arrays with a row a machine.
+// MuJoCo model and its data, which Python creates and owns; this module steps them and writes sensor
+// readings and reference of the next period into arrays with one row per machine.
 //
-// Each thread steps on data of its own and takes a machine's state in and out: that of hundreds of
-// machines fits the caches, their whole data does not, and bare steps then take twice the time. What
-// follows from the state in a machine's data (places of bodies, forces) is not kept up to date.
-// Their models do not fit the caches either: machines with equal models step on one copy.
+// Each thread has one mjData, into and out of which it copies a machine's state: the states of hundreds
+// of machines fit into the caches, their whole mjData do not, which doubles the time of a step. Derived
+// quantities in a machine's data (body positions, forces) are not updated.
+// Their models do not fit into the caches either: machines with equal models step on one copy.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
@@ -25,11 +25,11 @@ namespace {
 
 struct Shape {
   int to_sample, to_command;  // time steps from command to sample, and from sample to command
-  double speed_limit;         // beyond it a simulation has blown up [rad/s or m/s]
+  double speed_limit;         // joint speed at which a simulation counts as diverged [rad/s or m/s]
   loop::SensingSettings sensing;
 };
 
-// What one episode of one machine reads; rows are control periods.
+// Inputs of one episode of one machine; rows are control periods.
 struct Series {
   Input noise, shift, pressure_noise;      // (periods, joints), the same, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
@@ -43,8 +43,8 @@ bool same(const mjModel& a, const mjModel& b) {
 }
 
 struct Machine {
-  const mjModel* own = nullptr;    // which the scenario changes
-  const mjModel* model = nullptr;  // stepped: its own or the common one
+  const mjModel* own = nullptr;    // the machine's model, which a scenario may change
+  const mjModel* model = nullptr;  // model to step: `own` or the common one
   mjData* data = nullptr;
   Series series;
   std::unique_ptr<loop::Sensing> sensing;
@@ -87,7 +87,7 @@ class Batch {
     }
   }
 
-  // Begins an episode of a machine, whose model and data stand where a run starts.
+  // Begins an episode of a machine, whose model and data are in the initial state of a run.
   void start(std::size_t i, std::uintptr_t model, std::uintptr_t data, Input noise, Input shift,
              Array<const bool> lost, Input pressure_noise, Input position, Input velocity,
              Input acceleration) {
@@ -122,8 +122,8 @@ class Batch {
     look(i);
   }
 
-  // Steps machines with commands (machines, joints) and begins their next period: `late` machines
-  // are not measured yet, since something changes in them before; `rests` are left alone.
+  // Steps machines with commands (machines, joints) and begins their next period: `late` machines are
+  // not measured yet, as parameters change before that; machines in `rests` are not stepped.
   void step(Input commands, Array<const bool> late, Array<const bool> rests) {
     const std::size_t n = machines_.size();
     require_size(n * joints_, commands);
@@ -143,7 +143,7 @@ class Batch {
     });
   }
 
-  // The same for a machine that was left out, after the change in it.
+  // Measures a `late` machine after its parameters have changed.
   void measure_late(std::size_t i) {
     choose_model(machines_.at(i));
     measure(i);
@@ -200,7 +200,7 @@ class Batch {
 
   loop::Disturbance disturbance(const Machine& m) const {
     const std::size_t first = m.row * joints_;
-    // The first reading has none before it that could be repeated.
+    // The first reading is never lost: there is no earlier one to repeat.
     const bool* lost = m.row > 0 ? m.series.lost.data() + first : nullptr;
     return {m.series.noise.data() + first, m.series.shift.data() + first, lost};
   }
@@ -212,7 +212,7 @@ class Batch {
     }
   }
 
-  // Has the cache fetch most of a state, those of the plugins, while another machine steps.
+  // Prefetches most of a state, that of the plugins, into the cache while another machine steps.
   static void prefetch(const Machine& m) {
     if (!m.model) return;
     constexpr int line = 64 / sizeof(mjtNum);
@@ -236,7 +236,7 @@ class Batch {
     look(i);
   }
 
-  // True motion, and whether the simulation blew up; false for NaN as well.
+  // Writes the true motion, and whether the simulation diverged (also for NaN).
   void look(std::size_t i) {
     const Machine& m = machines_[i];
     const double* v = m.data->qvel;
@@ -262,7 +262,7 @@ class Batch {
   Array<bool> diverged_;
   std::vector<Machine> machines_;
   std::unique_ptr<mjModel, void (*)(mjModel*)> common_{nullptr, mj_deleteModel};
-  std::vector<std::unique_ptr<mjData, void (*)(mjData*)>> scratch_;  // one a thread
+  std::vector<std::unique_ptr<mjData, void (*)(mjData*)>> scratch_;  // one per thread
   loop::Threads threads_;
 };
 

@@ -1,5 +1,5 @@
-// Adaptive feed-forward and valve maps in leglab._native.identification, beside the banks that it
-// lets learn: a source of its own, which compiles without theirs.
+// Adaptive feed-forward and valve maps in leglab._native.identification, which also has the banks of
+// learners; a separate source file, to compile independently of theirs.
 #include <nanobind/stl/array.h>
 
 #include "bindings/identification_bank.h"
@@ -15,7 +15,7 @@ using SplineNarxBank64 = Bank<id::SplineNarx<double>, id::SplineNarxSettings<dou
 
 using Numbers = std::vector<double>;
 
-// Valve tables of all joints, with the values that they point to.
+// Valve tables of all joints, with the storage of the values that they point to.
 class ValveTables {
  public:
   explicit ValveTables(const nb::dict& parts)
@@ -44,7 +44,7 @@ class ValveTables {
   std::vector<ff::ValveTable> tables_;
 };
 
-// Commands of calibrated valve maps; beyond their ends those of the ends.
+// Commands of calibrated valve maps; beyond the ends of a map, the commands at its ends.
 class ValveMaps {
  public:
   explicit ValveMaps(const nb::dict& parts) : tables_(parts), full_speed_(get<Numbers>(parts, "full_speed")) {}
@@ -63,7 +63,7 @@ class ValveMaps {
   Numbers full_speed_;
 };
 
-// Data sheets of all joints; none where the settings have no "lever".
+// Data sheets of all joints; none if the settings have no "lever".
 std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
   std::vector<ff::PressureValve> out;
   if (!parts.contains("lever")) return out;
@@ -114,8 +114,8 @@ ff::MotionScale read_motion_scale(const nb::dict& settings) {
   return out;
 }
 
-// `parts` are the settings of leglab.control.feedforward.adaptive's `AdaptiveFeedforward`, its valve
-// tables and what follows from both, as arrays and numbers by name; the front-end has checked them.
+// `parts` holds the settings of leglab.control.feedforward.adaptive's `AdaptiveFeedforward`, its valve
+// tables and values computed from both, as arrays and numbers by name; the front-end has checked them.
 class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
  public:
   explicit Feedforward(const nb::dict& parts)
@@ -129,7 +129,7 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
 
   using ValveTables::joints;
 
-  // The banks must outlive this object: Python keeps them. The second one is that of the loads.
+  // The banks must outlive this object: Python keeps references to them. `loads` maps motion to load.
   void reset(SplineNarxBank64& bank, SplineNarxBank64* loads, SplineNarxBank64* slopes) {
     if (with_pressures() != (loads != nullptr)) throw nb::value_error("loads go with data sheets");
     const auto learners = [](SplineNarxBank64* some) {
@@ -138,8 +138,8 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
     AdaptiveFeedforward::reset(bank.models(), learners(loads), learners(slopes));
   }
 
-  // Rows of `out`: command, feed-forward, feedback, error of the model, whether the calibration
-  // stands in. (5, joints)
+  // Rows of `out`, (5, joints): command, feed-forward, feedback, error of the model, and 1 if the
+  // calibration replaces the learned map.
   void step(double time, Input measured, Input measured_velocity, Input position, Input velocity,
             Input acceleration, Output out, nb::object pressure_a, nb::object pressure_b,
             double supply_pressure) {
@@ -158,7 +158,7 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
          {position.data(), velocity.data(), acceleration.data()}, out.data(), pressures);
   }
 
-  // The same without a look at sizes; `out` is (reported, joints).
+  // The same without checks of sizes; `out` is (reported, joints).
   void step(double time, const double* measured, const double* measured_velocity,
             const ff::Reference& reference, double* out, const ff::Pressures& pressures) {
     const std::size_t n = joints();
@@ -168,7 +168,7 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
 
   static constexpr std::size_t reported = 5;
 
-  // `valves` are (joints, 5) numbers, or none for the state in use.
+  // `valves` has shape (joints, 5), or is empty for the state in use.
   void propose(SplineNarxBank64& bank, double odds, double error, Input valves) {
     AdaptiveFeedforward::propose(bank.models(), odds, error, shapes(valves).data());
   }
@@ -182,8 +182,8 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
   }
   int kept_count() const { return kept().count(); }
 
-  // Moves the kept samples to the first rows of `out`, (capacity, joints, parameters + 3); returns
-  // how many they are.
+  // Moves the kept samples to the first rows of `out`, (capacity, joints, parameters + 3), and returns
+  // their number.
   int take_kept(Output out) {
     ff::KeptSamples& kept = this->kept();
     const std::size_t count = std::size_t(kept.count()) * joints() * std::size_t(kept.width());
@@ -213,10 +213,10 @@ class Team {
  public:
   explicit Team(int threads) : threads_(std::max(threads, 1)) {}
 
-  // A control period of some machines, whose places in the arrays are `rows`: time (machines,),
-  // pressures (machines, 2 joints + 1) or empty, the others (machines, joints). `sent` are the last
-  // commands. Writes what `Feedforward::step` does to each of `outs`, and of that command and
-  // feed-forward to the arrays.
+  // Computes a control period of machines with the indices `rows` in the arrays: time (machines,),
+  // pressures (machines, 2 joints + 1) or empty, the others (machines, joints). `sent` holds the last
+  // commands. Writes the results of `Feedforward::step` to `outs`, and their command and feed-forward
+  // to the arrays.
   void step(const std::vector<Feedforward*>& cores, const std::vector<Output>& outs, Index rows,
             Input time, Input sent, Input measured, Input measured_velocity, Input position,
             Input velocity, Input acceleration, Input pressures, Output command,

@@ -1,5 +1,5 @@
-// Python module leglab._native.forces: forces of a MuJoCo model at moments of a motion, whose model
-// Python made and keeps. A diagnosis asks for some million moments: a loop in Python takes four
+// Python module leglab._native.forces: forces of a MuJoCo model at instants of a motion; Python creates
+// and owns the model. A diagnosis needs some million instants, and a loop in Python would take four
 // times as long as MuJoCo itself.
 #include <mujoco/mujoco.h>
 
@@ -14,7 +14,7 @@
 namespace leglab::bindings {
 namespace {
 
-// Rows of the results, one a moment; those of a width that does not fit are refused.
+// Rows of the results, one per instant; rejects rows of a wrong width.
 struct Rows {
   double* first = nullptr;
   std::size_t width = 0;
@@ -72,7 +72,7 @@ void at_moments(std::uintptr_t address, Input states, Input commands, Input acce
     for (std::size_t k = 0; k < nv; ++k) {
       if (!std::isnan(wanted[k])) data->qacc[k] = wanted[k];
     }
-    // Friction under load takes the actuators' forces from the step before: now they are known.
+    // Load-dependent friction uses the actuator forces of the previous step, which are known by now.
     mj_inverseSkip(model, data, mjSTAGE_POS, 1);
     double* left = lacking.first + i * nv;
     for (std::size_t k = 0; k < nv; ++k) left[k] = data->qfrc_inverse[k] - data->qfrc_actuator[k];

@@ -52,8 +52,8 @@ typename Table::Parameters parameters_of(const double* values, std::size_t count
   return p;
 }
 
-// Steady friction of sliding g at every sample, by the law that a plugin simulates: of a cylinder's
-// seals, which carry the sum of its gauge pressures, or of a joint, which carries its load.
+// Steady sliding friction g at every sample, by the law of a plugin: of a cylinder's seals, with the
+// sum of its gauge pressures as load, or of a joint, with the joint's load.
 void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVector velocity,
                       ConstVector carried, ConstVector time, Vector out) {
   require_size(out.size(), velocity, carried, time);
@@ -71,8 +71,8 @@ void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVe
   }
 }
 
-// LuGre bristle before each sample of a sliding motion that starts unloaded: velocity and steady
-// friction held over each sample.
+// LuGre bristle deflection before each sample of a motion, zero at the start; velocity and steady
+// friction are held over each sample.
 void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt, Vector out) {
   require_size(velocity.size(), level, out);
   double z = 0;
@@ -82,7 +82,7 @@ void bristle(ConstVector velocity, ConstVector level, double sigma_0, double dt,
   }
 }
 
-// Spool position and velocity at every sample of held commands, starting at rest at the first.
+// Spool position and velocity at every sample of held commands, initially at rest at the first command.
 void spool(ConstVector command, double natural_frequency, double damping_ratio, double dt, Matrix out) {
   require(out.shape(0), command.shape(0), "out rows");
   require(out.shape(1), 2, "out columns");
@@ -95,7 +95,7 @@ void spool(ConstVector command, double natural_frequency, double damping_ratio, 
   }
 }
 
-// Output of a play of full width `width`, from the middle at the start (Krasnosel'skii and Pokrovskii
+// Output of a play of full width `width`, initially in its middle (Krasnosel'skii and Pokrovskii
 // 1989).
 void play(ConstVector samples, double width, Vector out) {
   require_size(samples.size(), out);
@@ -108,9 +108,9 @@ void play(ConstVector samples, double width, Vector out) {
   }
 }
 
-// Supply pressure at every sample of a known motion, from what the compensator holds at the first.
-// Rows of `parameters`, `spools`, `caps` and `rods` are the cylinders that draw from it; between
-// samples spool and gauge pressures are drawn linearly.
+// Supply pressure at every sample of a known motion, initially the compensator's set pressure.
+// Rows of `parameters`, `spools`, `caps` and `rods` are the cylinders on this supply; spool and gauge
+// pressures are interpolated linearly between samples.
 void supply_pressure(ConstVector supply, ConstMatrix parameters, ConstMatrix spools, ConstMatrix caps,
                      ConstMatrix rods, double dt, std::int64_t substeps, Vector out) {
   const std::size_t cylinders = parameters.shape(0), samples = out.shape(0);
@@ -151,7 +151,7 @@ void supply_pressure(ConstVector supply, ConstMatrix parameters, ConstMatrix spo
   }
 }
 
-// One cylinder by its parameters in table order.
+// One cylinder, defined by its parameters in table order.
 class CylinderModel {
  public:
   explicit CylinderModel(ConstVector parameters) {
@@ -177,7 +177,7 @@ class CylinderModel {
     return {f.a - f.leak - f.leak_a, f.b + f.leak - f.leak_b, f.leak};
   }
 
-  // The plugin's scheme on a free mass: commands held over each step, positions and pressures out.
+  // Runs the plugin's scheme on a free mass, with commands held over each step.
   // `out` has shape (n, 6): x, v, pA, pB, spool, bristle after each step.
   void simulate(ConstVector commands, double timestep, double supply_pressure, double mass, double load,
                 double x0, double v0, double pa0, double pb0, Matrix out) const {

@@ -1,4 +1,4 @@
-// Python module leglab._native.identification: banks of identifiers and what they drive, thin.
+// Python module leglab._native.identification: banks of identifiers, and the feed-forward on them.
 #include "bindings/identification_bank.h"
 
 namespace leglab::bindings {
@@ -45,7 +45,7 @@ using SplineStateSpaceBank = Bank<id::SplineStateSpace<T>, id::SplineStateSpaceS
 
 }  // namespace
 
-// Raise whenever the memory layout of any identifier changes: saved files carry it.
+// Increase this whenever the memory layout of any identifier changes: saved files contain it.
 constexpr int state_version = 3;
 
 NB_MODULE(identification, module) {

@@ -1,4 +1,4 @@
-// A bank of identifiers of one structure, one for each joint, behind one Python object.
+// A bank of identifiers of the same structure, one per joint, as one Python object.
 #pragma once
 
 #include <cstring>
@@ -35,7 +35,7 @@ class Bank {
     return double(models_[0].update(&input, T(y)));
   }
 
-  // One sample of every joint, or of one joint with several inputs: the latter's y is a number.
+  // Takes one sample of every joint, or of one joint with several inputs, whose y is a number.
   void update_many(Input u, Input y, Output prediction) {
     if (u.size() != models_.size() * inputs() || y.size() != models_.size()) {
       throw nb::type_error("wrong number of values");
@@ -49,7 +49,7 @@ class Bank {
     return prediction;
   }
 
-  // u: (joints, inputs); the next output for an input that is not taken.
+  // Predicts the next output for inputs u, (joints, inputs), without taking a sample.
   void peek(Input u, Output prediction) {
     T input[id::GuardSettings<T>::max_inputs];
     for (std::size_t j = 0; j < models_.size(); ++j) {
@@ -74,9 +74,9 @@ class Bank {
     }
   }
 
-  // Predictions with frozen parameters; history and everything else is as before afterwards.
-  // The first `given` outputs are taken as they are; then measured outputs (one step ahead) or
-  // the model's own (free run) enter the history.
+  // Predicts with frozen parameters; afterwards the history and all other state are restored.
+  // The first `given` predictions are the measured outputs; after them, measured outputs (one step
+  // ahead) or the model's predictions (free run) enter the history.
   void simulate(Input u, Input y, Output prediction, int given, bool free_run) {
     const nb::bytes before = state();
     const int samples = int(prediction.shape(0));
@@ -108,7 +108,7 @@ class Bank {
     if (state.size() != state_size()) throw std::invalid_argument("state of another size");
     std::memcpy(block_.get(), state.c_str(), state_size());
   }
-  // As set_state for a state from outside: one that cannot be is refused, and nothing is changed.
+  // As set_state for an external state: an invalid one is rejected without changing anything.
   void load_state(nb::bytes state) {
     const nb::bytes before = this->state();
     set_state(state);

@@ -1,4 +1,4 @@
-// Parameters of each model in order, and its diagnostics, for the bank.
+// Order of each model's parameters, and its diagnostics, for the bank.
 #pragma once
 
 #include <cmath>
@@ -33,7 +33,7 @@ void visit_parameters(id::SplineStateSpace<T>& model, Visitor&& visit) {
   for (int i = 0; i < model.parameters(); ++i) visit(model.rls().theta()[i]);
 }
 
-// What became of the samples, and how least squares went on.
+// Counts of learned and rejected samples, and the state of the least squares.
 template <class Model>
 nb::dict describe_learning(Model& model) {
   static constexpr const char* names[] = {"learned",    "frozen",      "recovering", "dropped",

@@ -1,4 +1,4 @@
-// Reads the front-end's settings (frozen dataclasses, already validated) into the core's.
+// Conversion of the front-end's settings (frozen dataclasses, validated there) to the core's.
 #pragma once
 
 #include <nanobind/stl/string.h>
@@ -23,7 +23,7 @@ namespace id = leglab::identification;
 inline nb::object look_up(nb::handle settings, const char* name) { return settings.attr(name); }
 inline nb::object look_up(const nb::dict& settings, const char* name) { return settings[name]; }
 
-// A field; in a dictionary numbers stand as arrays, read row by row.
+// Reads a field; a dictionary holds numbers as arrays, which are read row by row.
 template <class V, class Settings>
 V get(const Settings& settings, const char* name) {
   if constexpr (std::is_same_v<V, std::vector<double>> && std::is_same_v<Settings, nb::dict>) {
@@ -42,7 +42,7 @@ V get(const Settings& settings, const char* name) {
 #define LEGLAB_READ_3(a, ...) LEGLAB_READ(a) LEGLAB_READ_2(__VA_ARGS__)
 #define LEGLAB_READ_4(a, ...) LEGLAB_READ(a) LEGLAB_READ_3(__VA_ARGS__)
 
-// A string field by its place among its choices, in the order of the core's enumeration.
+// Index of a string field among its choices, in the order of the core's enumeration.
 template <class Enum>
 Enum choice(nb::handle settings, const char* name, std::initializer_list<const char*> all) {
   const auto value = get<std::string>(settings, name);
@@ -51,7 +51,7 @@ Enum choice(nb::handle settings, const char* name, std::initializer_list<const c
   return static_cast<Enum>(found - all.begin());
 }
 
-// Memory that the core's settings point into; a deque never moves what it holds.
+// Storage that the core's settings point into; a deque never moves its elements.
 template <class T>
 struct Store {
   std::deque<std::vector<T>> knots;
@@ -153,7 +153,7 @@ id::Scale<T> read_scale(nb::handle settings) {
   return out;
 }
 
-// Scales of the signals, least squares, guard and limits, which the identifiers have alike.
+// Settings common to all identifiers: scales of the signals, least squares, guard and limits.
 template <class T, template <class> class Settings>
 void read_common(nb::handle settings, Settings<T>& out) {
   const nb::object inputs = settings.attr("inputs");

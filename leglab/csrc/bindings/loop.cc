@@ -1,5 +1,5 @@
-// Python module leglab._native.loop: work of a closed loop on arrays in every control period. Its
-// objects keep the arrays that they are made with and read or write them in place.
+// Python module leglab._native.loop: array operations of a closed loop in every control period. Its
+// objects keep references to the arrays of their construction and access them in place.
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -32,7 +32,7 @@ class Readings {
 
   void sample() { gather(positions_, joints_, sample_.data()); }
 
-  // True positions of the last sample and their noise in a period. (joints,)
+  // True positions of the last sample plus the noise of a period, (joints,).
   void noisy(std::size_t period, Output out) const {
     const double* noise = noise_.data() + at(period);
     require_size(sample_.size(), out);
@@ -63,7 +63,7 @@ class Readings {
   loop::Sensing sensing_;
 };
 
-// Copies values out of one array into the rows of another.
+// Copies selected values of one array to rows of another.
 class Rows {
  public:
   Rows(Output from, Index index, Output rows)
@@ -85,10 +85,10 @@ class Rows {
   Output rows_;
 };
 
-// Copies arrays that a dictionary holds into rows, as long as it holds the same ones.
+// Copies the arrays of a dictionary to rows, as long as it contains the same array objects.
 class Reports {
  public:
-  // rows: of each array of the dictionary, in its order, (most, size).
+  // rows: for each array of the dictionary, in its order, the destination (most, size).
   Reports(nb::dict reports, std::vector<Output> rows) {
     if (rows.size() != reports.size()) throw nb::value_error("as many rows as reports are needed");
     std::size_t i = 0;
@@ -103,7 +103,7 @@ class Reports {
     }
   }
 
-  // Writes a row; false, and nothing written, where the dictionary is another one.
+  // Writes a row; returns false, without writing, if the dictionary contains other keys or arrays.
   bool take(nb::dict reports, std::size_t row) {
     if (reports.size() != entries_.size()) return false;
     std::size_t i = 0;
@@ -130,8 +130,8 @@ class Reports {
   std::vector<Entry> entries_;
 };
 
-// Writes commands, clipped to [-1, 1], into an array as centre + half x command; false, and nothing
-// written, for anything but an array of as many finite numbers.
+// Writes commands, clipped to [-1, 1], to an array as centre + half x command; returns false, without
+// writing, for anything but an array of the right number of finite numbers.
 class Drives {
  public:
   Drives(Output to, Input centre, Input half)

@@ -1,5 +1,5 @@
-// Python module leglab._native.monitor: sums of learned samples, fits of a bank of faults, and the
-// monitor that notices changes.
+// Python module leglab._native.monitor: moments of learned samples, fits of a bank of faults, and the
+// monitor that detects changes.
 #include <initializer_list>
 #include <string>
 #include <tuple>
@@ -15,7 +15,7 @@ namespace {
 
 namespace mon = monitor;
 
-// "(3, n)" of a shape; -1 is any length.
+// Formats a shape as in "(3, n)"; -1 stands for any length.
 template <class Lengths>
 std::string told(const Lengths& lengths) {
   std::string out;
@@ -25,7 +25,7 @@ std::string told(const Lengths& lengths) {
   return out.append(")");
 }
 
-// Throws unless an array has the shape that is needed; -1 is any length.
+// Throws unless an array has the required shape; -1 stands for any length.
 template <class A>
 void require(const char* what, const A& array, std::initializer_list<long> shape) {
   std::vector<long> had;
@@ -100,7 +100,7 @@ void bind_moments(nb::module_& module) {
       .def_prop_ro("count", count, nb::rv_policy::move);
 }
 
-// Probability of every key, by the cost of each curve and its key.
+// Probability of every key from the costs and keys of all curves.
 Made chances(Input cost, std::vector<int> keys, double correlation, double independent,
               double noise) {
   require("costs", cost, {long(keys.size())});
@@ -114,10 +114,10 @@ Made chances(Input cost, std::vector<int> keys, double correlation, double indep
   return array_of(std::move(out), {count});
 }
 
-// Curves of a bank, which point into arrays that it keeps.
+// Curves of a bank, and the arrays that they point into.
 class Bank {
  public:
-  // Of every curve its sizes (nodes) and its shifts (nodes, joints, parameters).
+  // For every curve the magnitudes (nodes) and shifts (nodes, joints, parameters).
   Bank(std::vector<Input> sizes, std::vector<Input> shifts)
       : sizes_(std::move(sizes)), shifts_(std::move(shifts)) {
     const std::size_t count = sizes_.size();
@@ -135,8 +135,8 @@ class Bank {
     }
   }
 
-  // As `FaultFit::begin`. Sizes, spreads and costs of all curves, and the cost without any fault and
-  // that of noise.
+  // Arguments as in `FaultFit::begin`. Returns magnitudes, spreads and costs of all curves, the cost
+  // without any fault, and that of noise.
   nb::tuple fit(const mon::Moments& sums, Input normal, double discrepancy, int joint) const {
     if (sums.joints() != joints_ || sums.parameters() != parameters_) {
       throw nb::value_error("moments and bank differ in joints or parameters");
@@ -167,7 +167,7 @@ mon::MonitorSettings read_monitor(const nb::dict& settings) {
   return out;
 }
 
-// `settings` are the fields of csrc/monitor/fault_monitor.h; the front-end has checked them.
+// `settings` holds the fields of csrc/monitor/fault_monitor.h; the front-end has checked them.
 class FaultMonitor : public mon::FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const nb::dict& settings)

@@ -1,12 +1,12 @@
-// MuJoCo without its clock and its warnings.
+// Suppression of MuJoCo's clock and warnings.
 #pragma once
 
 #include <mujoco/mujoco.h>
 
 namespace leglab::bindings {
 
-// MuJoCo's clock, and its warnings, which go to a log file, taken away for a while: whoever steps
-// looks for what they warn of.
+// Removes MuJoCo's clock, and its warnings, which go to a log file, during its lifetime: the caller
+// checks for the causes of warnings.
 class Quiet {
  public:
   Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {

@@ -1,4 +1,4 @@
-// Python module leglab._native.structure: free runs from many starts, for the choice of a structure.
+// Python module leglab._native.structure: free runs from many starting points, to select a structure.
 #include <nanobind/stl/tuple.h>
 
 #include "bindings/identification_settings.h"
@@ -8,7 +8,7 @@
 namespace leglab::bindings {
 namespace {
 
-// A model, further features, and one record; `settings` are of a SplineNarx without Hammerstein.
+// A model, further features, and one record; `settings` are those of a SplineNarx without Hammerstein.
 class Runs {
  public:
   Runs(nb::handle settings, nb::handle further, Input u, Input y)
@@ -69,11 +69,11 @@ class Runs {
 };
 
 // A state-space model, the argument of a further curve or none (empty), and segments of records;
-// `settings` are of a SplineStateSpace. Inputs are delayed; before what is known of them they are as
-// in the first sample. Parameters theta are followed by the starts of all segments.
+// `settings` are those of a SplineStateSpace. Inputs are delayed; before the first sample they equal
+// that sample. The initial states of all segments follow the parameters theta.
 class StateRuns {
  public:
-  // Of each segment inputs, outputs, and the sample at which it begins in these.
+  // For each segment: inputs, outputs, and the sample at which it begins in these.
   StateRuns(nb::handle settings, nb::list segments, Input further)
       : model_(read_settings<double>(settings, store_,
                                      static_cast<const id::SplineStateSpace<double>*>(nullptr))),
@@ -87,7 +87,7 @@ class StateRuns {
   }
 
   // Error, number of samples, and the sums over all segments; see state_run.h. The weights of a
-  // further curve come behind the starts.
+  // further curve follow the initial states.
   nb::tuple sums(Input theta, bool sensitivities) {
     const std::size_t n = std::size_t(model_.structure.states), count = parameters();
     const std::size_t own = std::size_t(run_.width()), width = own + n * (segments_.size() - 1);
@@ -120,7 +120,7 @@ class StateRuns {
                           array_of(std::move(gradient), {side}));
   }
 
-  // States over all segments, one behind the other, (samples, states).
+  // States of all segments, concatenated, (samples, states).
   Made states(Input theta) {
     const std::size_t n = std::size_t(model_.structure.states);
     require_size(parameters() + n * segments_.size(), theta);

@@ -1,4 +1,4 @@
-// Feed-forward of all joints from a map learned while the machine moves, beside a PD loop.
+// Feed-forward of all joints from a map that is learned online, combined with a PD loop.
 #pragma once
 
 #include <algorithm>
@@ -20,38 +20,38 @@ namespace leglab::feedforward {
 
 struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, ValveSettings {
   double control_period = 0.0;  // [s]
-  int interval = 1;             // periods from one learned sample to the next
-  double stop_time = 0.0;       // adaptation stops then [s]
+  int interval = 1;             // control periods between learned samples
+  double stop_time = 0.0;       // end of adaptation [s]
   double limit = 1.0;           // largest feed-forward [valve command]
-  double rate_limit = 0.0;      // its fastest change [1/s]
+  double rate_limit = 0.0;      // largest rate of the feed-forward [1/s]
   double least_speed = 0.0;     // share of full speed below which nothing is learned
-  double saturation = 1.0;      // a window with a larger command teaches nothing
-  double greatest_acceleration = 0.0;  // that a joint can have [rad/s^2]
-  bool forward = false;         // learns the speed that a flow gives, and solves for the flow
+  double saturation = 1.0;      // windows with a larger command are not learned
+  double greatest_acceleration = 0.0;  // largest possible acceleration of a joint [rad/s^2]
+  bool forward = false;         // learns the speed for a flow, and solves for the flow
   bool supervised = true;
-  std::vector<double> learn_lower, learn_upper;  // positions between which it learns [rad]
+  std::vector<double> learn_lower, learn_upper;  // range of positions for learning [rad]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
 
-  double sample() const { return interval * control_period; }  // from one to the next [s]
+  double sample() const { return interval * control_period; }  // time between learned samples [s]
 };
 
 struct Reference {
   const double *position, *velocity, *acceleration;  // [rad], [rad/s], [rad/s^2]
 };
 
-// What one control period gives; arrays of one value a joint.
+// Outputs of one control period; arrays with one value per joint.
 struct Period {
   double *command, *feedforward, *feedback;
   double* error;     // of the model at its last sample [share of full speed]
-  double* fallback;  // 1 where the calibration stands in
+  double* fallback;  // 1 if the calibration replaces the learned map
 };
 
-// u = feed-forward + PD on the reference as old as the measurement it is held against.
-// The learned part is the flow beyond that of the motion itself, as a share of full speed: what
-// leaks, is compressed or is lost to load. The calibrated valve map turns flow into command and
-// back, so a model that says zero is the calibration, and an error of the model is an error of
-// speed, which is what the joint integrates.
-// With data sheets and measured pressures it is a `PressureCascade`.
+// u = feed-forward + PD, where the PD loop compares a measurement with the reference of the same age.
+// The learned quantity is the flow in excess of that of the motion itself, as a share of full speed:
+// leakage, compression and losses due to load. The calibrated valve map converts flow to command and
+// back, so a model output of zero is the calibration, and an error of the model is an error of
+// speed, which the joint integrates.
+// With data sheets and measured pressures the valve map is replaced by a `PressureCascade`.
 class AdaptiveFeedforward {
  public:
   using Learner = identification::SplineNarx<double>;
@@ -70,7 +70,7 @@ class AdaptiveFeedforward {
     seen_position_ = seen_velocity_ = feedforward_;
   }
 
-  // The second map is needed where pressures are measured, the third where states of valves are
+  // `load_learners` are needed if pressures are measured, `slope_learners` if states of valves are
   // proposed.
   void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {},
              std::vector<Learner*> slope_learners = {}) {
@@ -90,44 +90,44 @@ class AdaptiveFeedforward {
     frozen_ = false;
   }
 
-  // Another map beside the one that is learned, with the log odds that it is the better one; it
-  // learns and is used by how well it predicts, until `reset` or `settle`. `shapes` (joints) are of
-  // the state that it takes the valves to have; the one in use without.
+  // Adds a contender, a map that competes with the learned one, with the log odds that it is better; it
+  // learns and is weighted by its predictions until `reset` or `settle`. `shapes` (joints) is the state
+  // of the valves that it assumes; null for the state in use.
   void propose(std::vector<Learner*> learners, double odds, double error,
                const ValveShape* shapes = nullptr) {
     const int place = shapes ? valves_.propose(shapes, window_) : ValveStates::in_use;
     contenders_.add(learners, proofs(learners), odds, error, place);
   }
 
-  // Whether it takes data sheets and pressures.
+  // Tests whether data sheets and measured pressures are used.
   bool with_pressures() const { return cascade_.any(); }
 
-  // State that the map in use takes a valve to have.
+  // State of a valve that the map in use assumes.
   ValveShape valve(std::size_t j) const { return valves_.shape(ValveStates::in_use, j); }
 
-  // No contender but this one goes on, beside the map without any.
+  // Excludes all contenders except this one; the map without a contender stays.
   void only(int contender) { contenders_.only(contender); }
 
-  // The caller has set a contender's parameters; its state of the valves, where it has one.
+  // Updates a contender after the caller has set its parameters, and its valve state if it has one.
   void revise(int contender, double error, const ValveShape* shapes = nullptr) {
     if (shapes) valves_.revise(contenders_.valves(contender), shapes, window_);
     contenders_.revise(contender, error);
   }
 
-  // No contender is left; the caller has copied the one that won, counted from 1, or none, 0.
+  // Removes all contenders after the caller has copied the winner, counted from 1, or none, 0.
   void settle(int winner) {
     if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
     valves_.settle(winner > 0 ? contenders_.valves(winner - 1) : ValveStates::in_use, window_);
     contenders_.clear();
   }
 
-  // Share of the map without a contender in what is used, and of each contender.
+  // Weights in the prediction: of the map without a contender, then of each contender.
   const std::vector<double>& shares() const { return contenders_.weight(); }
 
-  // Nothing is learned from now on, until `reset`.
+  // Stops learning until `reset`.
   void freeze() { frozen_ = true; }
 
-  // Keeps the latest learned samples, so many at most; 0 keeps none. Call it after `reset`.
+  // Keeps at most `samples` learned samples; 0 keeps none. Call it after `reset`.
   void keep(int samples) {
     kept_.keep(samples, int(learners_.size()), learners_.empty() ? 0 : learners_[0]->parameters());
   }
@@ -135,7 +135,7 @@ class AdaptiveFeedforward {
   KeptSamples& kept() { return kept_; }
   const KeptSamples& kept() const { return kept_; }
 
-  // Takes positions and velocities measured now, NaN where there are none, and a reference of now:
+  // Computes a control period from present measurements, NaN if missing, and the present reference:
   // without a measurement the command is the feed-forward alone.
   void step(double time, const double* measured, const double* measured_velocity,
             const Reference& reference, const Period& out, const Pressures& pressures = {}) {
@@ -176,14 +176,14 @@ class AdaptiveFeedforward {
     sent(out.command);
   }
 
-  // Takes the command that is sent, where it is not what `step` gave; clipped to [-1, 1].
+  // Sets the command that was sent, if it differs from the result of `step`; clips it to [-1, 1].
   void sent(const double* command) {
     for (std::size_t j = 0; j < sent_.size(); ++j) sent_[j] = std::clamp(command[j], -1.0, 1.0);
   }
 
  private:
-  // Flow for a motion, as a share of full speed. What the forward model says is lost of a flow
-  // changes slowly with it: a few substitutions find the flow that leaves the speed.
+  // Flow for a motion, as a share of full speed. In the forward model the loss changes slowly with the
+  // flow: a few fixed-point iterations find the flow that gives the speed.
   double wanted_flow(int i, double share) {
     double flow = share;
     for (int k = 0; k < (settings_.forward ? 4 : 1); ++k) {
@@ -193,7 +193,7 @@ class AdaptiveFeedforward {
     return flow;
   }
 
-  // Command for a motion, with pressures.
+  // Command for a motion with measured pressures.
   double wanted_command(int i, double share) {
     const std::size_t j = std::size_t(i);
     map_.inputs(i, share, inputs_);
@@ -201,15 +201,15 @@ class AdaptiveFeedforward {
                             [&] { return share + excess(j); });
   }
 
-  // Flow beyond that of the motion itself for the inputs, as a share of full speed.
+  // Flow in excess of that of the motion itself for the inputs, as a share of full speed.
   double excess(std::size_t j) {
     const double learned = learners_[j]->peek(inputs_);
     const double own = proofs_[j].used(count_, learners_[j]->regressor(), learned);
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // Mean of the commands of all maps, weighted by their shares: each map predicts the flow beyond
-  // `share` of full speed, adds the feedback command `beside` and inverts its state of the valve.
+  // Weighted mean of the commands of all maps: each map predicts the flow in excess of `share` of full
+  // speed, adds the feedback command `beside` and inverts its state of the valve.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {
@@ -229,7 +229,7 @@ class AdaptiveFeedforward {
     return alike > 0.0 ? sum + alike * sent(ValveStates::in_use, excess / alike) : sum;
   }
 
-  // The motion asked in one period is measured in the next, and sampled in the window's middle.
+  // A motion requested in one period is measured in the next, and sampled in the window's middle.
   std::vector<Proof> proofs(const std::vector<Learner*>& learners) const {
     std::vector<Proof> out;
     for (const Learner* learner : learners) {
@@ -264,8 +264,8 @@ class AdaptiveFeedforward {
     kept_.next();
   }
 
-  // Whether a reading cannot follow from the two before: a lost, shifted or failed encoder. What the
-  // window would make of it is a motion that never was.
+  // Tests whether a reading is physically impossible after the two before it: an encoder is lost,
+  // shifted or failed, and the window would smooth the jump to a false motion.
   bool jumps(const double* position) {
     const double h = settings_.control_period, most = settings_.greatest_acceleration * h * h;
     bool found = false;
@@ -304,8 +304,8 @@ class AdaptiveFeedforward {
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
-  // The size of a valve's state is one more parameter of the map (least squares by blocks): a map of
-  // the motion says what part of it the others can tell, and they make room for it.
+  // The magnitude of a valve's state is estimated by block least squares after projecting out the other
+  // features of the map with a second map of the motion; the map's parameters are adjusted for it.
   void learn_state(std::size_t j, bool usable) {
     const double slope = valves_.slope(j);
     Learner& told = *slope_learners_[j];
@@ -329,7 +329,7 @@ class AdaptiveFeedforward {
   ValveStates valves_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_;
   std::vector<double> last_, before_last_;  // readings [rad]
-  std::vector<double> seen_position_, seen_velocity_;  // the reference as the sensors show it
+  std::vector<double> seen_position_, seen_velocity_;  // reference with the age of measurements
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   KeptSamples kept_;
   long count_ = 0;

@@ -1,4 +1,4 @@
-// Maps that a change may have led to, learned beside the one that knows nothing of it.
+// Maps that assume a change of the machine, learned in parallel with the one that assumes none.
 #pragma once
 
 #include <algorithm>
@@ -11,28 +11,28 @@ namespace leglab::feedforward {
 
 struct ContenderSettings {
   double contest_time = 0.0;    // time constant of mean squared errors [s]
-  double contest_gather = 0.0;  // the same of the logarithms of their ratios [s]
-  double contest_errors = 0.0;  // independent errors that each of both has
-  double contest_floor = 0.0;   // squared error of a joint that is noise [square of full speed]
-  double contest_window = 0.0;  // mean squared error, over that of the map without, at which one is out
+  double contest_gather = 0.0;  // time constant of the logarithms of their ratios [s]
+  double contest_errors = 0.0;  // number of independent errors in each of these two means
+  double contest_floor = 0.0;   // squared error of a joint due to noise [square of full speed]
+  double contest_window = 0.0;  // ratio of mean squared errors at which a contender is excluded
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
-// predicts every sample before it learns it, and counts by the likelihood of its errors, whose
-// variance nobody knows: odds ratio^(-errors/2), with the ratio of mean squared errors to those of
-// the map that knows nothing, of now and, as a geometric mean, of what has been. One that predicts
-// much worse than that map (Occam's window; Madigan and Raftery 1994) is out for good: it learns as
-// well, and would come back where the motion is easy.
+// predicts every sample before it learns it, and is weighted by the likelihood of its errors with
+// unknown variance: odds ratio^(-errors/2), with the ratio of mean squared errors to those of the map
+// without a contender, both the present ratio and the geometric mean of past ones. A contender that
+// predicts much worse than that map (Occam's window; Madigan and Raftery 1994) is excluded for good:
+// as it also learns, it would otherwise return when the motion is easy.
 template <class Learner>
 class Contenders {
  public:
-  // sample: from one learned sample to the next [s].
+  // sample: time between learned samples [s].
   Contenders(const ContenderSettings& settings, double sample, std::size_t joints)
       : forget_(std::min(1.0, sample / settings.contest_time)),
         gather_(std::min(1.0, sample / settings.contest_gather)), errors_(settings.contest_errors),
         floor_(settings.contest_floor * double(joints)), window_(settings.contest_window) {}
 
-  // Forgets all but the map that knows nothing.
+  // Removes all maps except the one without a contender.
   void clear() {
     others_.clear();
     weight_.assign(1, 1.0);
@@ -45,8 +45,8 @@ class Contenders {
   bool any() const { return !others_.empty(); }
   const std::vector<double>& weight() const { return weight_; }
 
-  // With log odds, the mean squared error that it would have made until now over that of the map
-  // without it, and the place of the state that it takes the valves to have.
+  // Adds a contender with its log odds, the ratio `error` of its past mean squared error to that of the
+  // map without a contender, and the index of the valve state that it assumes.
   void add(std::vector<Learner*> learners, std::vector<Proof> proofs, double odds, double error,
            int valves) {
     others_.push_back({std::move(learners), std::move(proofs), odds, valves});
@@ -62,13 +62,13 @@ class Contenders {
   int valves(int which) const { return others_[std::size_t(which)].valves; }
   const std::vector<Proof>& proofs(int which) const { return others_[std::size_t(which)].proofs; }
 
-  // All others are out.
+  // Excludes all other contenders.
   void only(int which) {
     for (std::size_t k = 0; k < others_.size(); ++k) others_[k].out |= int(k) != which;
     weigh();
   }
 
-  // A contender has other parameters now; `error` as of `add`.
+  // Restarts a contender whose parameters have changed; `error` as in `add`.
   void revise(int which, double error) {
     const std::size_t k = std::size_t(which) + 1;
     error_[k] = error * error_[0];
@@ -78,7 +78,7 @@ class Contenders {
     weigh();
   }
 
-  // Prediction of a joint by all, `own` that of the map without a contender.
+  // Weighted prediction of a joint by all maps; `own` is that of the map without a contender.
   double used(std::size_t j, const double* inputs, long period, double own) {
     double sum = weight_[0] * (said_[0] = own);
     for (std::size_t k = 0; k < others_.size(); ++k) {
@@ -91,10 +91,10 @@ class Contenders {
     return sum;
   }
 
-  // The parts of what `used` has returned last, of the map without a contender first.
+  // Predictions of the latest call of `used`, that of the map without a contender first.
   const std::vector<double>& said() const { return said_; }
 
-  // A sample of a joint, and the error of the map without a contender. `found_with` valves.
+  // Takes a sample; own: error of the map without a contender; found_with: output by valve state.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
             long period) {
@@ -111,7 +111,7 @@ class Contenders {
     }
   }
 
-  // All joints of a sample have been taken.
+  // Updates errors and weights after all joints of a sample have been taken.
   void judge() {
     for (std::size_t k = 0; k < sum_.size(); ++k) {
       error_[k] += forget_ * (sum_[k] - error_[k]);
@@ -160,7 +160,7 @@ class Contenders {
 
   double forget_, gather_, errors_, floor_, window_;
   std::vector<Other> others_;
-  // Of the map without a contender, and of each contender.
+  // Values of the map without a contender, then of each contender.
   std::vector<double> weight_, error_, sum_, ratio_, said_;
 };
 

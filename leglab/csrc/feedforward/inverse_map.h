@@ -1,4 +1,4 @@
-// Inputs of the learned map of every joint from the motion of all joints.
+// Inputs of each joint's learned map, computed from the motion of all joints.
 #pragma once
 
 #include <cmath>
@@ -6,15 +6,15 @@
 
 namespace leglab::feedforward {
 
-// Ranges by which motion is scaled to about one.
+// Ranges that scale the motion to magnitudes of about one.
 struct MotionScale {
   std::vector<double> centre, half_range;  // of positions [rad]
   std::vector<double> full_speed;          // [rad/s]
-  double acceleration = 1.0, jerk = 1.0;   // of full scale [rad/s^2], [rad/s^3]
+  double acceleration = 1.0, jerk = 1.0;   // full scale [rad/s^2], [rad/s^3]
 };
 
-// For joint i: v_i, j_i, v_i q_i and, of every joint k from i on, a_k, q_k, |v_i| a_k, |v_i| q_k
-// and, but for k = i, v_k; a linear map goes without the products.
+// For joint i: v_i, j_i, v_i q_i and, for every joint k in cyclic order from i, a_k, q_k, |v_i| a_k,
+// |v_i| q_k and, except for k = i, v_k; a linear map omits the products.
 class InverseMap {
  public:
   InverseMap(MotionScale scale, bool products)
@@ -25,7 +25,7 @@ class InverseMap {
   int inputs() const { return products_ ? 2 + 5 * joints_ : 1 + 3 * joints_; }
   const std::vector<double>& speed() const { return scale_.full_speed; }
 
-  // Takes a motion (4, joints); `inputs` then gives those of one joint.
+  // Scales a motion (4, joints), from which `inputs` computes those of one joint.
   void take(const double* motion) {
     for (int k = 0; k < joints_; ++k) {
       const std::size_t i = std::size_t(k);
@@ -44,7 +44,7 @@ class InverseMap {
     return most;
   }
 
-  // own: share of full speed that stands for the joint's own v_i.
+  // own: share of full speed used as the joint's v_i.
   void inputs(int joint, double own, double* out) const {
     const std::size_t i = std::size_t(joint);
     const double speed = std::abs(own);

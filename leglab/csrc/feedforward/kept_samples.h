@@ -1,4 +1,4 @@
-// The latest learned samples, for who looks at them now and then.
+// Buffer of learned samples for a reader that empties it from time to time.
 #pragma once
 
 #include <algorithm>
@@ -6,11 +6,11 @@
 
 namespace leglab::feedforward {
 
-// (kept, joints, parameters + 3): a regressor, its output, the a-priori error, and 1; only zeros
-// where the sample taught that joint nothing.
+// Rows (kept, joints, parameters + 3): regressor, output, a-priori error, and 1; only zeros if the
+// joint did not learn the sample.
 class KeptSamples {
  public:
-  // Keeps so many samples at most from now on; 0 keeps none.
+  // Empties the buffer and sets its capacity to `samples`; 0 keeps none.
   void keep(int samples, int joints, int parameters) {
     capacity_ = samples;
     count_ = 0;
@@ -25,7 +25,7 @@ class KeptSamples {
   const double* rows() const { return rows_.data(); }
   void drop() { count_ = 0; }
 
-  // A joint's part of the sample that `next` ends; `regressor` is null where it taught nothing.
+  // Writes a joint's row of the sample that `next` ends; a null `regressor` means not learned.
   void put(int joint, const double* regressor, double output, double error) {
     double* row = rows_.data() + std::size_t((count_ * joints_ + joint) * width_);
     std::fill_n(row, width_, 0.0);

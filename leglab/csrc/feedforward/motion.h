@@ -1,4 +1,4 @@
-// Motion from positions: smoothed derivatives of the measured, and the reference moved in time.
+// Motion from positions: smoothed derivatives of measured ones, and a reference shifted in time.
 #pragma once
 
 #include <algorithm>
@@ -11,11 +11,11 @@ namespace leglab::feedforward {
 // Position and its first three derivatives of all joints: [order][joint].
 using Motion = std::vector<double>;
 
-// Recent positions, flows, commands and, where they are measured, pressures of all joints, and what
-// they were in the window's middle.
+// Window of recent positions, flows, commands and, if measured, pressures of all joints, with their
+// smoothed values in its middle.
 class SmoothingWindow {
  public:
-  // kernel: 4 times window, oldest sample first; gives value and three derivatives in the middle.
+  // kernel: (4, window), oldest sample first; weights for value and three derivatives in the middle.
   SmoothingWindow(int joints, std::vector<double> kernel)
       : joints_(joints), window_(int(kernel.size()) / 4), kernel_(std::move(kernel)) {
     position_.resize(std::size_t(2 * window_ * joints));
@@ -34,13 +34,13 @@ class SmoothingWindow {
     if (filled_ < window_) ++filled_;
   }
 
-  // Motion (4, joints) and smoothed flow (joints) in the middle.
+  // Computes motion (4, joints) and smoothed flow (joints) in the middle.
   void middle(double* motion, double* flow) const {
     for (int order = 0; order < 4; ++order) smooth(position_, order, motion + order * joints_);
     smooth(flow_, 0, flow);
   }
 
-  // A further series of `size` numbers, of the same samples, that the caller keeps.
+  // Access for a further series of `size` numbers of the same samples, stored by the caller.
   std::size_t size() const { return flow_.size(); }
   const double* position(int k) const { return position_.data() + row_at(k) * joints_; }
   const double* command(int k) const { return command_.data() + row_at(k) * joints_; }
@@ -52,13 +52,13 @@ class SmoothingWindow {
   }
   void middle_of(const std::vector<double>& series, double* sum) const { smooth(series, 0, sum); }
 
-  // Pressures of the sample that `push` took last.
+  // Stores the pressures of the latest sample of `push`.
   void push_pressures(const double* a, const double* b) {
     put_latest(a, pressure_a_);
     put_latest(b, pressure_b_);
   }
 
-  // Smoothed pressures and command (joints) in the middle.
+  // Computes smoothed pressures and command (joints) in the middle.
   void middle_pressures(double* a, double* b, double* command) const {
     smooth(pressure_a_, 0, a);
     smooth(pressure_b_, 0, b);
@@ -74,14 +74,14 @@ class SmoothingWindow {
   }
 
  private:
-  // Every sample is written twice, a window apart, so that the latest are always in order.
+  // Every sample is written twice, a window apart, so that the latest ones are always contiguous.
   void put(const double* sample, std::vector<double>& series, int row) const {
     for (const int at : {row, row + window_}) {
       std::copy_n(sample, joints_, series.data() + std::size_t(at * joints_));
     }
   }
 
-  int row_at(int k) const { return next_ + k; }  // of a sample, the oldest first
+  int row_at(int k) const { return next_ + k; }  // row of sample k, the oldest first
 
   // Derivative of a series (joints) in the middle.
   void smooth(const std::vector<double>& series, int order, double* sum) const {
@@ -98,10 +98,10 @@ class SmoothingWindow {
   int next_ = 0, filled_ = 0;
 };
 
-// A reference a little later and as the sensors would show it, by Taylor's series.
+// A reference shifted by Taylor series: forward by the lead, back by the delays of the sensors.
 class ReferenceMotion {
  public:
-  // lead: how much later than now the motion is wanted; delays: ages of what is measured now [s].
+  // lead: time from now for which the motion is computed; delays: ages of present measurements [s].
   ReferenceMotion(int joints, double period, double lead, double position_delay,
                   double velocity_delay)
       : joints_(joints), rate_(1.0 / period), lead_(lead), position_delay_(position_delay),
@@ -109,7 +109,7 @@ class ReferenceMotion {
 
   void clear() { started_ = false; }
 
-  // Motion (4, joints) `lead` from now; seen: position and velocity of the ages of measurements.
+  // Computes the motion (4, joints) `lead` from now; seen: reference with the age of measurements.
   void take(const double* position, const double* velocity, const double* acceleration,
             double* motion, double* seen_position, double* seen_velocity) {
     for (int j = 0; j < joints_; ++j) {

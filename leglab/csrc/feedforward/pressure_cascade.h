@@ -1,4 +1,4 @@
-// The load that a motion takes, and the valves' inverse at the pressures of that load.
+// Learned load of a motion, and inverse of the valves at the pressures of that load.
 #pragma once
 
 #include <cmath>
@@ -9,16 +9,15 @@
 
 namespace leglab::feedforward {
 
-// Measured pressures [Pa]; none where `a` is null.
+// Measured pressures [Pa]; none if `a` is null.
 struct Pressures {
   const double *a = nullptr, *b = nullptr;
   double supply = 0.0;
 };
 
-// With data sheets and measured pressures the feed-forward is a cascade: a second map, learned from
-// the measured load, gives the load that a motion takes; the valve's equation at the pressures of
-// that load takes the place of the calibrated map, and what its leak paths lose are further inputs
-// of the first.
+// With data sheets and measured pressures the feed-forward is a cascade: a second map, learned from the
+// measured load, predicts the load of a motion; the valve's equation at the pressures of that load
+// replaces the calibrated map, and the losses of its leak paths are further inputs of the first map.
 template <class Learner>
 class PressureCascade {
  public:
@@ -28,13 +27,13 @@ class PressureCascade {
 
   bool any() const { return !valves_.empty(); }
 
-  // The maps from motion to load.
+  // Sets the maps from motion to load.
   void reset(std::vector<Learner*> loads) {
     loads_ = std::move(loads);
     supply_ = 0.0;
   }
 
-  // Takes pressures; the last ones where a reading is lost.
+  // Stores pressures; keeps the last value if a reading is lost.
   void read(const Pressures& now) {
     const auto keep = [](double value, double& last) {
       if (std::isfinite(value)) last = value;
@@ -52,14 +51,14 @@ class PressureCascade {
     return valves_[j].share(valves_[j].at(position, now, supply_), now, command);
   }
 
-  // The last pressures join a window; those in its middle are what `learn` takes.
+  // Adds the last pressures to a window; `middle` computes those in its middle, which `learn` uses.
   void push(SmoothingWindow& window) const { window.push_pressures(a_.data(), b_.data()); }
   void middle(const SmoothingWindow& window) {
     window.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
   }
 
-  // Command for a flow beyond that of the motion. `inputs` are `count` of the motion; the leaks join
-  // them before `flow()` is asked.
+  // Command for the flow that `flow()` returns. `inputs` holds `count` inputs of the motion; the leaks
+  // are appended to them before the call of `flow()`.
   template <class Flow>
   double command(std::size_t j, double position, double* inputs, int count, Flow flow) {
     const ChamberPressures now{a_[j], b_[j]};
@@ -68,9 +67,9 @@ class PressureCascade {
     return valves_[j].command(at, expected, flow());
   }
 
-  // The second map learns from the middle of the window, and the leaks join the inputs. Returns the
-  // flow of the sample's command at the pressures that this map expects, beyond that at the measured
-  // ones: the first map learns for the pressures that its answer is used with.
+  // Updates the second map with the middle of the window, and appends the leaks to the inputs. Returns
+  // the flow of the sample's command at the pressures that this map predicts minus that at the measured
+  // ones: the first map is learned for the pressures with which its output is used.
   double learn(std::size_t j, double position, double* inputs, int count, bool usable) {
     const PressureValve& valve = valves_[j];
     const ChamberPressures measured{middle_a_[j], middle_b_[j]};
@@ -83,9 +82,9 @@ class PressureCascade {
   }
 
  private:
-  // Pressures under the load that the second map gives for the inputs.
-  // With the measured load the inverse of the valve would take away, late, the damping that valve
-  // and leakage give the oil spring; the common mode of the chambers can be measured.
+  // Pressures under the load that the second map predicts for the inputs.
+  // With the measured load the inverse of the valve would cancel, with a delay, the damping of the oil
+  // spring by valve and leakage; the common mode of the chambers is taken from the measurement.
   ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
                           const ChamberPressures& measured, double* inputs, int count) const {
     const double load = loads_[j]->peek(inputs);

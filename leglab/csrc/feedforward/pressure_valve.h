@@ -1,4 +1,4 @@
-// Valve and cylinder of one joint by their data sheet: speed of a command at measured pressures.
+// Data-sheet model of one joint's valve and cylinder: speed of a command at measured pressures.
 #pragma once
 
 #include <algorithm>
@@ -29,10 +29,9 @@ struct ChamberPressures {
   double a, b;
 };
 
-// A piston whose load force is F moves as if the valve's flow were w_A Q_A - w_B Q_B = F' + k v plus
-// what leaks, w_i = A_i beta_i/V_i and k = w_A A_A + w_B A_B
-// (docs/concepts/adaptive_backstepping.md). So the flow of a command is a speed, here as a share
-// of the joint's full speed.
+// With load force F the valve's flows satisfy w_A Q_A - w_B Q_B = F' + k v plus leakage, where
+// w_i = A_i beta_i/V_i and k = w_A A_A + w_B A_B (docs/concepts/adaptive_backstepping.md). So the flow
+// of a command, divided by k, is a speed, expressed as a share of the joint's full speed.
 class PressureValve {
  public:
   explicit PressureValve(CylinderSheet sheet)
@@ -40,12 +39,12 @@ class PressureValve {
         oil_{sheet_.entrained_air, 1.0 / sheet_.polytropic_index, 1.0 / sheet_.bulk_modulus},
         transition_(sheet_.laminar_transition_pressure * sheet_.laminar_transition_pressure) {}
 
-  // Force that counts as one: of the piston at nominal supply pressure [N].
+  // Unit of load forces: force of the piston at nominal supply pressure [N].
   double full_force() const { return sheet_.area_a * sheet_.supply_pressure; }
 
-  // What follows from position and supply pressure [Pa] for pressures near the given ones.
+  // Coefficients at a position and supply pressure [Pa], valid near the given chamber pressures.
   struct Place {
-    double sign, speed;       // of the lever; joint's share of full speed per piston speed [s/m]
+    double sign, speed;       // sign of the lever; share of full speed per piston speed [s/m]
     double weight_a, weight_b, stiffness;
     double supply;
   };
@@ -77,8 +76,8 @@ class PressureValve {
     return at.sign * (sheet_.area_a * p.a - sheet_.area_b * p.b) / full_force();
   }
 
-  // Pressures with the load mode of another load; the common mode w_B p_A + w_A p_B, which no motion
-  // of the piston changes, stays.
+  // Pressures for another load with the same common mode w_B p_A + w_A p_B, which motion of the piston
+  // does not change.
   ChamberPressures with_load(const Place& at, const ChamberPressures& p, double load) const {
     const double force = at.sign * load * full_force();
     const double common = at.weight_b * p.a + at.weight_a * p.b;
@@ -87,7 +86,7 @@ class PressureValve {
     return {std::clamp(a, 0.0, at.supply), std::clamp(b, 0.0, at.supply)};
   }
 
-  // Share of full speed that a command's flow gives.
+  // Speed due to the flow of a command, as a share of full speed.
   double share(const Place& at, const ChamberPressures& p, double command) const {
     const Slopes slope = slopes(at, p);
     const hydraulics::EdgeShape edge{sheet_.lap, sheet_.edge_rounding, 2.0};  // as `command` solves
@@ -95,7 +94,7 @@ class PressureValve {
     return (slope.up * up - slope.down * down) / at.stiffness * at.speed;
   }
 
-  // Command for a share of full speed: Newton's rule from the solution with one edge open.
+  // Command for a share of full speed, by Newton's method from the solution with one edge open.
   double command(const Place& at, const ChamberPressures& p, double share) const {
     const double rate = share * at.stiffness / at.speed;
     const Slopes slope = slopes(at, p);
@@ -115,8 +114,8 @@ class PressureValve {
     return spool;
   }
 
-  // Speeds that leak paths take, as a share of full speed, were each to lose the flow of full speed
-  // at nominal supply pressure: from A to B, from A outside, from B outside.
+  // Speed losses by leak paths (A to B, A to outside, B to outside), as shares of full speed, if each
+  // path leaked the flow of full speed at nominal supply pressure.
   void leak(const Place& at, const ChamberPressures& p, double* out) const {
     const double scale = at.sign * sheet_.area_a / (at.stiffness * sheet_.supply_pressure);
     out[0] = scale * (at.weight_a + at.weight_b) * (p.a - p.b);
@@ -125,7 +124,7 @@ class PressureValve {
   }
 
  private:
-  // Force rates per opening of the edges that drive the piston out and in.
+  // Force rates per opening of the edges that extend and retract the piston.
   struct Slopes {
     double up, down;
   };
@@ -136,7 +135,7 @@ class PressureValve {
             at.weight_a * edge(p.a - tank) + at.weight_b * edge(at.supply - p.b)};
   }
 
-  // Flow per opening of an edge. Without a pressure drop the inverse would have no solution.
+  // Flow per opening of an edge; the drop has a lower bound, as the inverse is singular without one.
   double edge(double drop) const {
     drop = std::max(drop, 0.02 * sheet_.supply_pressure);
     return sheet_.orifice_gain * drop / std::sqrt(std::sqrt(drop * drop + transition_));

@@ -1,4 +1,4 @@
-// How far what a map has learned lately is used.
+// Weight of the recently learned part of a map, by how well it predicts.
 #pragma once
 
 #include <algorithm>
@@ -9,23 +9,23 @@
 namespace leglab::feedforward {
 
 struct ProofSettings {
-  double settle_time = 0.0;    // time constant of the slow map [s]; 0: there is none
-  double proof_time = 0.0;     // time constant of the means below [s]
-  double proof_horizon = 0.0;  // from one snapshot of what was learned to the next [s]
-  double proof_doubt = 0.0;    // squared errors that count as evidence for it, of their mean
-  double proof_noise = 0.0;    // predictions that differ by less need no proof [of full speed]
+  double settle_time = 0.0;    // time constant of the slow map [s]; 0 for no slow map
+  double proof_time = 0.0;     // time constant of the means of products and squared errors [s]
+  double proof_horizon = 0.0;  // time between snapshots of the learned parameters [s]
+  double proof_doubt = 0.0;    // prior in favour of the learned part, in mean squared errors
+  double proof_noise = 0.0;    // smaller differences of predictions are accepted [of full speed]
 };
 
-// A learner whose gain is open follows its errors within a few samples. Through the machine that is
-// a feedback loop, with the delays of window and valve in it: on a soft machine it shakes the joint,
-// and the map of the shaking is not that of the reference. So a slow map, the parameters' mean, stands
-// beside the learned one. What was learned beyond it is used by the share that held: the least
-// squares of the flows found on what snapshots taken a while before had said of them beyond the
-// slow map, for the reference. A joint that shakes has reversed by then.
+// A learner with high gain follows its errors within a few samples. Through the machine this closes a
+// feedback loop with the delays of window and valve: on a compliant machine the joint oscillates, and
+// the map of the oscillation is not that of the reference. So there is also a slow map, the mean of the
+// parameters. The difference of the learned map to it is weighted by the share that proved right: the
+// least-squares slope of the measured flows over the differences that earlier snapshots predicted for
+// the reference. An oscillating joint has reversed since the snapshot, so that its share is small.
 class Proof {
  public:
-  // sample: from one learned sample to the next [s]; delay: periods from a prediction to the sample
-  // that is held against it.
+  // sample: time between learned samples [s]; delay: periods from a prediction to the sample that it
+  // is compared with.
   Proof(const ProofSettings& settings, double sample, int delay, int parameters)
       : settle_(settings.settle_time > 0.0 ? std::min(1.0, sample / settings.settle_time) : 0.0),
         forget_(std::min(1.0, sample / settings.proof_time)), doubt_(settings.proof_doubt),
@@ -34,7 +34,7 @@ class Proof {
         slow_(std::size_t(parameters)), recent_(slow_), old_(slow_),
         said_(std::size_t(delay) + 1) {}
 
-  // What is asked of the two maps in this period, by the learner's regressor and its prediction.
+  // Combined prediction of slow and learned map in a period, from the learner's regressor and output.
   double used(long period, const double* phi, double learned) {
     if (!(settle_ > 0.0)) return learned;
     Said said{0.0, 0.0};
@@ -43,11 +43,11 @@ class Proof {
       said.beyond += old_[k] * phi[k];
     }
     said_[row(period)] = said;
-    // The learned one itself where all of it held, without rounding.
+    // With a share of 1 the learned prediction itself, free of rounding.
     return share_ < 1.0 ? said.slow + share_ * (learned - said.slow) : learned;
   }
 
-  // Takes the flow found for the motion asked `delay` periods ago, and the parameters after it.
+  // Takes the flow measured for the motion requested `delay` periods ago, and the updated parameters.
   void take(long period, double found, const double* theta) {
     if (!(settle_ > 0.0)) return;
     const Said said = said_[row(period + 1)];
@@ -64,7 +64,7 @@ class Proof {
     for (std::size_t k = 0; k < slow_.size(); ++k) recent_[k] = theta[k] - slow_[k];
   }
 
-  // These parameters are known to be right.
+  // Makes these parameters the slow map, with full weight of what is learned next.
   void trust(const double* theta) {
     std::copy_n(theta, slow_.size(), slow_.begin());
     std::fill(recent_.begin(), recent_.end(), 0.0);
@@ -83,7 +83,7 @@ class Proof {
 
   double settle_, forget_, doubt_, noise_;
   int horizon_;
-  std::vector<double> slow_, recent_, old_;  // parameters, and snapshots of those beyond the slow
+  std::vector<double> slow_, recent_, old_;  // slow parameters, two snapshots of learned - slow
   std::vector<Said> said_;
   double agreed_ = 0.0, power_ = 0.0, missed_ = 0.0, share_ = 1.0;
   int since_ = 0;

@@ -1,4 +1,4 @@
-// Decides for each joint whether the learned map or the calibration gives the feed-forward.
+// Choice, for each joint, between the learned map and the calibration as feed-forward.
 #pragma once
 
 #include <algorithm>
@@ -8,15 +8,15 @@
 namespace leglab::feedforward {
 
 struct SupervisorSettings {
-  double trust_time = 0.0;        // time constant of the errors that are compared [s]
-  double margin = 1.0;            // learned over calibrated RMS at which the calibration takes over
-  double noise = 0.0;             // tracking errors below this are no reason to distrust [rad]
+  double trust_time = 0.0;        // time constant of the compared mean squared errors [s]
+  double margin = 1.0;            // ratio learned/calibrated RMS error that switches to calibration
+  double noise = 0.0;             // smaller tracking errors do not switch to calibration [rad]
   std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
 };
 
-// The feedback loop forgets a flow error as a first order of its crossover frequency. So the excess
-// flow that is in use explains a part of the tracking error, and what the error would be with the
-// learned excess, and what without any, follows from the one that is measured.
+// The feedback loop corrects a flow error like a first-order lag at its crossover frequency. So the part
+// of the tracking error that is due to the excess flow in use is known, and the measured tracking error
+// yields the errors that would occur with the learned excess and without any.
 class Supervisor {
  public:
   // control_period: [s]; speed: full speeds [rad/s].
@@ -39,11 +39,11 @@ class Supervisor {
     }
   }
 
-  // Whether the calibration stands in.
+  // Tests whether the calibration is used instead of the learned map.
   bool fallback(std::size_t j) const { return joints_[j].fallback; }
 
-  // Takes a tracking error [rad], and the excess flow that the learned map gives beyond the
-  // calibration [share of full speed].
+  // Takes a tracking error [rad], and the flow of the learned map minus that of the calibration [share
+  // of full speed].
   void take(std::size_t j, double tracking, double excess) {
     if (!(std::abs(tracking) < 1e3)) return;  // no measurement
     Joint& joint = joints_[j];
@@ -53,7 +53,7 @@ class Supervisor {
     joint.withheld = joint.decay * joint.withheld + joint.gain * (excess - used);
     joint.learned += forget_ * (with * with - joint.learned);
     joint.calibrated += forget_ * (without * without - joint.calibrated);
-    // Where it has lost, the learned map must win clearly to come back.
+    // Hysteresis: after a fallback the learned map must be clearly better to be used again.
     const double margin = joint.fallback ? 1.0 / margin_ : margin_;
     const double noise = joint.fallback ? 0.0 : noise_;
     joint.fallback = joint.learned > margin * margin * joint.calibrated + noise;
@@ -62,7 +62,7 @@ class Supervisor {
  private:
   struct Joint {
     double decay = 0.0, gain = 0.0;
-    double applied = 0.0, withheld = 0.0;    // tracking error by the excess in use, by that not [rad]
+    double applied = 0.0, withheld = 0.0;    // tracking error due to excess in use, not in use [rad]
     double learned = 0.0, calibrated = 0.0;  // mean squared tracking errors [rad^2]
     bool fallback = false;
   };

@@ -1,4 +1,4 @@
-// How valves differ from their calibrated maps, and the flows and commands that follow from it.
+// Deviations of valves from their calibrated maps, and the resulting flows and commands.
 #pragma once
 
 #include <algorithm>
@@ -13,11 +13,11 @@
 namespace leglab::feedforward {
 
 struct ValveSettings {
-  double turn = 0.0;         // change of a command that is a turn [valve command]
-  double state_step = 0.0;   // of a state, over which it is seen what more of it would do
-  double state_time = 0.0;   // time constant of a state in use; of a command's travel tenfold [s]
-  double state_doubt = 0.0;  // share of the size that a state is proposed with; a deviation
-  double state_noise = 0.0;  // errors of flow that are noise [share of full speed]
+  double turn = 0.0;         // smallest change of a command that sets its direction [valve command]
+  double state_step = 0.0;   // step of a state for the finite difference of the flow
+  double state_time = 0.0;   // time constant of a state in use, a tenth of that of command ranges [s]
+  double state_doubt = 0.0;  // prior standard deviation of a state over its proposed magnitude
+  double state_noise = 0.0;  // noise of flow errors [share of full speed]
 };
 
 // State of one worn valve. The command u that gives the flow of the calibrated valve at command x is
@@ -26,17 +26,17 @@ struct ValveSettings {
 using ValveShape = std::array<double, 5>;
 enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 
-// The states of all joints' valves, in use and of the contenders. A play lets the command reach the
-// spool half its width late (Krasnosel'skii and Pokrovskii 1989); its inverse, and that of the rest,
-// is `command`. What more of the state in use would change of the flow, and the map cannot tell,
-// shows how much of it there is: least mean squares of the map's errors.
+// Valve states of all joints: the one in use and those of the contenders. With play the spool trails
+// the command by half the width (Krasnosel'skii and Pokrovskii 1989); `command` is the inverse of this
+// and of the other deviations. The magnitude of the state in use is learned from the map's errors by
+// least mean squares on the flow's sensitivity to it, after projecting out the map's features.
 // Play and dead band are limited to a quarter of the command's recent range: a wider one would pass
 // so little of the command that it fits any motion.
 class ValveStates {
  public:
-  static constexpr int in_use = -1;  // place of the state in use; proposed ones count from 0
+  static constexpr int in_use = -1;  // index of the state in use; proposed ones count from 0
 
-  // control_period, and from one learned sample to the next [s].
+  // control_period, sample: control period and time between learned samples [s].
   ValveStates(const ValveSettings& settings, double control_period, double sample,
               const std::vector<ValveTable>& tables)
       : settings_(settings), settle_(std::min(1.0, sample / settings.state_time)),
@@ -57,11 +57,11 @@ class ValveStates {
   }
 
   bool any() const { return worn_ || !proposed_.empty(); }
-  bool worn() const { return worn_; }  // whether the state in use is not that of the calibration
+  bool worn() const { return worn_; }  // whether the state in use differs from the calibration
 
   ValveShape shape(int place, std::size_t j) const { return limited(state(place).shape[j], j); }
 
-  // Another state, (joints); returns its place.
+  // Adds a state, (joints), and returns its index.
   int propose(const ValveShape* shapes, const SmoothingWindow& window) {
     proposed_.emplace_back();
     revise(int(proposed_.size()) - 1, shapes, window);
@@ -73,7 +73,7 @@ class ValveStates {
     fill(proposed_[std::size_t(place)], window);
   }
 
-  // This state is in use from now on, and learned along what it has beyond the one before.
+  // Puts a state in use; it is then learned along its difference to the previous state.
   void settle(int place, const SmoothingWindow& window) {
     if (place != in_use) {
       State& next = proposed_[std::size_t(place)];
@@ -100,7 +100,7 @@ class ValveStates {
     proposed_.clear();
   }
 
-  // Takes the positions and the commands that were sent, after `window` has.
+  // Takes the positions and sent commands, after `window` has taken them.
   void take(const double* position, const double* sent, SmoothingWindow& window) {
     for (std::size_t j = 0; j < last_.size(); ++j) {
       const double forgotten = leak_ * (highest_[j] - lowest_[j]);
@@ -113,20 +113,20 @@ class ValveStates {
     });
   }
 
-  // Takes the flows in the window's middle; they stay until the next call of `take`.
+  // Computes the flows in the window's middle; they are valid until the next call of `take`.
   void middle(const SmoothingWindow& window) {
     each([&](State& state) { window.middle_of(state.series, state.flow.data()); });
   }
 
   double flow(int place, std::size_t j) const { return state(place).flow[j]; }
 
-  // What a little more of the state in use would change of the flow, by its size.
+  // Derivative of the flow by the magnitude of the state in use, as a finite difference.
   double slope(std::size_t j) const {
     return (further_.flow[j] - used_.flow[j]) / settings_.state_step;
   }
 
-  // Moves the state in use of a joint, after an error of its map and the part of `slope` that the map
-  // cannot tell: normalised least mean squares. Returns by how much.
+  // Updates the state in use of a joint by normalised least mean squares, from an error of its map and
+  // the part of the `slope` that the map cannot explain. Returns the change.
   double learn(std::size_t j, double error, double slope) {
     power_[j] += settle_ * (slope * slope - power_[j]);
     const double by = -settle_ * (error * slope + prior_[j] * moved_[j]) / (power_[j] + prior_[j]);
@@ -141,7 +141,7 @@ class ValveStates {
     return moved_by;
   }
 
-  // Notes the direction in which the command of a joint moves; call it once a period.
+  // Updates the direction in which the command of a joint moves; call it once per period.
   void turn(std::size_t j, double command) {
     if (std::abs(command - last_[j]) > settings_.turn) {
       direction_[j] = command > last_[j] ? 1.0 : -1.0;
@@ -186,7 +186,7 @@ class ValveStates {
     return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
   }
 
-  // Command at which the calibrated valve would give the flow of this one with its spool there.
+  // Command at which the calibrated valve gives the flow of this one with its spool at `spool`.
   double calibrated(const ValveShape& shape, double spool) const {
     const double beyond = spool - shape[SHIFT], far = std::abs(beyond);
     const double w = knee(shape), slope = gain(shape, beyond);
@@ -195,7 +195,7 @@ class ValveStates {
     return std::copysign((far - shape[DEAD_BAND]) / slope, beyond);
   }
 
-  // A side's gain is at most doubled or halved, and a null within half the spool's travel.
+  // A side's gain may at most double or halve, and the null shift by half the spool's travel.
   ValveShape limited(ValveShape shape, std::size_t j) const {
     const double widest = 0.25 * (highest_[j] - lowest_[j]);
     shape[SHIFT] = std::clamp(shape[SHIFT], -0.5, 0.5);
@@ -219,7 +219,7 @@ class ValveStates {
     }
   }
 
-  // The spools after these commands, and their flows.
+  // Updates the spools with these commands, and computes their flows.
   void pass(State& state, const double* position, const double* sent) const {
     for (std::size_t j = 0; j < tables_.size(); ++j) {
       const ValveShape shape = limited(state.shape[j], j);
@@ -229,8 +229,8 @@ class ValveStates {
     }
   }
 
-  // What the window would hold, had this state been there all the time. Spools begin half a play
-  // behind the first command, against the way that it goes.
+  // Computes the window's flows as if this state had been present throughout. Spools start half a play
+  // behind the first command, opposite to its direction.
   void fill(State& state, const SmoothingWindow& window) const {
     const std::size_t n = tables_.size();
     state.spool.resize(n);
@@ -248,14 +248,14 @@ class ValveStates {
   }
 
   ValveSettings settings_;
-  double settle_;  // share of its error by which a state in use moves at a sample
-  double leak_;    // share by which the travel of a command is forgotten in a period
+  double settle_;  // adaptation gain per sample of a state in use
+  double leak_;    // share of a command's recent range that is forgotten per period
   std::vector<ValveTable> tables_;
-  State used_, further_;  // in use, and with a little more of it
+  State used_, further_;  // state in use, and that state plus `state_step`
   std::vector<State> proposed_;
-  std::vector<ValveShape> along_;  // in which a state in use is learned, of length 1 or 0
+  std::vector<ValveShape> along_;  // direction in which a state is learned, of length 1 or 0
   std::vector<double> last_, direction_, power_, prior_, moved_;
-  std::vector<double> highest_, lowest_;  // commands of late
+  std::vector<double> highest_, lowest_;  // range of recent commands
   bool worn_ = false;
 };
 

@@ -1,10 +1,10 @@
-// Steady valve map of one joint: command against position and speed, and the speed it gives.
+// Steady valve map of one joint: command for a position and speed, and speed for a command.
 #pragma once
 
 namespace leglab::feedforward {
 
-// Bilinear in a table whose rows are strictly monotone, so that both directions are exact inverses
-// of each other; beyond its ends speed and command go on in a straight line.
+// Bilinear interpolation in a table with strictly monotone rows, so that both directions are exact
+// inverses of each other; beyond the ends of a row it extrapolates linearly.
 struct ValveTable {
   int rows = 0, columns = 0;
   double start = 0.0, spacing = 1.0;  // of the rows' positions [rad]

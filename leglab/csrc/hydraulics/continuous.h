@@ -1,19 +1,19 @@
-// The same cylinder as ordinary differential equations, for stiff reference solvers.
+// The cylinder of `step.h` as ordinary differential equations, for stiff reference solvers.
 #pragma once
 
 #include "step.h"
 
 namespace leglab::hydraulics {
 
-// Order of the continuous state; energies in J at the end, integrals from zero.
+// Order of the continuous state; at the end the energies [J], integrals from zero.
 enum ContinuousState {
   kX, kV, kSpool, kSpoolVelocity, kPressureA, kPressureB, kBristle,
   kEnergySupply, kEnergyValve, kEnergyLeakage, kEnergyFriction, kEnergyStored, kEnergyLoad,
   kContinuousCount
 };
 
-// Time derivative with the piston moving `mass` kg against `load` N (positive opposes extension).
-// The command passes the spool dynamics; `blocked` holds the piston.
+// Inputs of the time derivative: the piston moves `mass` kg against `load` N (positive opposes
+// extension). The command passes the spool dynamics; `blocked` locks the piston.
 struct ContinuousInput {
   double command, supply_pressure, mass, load;
   bool blocked;

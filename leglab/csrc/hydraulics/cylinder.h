@@ -1,4 +1,4 @@
-// One valve-controlled cylinder with its parameters turned into coefficients.
+// One valve-controlled cylinder: coefficients from its parameters, volumes, chambers and forces.
 #pragma once
 
 #include <cmath>
@@ -13,7 +13,7 @@
 
 namespace leglab::hydraulics {
 
-// Names the first parameter that contradicts another, its value and what is allowed; else empty.
+// Message on the first parameter that contradicts another, with allowed values; empty if none does.
 inline std::string contradiction(const CylinderParameters& p) {
   const auto text = [](const char* name, double value, const char* unit, const char* rule,
                        double limit) {
@@ -38,7 +38,7 @@ inline std::string contradiction(const CylinderParameters& p) {
   return "";
 }
 
-// Coefficients that change only when somebody sets a parameter.
+// Coefficients that change only when a parameter is set.
 struct CylinderCoefficients {
   double area_a, area_b;             // m^2
   double half_stroke;                // m
@@ -69,7 +69,7 @@ struct CylinderCoefficients {
   }
 };
 
-// What follows from the oil temperature and the seal clearance.
+// Coefficients that depend on the oil temperature and the seal clearance.
 struct OilCondition {
   double internal_leakage, external_leakage_a, external_leakage_b;  // m^3/s/Pa
   double viscous, viscous_difference;                               // N s/m
@@ -100,7 +100,7 @@ struct Volumes {
   }
 };
 
-// Both chambers at the piston position x: expansions of the oil about their pressures, and amounts.
+// Both chambers at a piston position x: expansions of the oil about their pressures, amounts of oil.
 struct Chambers {
   Oil::Expansion a, b;
   double amount_a, amount_b;  // m^3
@@ -120,7 +120,7 @@ inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficie
   Chambers k;
   const auto fill = [&](double size, double pressure, double held, Oil::Expansion& oil, double& amount) {
     const double guess = pressure + kAtmosphere;
-    // An amount of zero: the pressure was prescribed and holds wherever the piston is.
+    // An amount of zero means that the pressure is prescribed, wherever the piston is.
     oil = held > 0.0 ? c.oil.solve(size / held, guess) : c.oil.expand(std::max(guess, kPressureFloor));
     amount = held > 0.0 ? held : size / oil.w;
   };
@@ -144,8 +144,8 @@ inline double stop_force(const CylinderParameters& p, double x, double v) {
   return 0.0;
 }
 
-// Level of the Stribeck curve g at a velocity and the sum of the gauge pressures of both chambers.
-// Seals with one lip hold the two directions of sliding differently.
+// Stribeck curve g at a velocity and the sum of the gauge pressures of both chambers. The friction of
+// seals with one lip depends on the direction of sliding.
 inline double bristle_level(const CylinderParameters& p, double v, double pressures) {
   double seal = p.pressure_coefficient_ * pressures;
   if (p.coulomb_difference_ == 0.0 || v == 0.0) {
@@ -156,7 +156,7 @@ inline double bristle_level(const CylinderParameters& p, double v, double pressu
                   p.stribeck_velocity_, p.stribeck_exponent_);
 }
 
-// Smaller of two loads of one sign, else zero: an impact of one step is not carried on.
+// Smaller of two loads of equal sign, else zero: an impact in a single step is ignored.
 inline double sustained(double load, double before) {
   if (load * before <= 0.0) return 0.0;
   return std::abs(load) < std::abs(before) ? load : before;
@@ -164,9 +164,9 @@ inline double sustained(double load, double before) {
 
 // Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the
 // LuGre law in v and v* between the velocities before and after the step, the latter predicted
-// with the effective mass and the load seen over the last steps. Half way is of order two; where
-// k = h D/m > 2 (cold oil has b x 13) v* moves on to 1 - 1/k of the way, which damps within one
-// step and never overshoots. A steady speed sees exactly D v. With mass = infinity v* = v.
+// with the effective mass and the load over the last steps. The midpoint is second order; for
+// k = h D/m > 2 (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps
+// within one step without overshoot. At steady speed it is exactly D v; infinite mass gives v* = v.
 inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
                                   const OilCondition& oil, const CylinderState& s,
                                   const Chambers& k, double x, double v, double step_over_mass) {

@@ -48,7 +48,7 @@ struct Oil {
 
     double bulk_modulus() const { return -w / slope; }
 
-    // Pressure at relative volume `target` by one Halley step; the floor is vapour pressure.
+    // Pressure at relative volume `target` by one Halley step, at least the vapour pressure.
     double pressure_at(double target) const {
       const double inverse = 1.0 / slope;
       const double newton = (target - w) * inverse;
@@ -57,8 +57,8 @@ struct Oil {
       return std::max({p + step, 0.25 * p, kPressureFloor});
     }
 
-    // The expansion at a pressure nearby, to second order; `target` is w there, unless the oil has
-    // boiled (pressure at the floor) and vapour makes up the rest of `target`.
+    // The expansion at a nearby pressure, to second order; `target` is the new w, unless the oil boils
+    // (pressure at the floor) and vapour fills the rest of `target`.
     Expansion moved_to(double pressure, double target) const {
       const double step = pressure - p;
       const double there = pressure > kPressureFloor ? target : std::min(target, w + slope * step);
@@ -76,9 +76,9 @@ struct Oil {
             -gas_slope * (inverse_index + 1.0) / p - liquid_slope * inverse_modulus};
   }
 
-  // Expansion at the pressure where w = target, from a guess. Halley's error shrinks with the
-  // cube of the step: a last step of `reach` p leaves at most about reach^3 p, so that 1e-5 is
-  // exact in double precision.
+  // Expansion at the pressure where w = target, from a guess. The error of Halley's method shrinks
+  // with the cube of the step: after a last step of `reach` p it is about reach^3 p at most, so that
+  // 1e-5 is exact in double precision.
   Expansion solve(double target, double guess, double reach = 1e-5) const {
     Expansion e = expand(std::max(guess, kPressureFloor));
     double p = e.pressure_at(target);
@@ -89,7 +89,7 @@ struct Oil {
     return e.moved_to(p, target);
   }
 
-  // The same, starting from a known expansion.
+  // As `solve`, starting from a known expansion.
   Expansion follow(const Expansion& from, double target, double reach) const {
     const double p = from.pressure_at(target);
     return std::abs(p - from.p) <= reach * from.p ? from.moved_to(p, target)

@@ -1,4 +1,4 @@
-// LuGre friction (Canudas de Wit et al. 1995), z' = v - sigma_0 |v| z / g(v), and that of a joint.
+// LuGre friction (Canudas de Wit et al. 1995), z' = v - sigma_0 |v| z / g(v), and joint friction.
 #pragma once
 
 #include <algorithm>
@@ -9,8 +9,8 @@
 
 namespace leglab::hydraulics {
 
-// Steady bristle force g(v) = F_c + (F_s - F_c) exp(-|v/v_s|^n), always positive; the exponent n is 2
-// for a Gaussian, 1 for an exponential fall (Armstrong-Helouvry et al. 1994, sect. 2.1.3).
+// Steady bristle force g(v) = F_c + (F_s - F_c) exp(-|v/v_s|^n), always positive; n = 2 is a Gaussian,
+// n = 1 an exponential decay (Armstrong-Helouvry et al. 1994, sect. 2.1.3).
 inline double stribeck(double v, double coulomb, double static_friction, double stribeck_velocity,
                        double exponent) {
   const double r = v / stribeck_velocity;
@@ -19,8 +19,8 @@ inline double stribeck(double v, double coulomb, double static_friction, double 
   return g > 1e-9 ? g : 1e-9;
 }
 
-// Bristle after dt at constant velocity: exact solution, tends to sgn(v) g / sigma_0. There is none
-// without friction.
+// Bristle deflection after dt at constant velocity: exact solution, tends to sgn(v) g / sigma_0. It is
+// 0 without friction.
 inline double advance_bristle(double z, double v, double g, double sigma_0, double dt) {
   if (g <= 0.0 || sigma_0 == 0.0) return 0.0;
   if (v == 0.0) return z;
@@ -58,8 +58,8 @@ struct FrictionLevel {
   double sliding;  // N m or N, not negative
   double viscous;  // N m s/rad or N s/m
 
-  // Wear and slow drift scale everything, the direction of sliding shifts and scales, the load that
-  // the joint carries adds to Coulomb and breakaway friction alike (Duclusaud et al. 2025).
+  // Wear and slow drift scale all friction, the direction of sliding shifts and scales it, the joint's
+  // load adds equally to Coulomb and breakaway friction (Duclusaud et al. 2025).
   static FrictionLevel at(const FrictionParameters& p, double v, double load, double time) {
     const double drift =
         1.0 + p.drift_amplitude_ * std::sin(2.0 * std::numbers::pi * time / p.drift_period_);

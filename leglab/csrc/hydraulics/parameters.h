@@ -10,7 +10,7 @@ namespace leglab::hydraulics {
 struct ParameterSpec {
   const char* name;
   const char* unit;
-  double nominal;  // default; NaN where the attribute is required
+  double nominal;  // default; NaN if the attribute is required
   double minimum;
   double maximum;
   bool minimum_allowed;  // false: the bound itself is excluded
@@ -32,9 +32,9 @@ inline constexpr double kRequired = __builtin_nan("");
 #define LEGLAB_STATE_ROW(name, unit, text) {#name, unit, text},
 #define LEGLAB_NONE(X)
 
-// From the lists PARAMETERS(X) and STATES(X) of one plugin: the structs NameParameters and NameState,
-// which follow each other at the head of its plugin state, and NameTable, which describes them. The
-// arguments behind the lists are the plugin's text attributes.
+// Defines, from the lists PARAMETERS(X) and STATES(X) of a plugin, the structs NameParameters and
+// NameState, which follow each other at the head of its plugin state, and NameTable, which describes
+// them. The arguments after the lists are the plugin's text attributes.
 #define LEGLAB_TABLE(Name, plugin_name, PARAMETERS, STATES, ...)                               \
   struct Name##Parameters {                                                                    \
     PARAMETERS(LEGLAB_FIELD)                                                                   \
@@ -57,7 +57,7 @@ inline constexpr double kRequired = __builtin_nan("");
 
 // X(name, unit, nominal, minimum, maximum, minimum_allowed, description)
 // Sources: [HyQ] Ledezma et al. 2016, HyQ leg parameter scripts; [V] vendor data of an E024-class
-// servovalve; [ISO] ISO 3448 grades; [C] choice of this project. See shared notes in
+// servovalve; [ISO] ISO 3448 grades; [C] choice of this project. Notes on several of them are in
 // docs/concepts/physics.md.
 #define LEGLAB_CYLINDER_PARAMETERS(X)                                                              \
   X(bore, "m", kRequired, 1e-3, 0.5, true, "piston diameter, cap side")                            \
@@ -112,11 +112,11 @@ inline constexpr double kRequired = __builtin_nan("");
   X(initial_pressure_a, "Pa", 6e6, 0.0, 1e8, true, "gauge, after a reset")                         \
   X(initial_pressure_b, "Pa", 9.846e6, 0.0, 1e8, true, "gauge, after a reset")                     \
   X(substeps, "1", 2.0, 1.0, 64.0, true, "hydraulic sub-steps in a time step")                     \
-  /* these two are parameters that the machine itself changes */                                   \
+  /* the plugin itself changes the next two parameters */                                          \
   X(seal_clearance, "1", 1.0, 0.0, 100.0, true, "relative to the new seal; leakage grows with its cube") \
   X(oil_temperature, "degC", 40.0, -40.0, 150.0, true, "of the oil in the cylinder")
 
-// Dynamic states of one valve-controlled cylinder, behind its parameters.
+// Dynamic states of one valve-controlled cylinder, stored after its parameters.
 // X(name, unit, description)
 #define LEGLAB_CYLINDER_STATES(X)                                                    \
   X(pressure_a, "Pa", "gauge, cap side")                                             \

@@ -1,14 +1,14 @@
-// Play between rod end and pin: piston and mechanism move apart within it.
+// Play between rod end and pin, within which piston and mechanism move independently.
 #pragma once
 
 #include "cylinder.h"
 
 namespace leglab::hydraulics {
 
-inline constexpr double kFlankDamping = 0.5;  // ratio, of a pressed flank with the reduced mass
+inline constexpr double kFlankDamping = 0.5;  // damping ratio of a flank in contact, reduced mass
 
-// Where the piston stands against its pin. Before the first step, and for a new play, on the flank
-// that the pressures press.
+// Position of the piston relative to its pin. Before the first step, and after a change of the play,
+// it is in contact with the flank towards which the pressures push.
 inline double play_offset(const CylinderParameters& p, const CylinderCoefficients& c,
                           const CylinderState& s) {
   if (p.play_ == 0.0) return 0.0;
@@ -22,9 +22,9 @@ struct PlayStep {
 };
 
 // One implicit step of the flank between the piston, driven by `force`, and the mechanism of the
-// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m] that would throw the light
-// piston about within the play: it acts implicitly on the velocity of piston less pin, and so adds
-// nothing while a flank is pressed.
+// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m] that, taken explicitly,
+// would make the light piston oscillate within the play: it acts implicitly on the relative velocity
+// of piston and pin, and so adds nothing while a flank is in contact.
 inline PlayStep play_step(const CylinderParameters& p, double offset, double v_piston, double v_pin,
                           double force, double load, double mass, double oil, double h) {
   const double reduced = 1.0 / (1.0 / p.piston_mass_ + 1.0 / mass);

@@ -5,7 +5,7 @@
 
 namespace leglab::hydraulics {
 
-// What depends on the time step only.
+// Coefficients that depend on the time step and the spool's dynamics.
 struct StepCoefficients {
   double dt;  // s, of a sub-step
   int substeps;
@@ -38,7 +38,7 @@ struct Edges {
     const double tank = 0.5 * p.lap_difference_tank_, a = 0.5 * p.lap_difference_chambers_;
     const double from_supply_a = opening(c.gain_positive, spool, p.lap_ - tank + a);
     const double to_tank_a = opening(c.gain_negative, -spool, p.lap_ + tank + a);
-    if (tank == 0.0 && a == 0.0)  // the usual valve takes half as long
+    if (tank == 0.0 && a == 0.0)  // equal laps, the usual case: half the computing time
       return {{from_supply_a, to_tank_a, to_tank_a, from_supply_a}};
     return {{from_supply_a, to_tank_a, opening(c.gain_negative, -spool, p.lap_ - tank - a),
              opening(c.gain_positive, spool, p.lap_ + tank - a)}};
@@ -70,27 +70,27 @@ inline CylinderFlows flows_at(const CylinderCoefficients& c, const OilCondition&
   };
 }
 
-// Averages over a time step, for sensors and the energy books.
+// Totals over a time step, for sensors and the energy balance.
 struct StepTotals {
   double flow_a = 0, flow_b = 0, supply = 0;  // m^3
   double edges = 0, leakage = 0, stored = 0;      // J
 };
 
-// Within a step pressures follow the amounts to (1e-2)^3 of themselves; nothing accumulates,
-// because the amounts are the state and the next step solves for its pressures exactly.
+// Within a step pressures match the amounts of oil to a relative (1e-2)^3; the error does not
+// accumulate, as the amounts are the state and the next step solves for its pressures exactly.
 inline constexpr double kPressureReach = 1e-2;
 
-// A sub-step whose embedded error estimate exceeds this is taken as two halves, at most
-// kHalvings deep. Rare (an orifice near zero pressure drop, a slammed valve), but without it the
-// square root of an orifice can hold the scheme at a wrong pressure, 5 % at full opening.
+// A sub-step whose embedded error estimate exceeds this is split into two halves, at most kHalvings
+// times. This is rare (an orifice near zero pressure drop, a slammed valve), but without it the square
+// root of an orifice can keep the scheme at a wrong pressure, by 5 % at full opening.
 inline constexpr double kPressureError = 2e5;  // Pa
 inline constexpr int kHalvings = 4;
 
 // One sub-step of the L-stable two-stage Rosenbrock method ROS2 (Verwer et al. 1999,
 // gamma = 1 - 1/sqrt 2; order two for any Jacobian) on the amounts of oil:
 //   N_A' = (Q_A - leakage)/w(p_A),  p_A from w(p_A) = V_A(t)/N_A,  and the same for B.
-// Spool and volumes move from `edges`, `volume` to `edges_end`, `volume_end`; the derivative in
-// time through the volumes is kept, so that pressures stay smooth while the piston runs.
+// Spool and volumes move from `edges`, `volume` to `edges_end`, `volume_end`; the method includes the
+// time derivative due to the volumes, so that pressures stay smooth while the piston moves.
 inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& oil,
                              const Edges& edges, const Edges& edges_end, const Volumes& volume,
                              const Volumes& volume_end, double supply_pressure,
@@ -105,11 +105,11 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
   const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  // Vapour holds the pressure at the floor while the piston moves; its stiffness against oil is
-  // kept, so that a chamber which fills up within the sub-step does not overshoot.
+  // With vapour the pressure stays at the floor while the piston moves; the stiffness is kept all the
+  // same, so that a chamber that fills up within the sub-step does not overshoot.
   const double rise_a = k.a.p > kPressureFloor ? stiff_a * (volume_end.a - volume.a) : 0.0;
   const double rise_b = k.b.p > kPressureFloor ? stiff_b * (volume_end.b - volume.b) : 0.0;
-  // Where vapour fills part of a chamber, oil still enters with the volume it has at the floor.
+  // If vapour fills part of a chamber, oil enters with its relative volume at the pressure floor.
   const double inverse_wa = std::max(k.amount_a / volume.a, c.inverse_w_floor);
   const double inverse_wb = std::max(k.amount_b / volume.b, c.inverse_w_floor);
 
@@ -139,7 +139,7 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double k2a = (m_bb * r2a - m_ab * r2b) * inverse_det;
   const double k2b = (m_aa * r2b - m_ba * r2a) * inverse_det;
 
-  // ROS2 less the first-order solution N + dt k1, as a pressure.
+  // Error estimate: ROS2 minus the first-order solution N + dt k1, converted to pressure.
   const double error_a = 0.5 * dt * (k1a + k2a) * stiff_a / inverse_wa;
   const double error_b = 0.5 * dt * (k1b + k2b) * stiff_b / inverse_wb;
   if (halvings > 0 && std::max(std::abs(error_a), std::abs(error_b)) > kPressureError) {
@@ -168,7 +168,7 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
                             f2.leak * (pa2 - pb2) + f2.leak_a * pa2 + f2.leak_b * pb2);
 }
 
-// Motion of the piston and the forces on it over the step that has just been taken.
+// Motion of the piston and the forces on it over the mechanism's latest step.
 struct PistonStep {
   double x;              // m, at the start
   double v_start;        // m/s, at the start
@@ -178,7 +178,7 @@ struct PistonStep {
   double mass;           // kg, effective; 0 = unknown
 };
 
-// Advances spool, oil amounts, bristle, temperature, wear and the energy books by one time step.
+// Advances spool, oil amounts, bristle, temperature, wear and the energy balance by one time step.
 inline void advance_cylinder(CylinderParameters& p, const CylinderCoefficients& c,
                              const StepCoefficients& step, const OilCondition& oil,
                              const Chambers& start, const PistonStep& piston, double command,

@@ -1,4 +1,4 @@
-// Hydraulic power unit: constant pressure, or pump, relief and accumulator.
+// Hydraulic power unit: constant pressure, or pump, relief valve and accumulator.
 #pragma once
 
 #include <algorithm>
@@ -39,13 +39,13 @@ inline void advance_supply(const SupplyParameters& p, double demand, double time
   const double precharge = p.accumulator_precharge_ + kAtmosphere;
   const double absolute = pressure + kAtmosphere;
   const double gas = p.accumulator_volume_ * std::pow(precharge / absolute, 1.0 / p.polytropic_index_);
-  // The compensator is stiff in time: implicit in pressure, with dp/dV = -n p / V_gas.
+  // The compensator is stiff: implicit in the pressure, with dp/dV = -n p / V_gas.
   const double stiffness = p.polytropic_index_ * absolute / gas;
   const double wanted = (p.compensator_gain_ * (p.supply_pressure_ - pressure) +
                          p.compensator_gain_ * stiffness * timestep * demand) /
                         (1.0 + p.compensator_gain_ * stiffness * timestep);
   const double pump = std::clamp(wanted, 0.0, p.pump_flow_);
-  // Below the precharge the gas law goes on: an empty accumulator lets the pressure collapse.
+  // The gas law is also used below the precharge: an empty accumulator makes the pressure collapse.
   const double next = std::clamp(gas + (demand - pump) * timestep, 0.1 * gas, 2.0 * gas);
   const double after = absolute * std::pow(gas / next, p.polytropic_index_) - kAtmosphere;
   s.pressure_ = std::clamp(after, 0.0, 1.1 * p.supply_pressure_);  // relief valve

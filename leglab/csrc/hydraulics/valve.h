@@ -31,7 +31,7 @@ struct SpoolTransition {
 
   void advance(double command, double& x, double& v) const {
     const double e = x - command;
-    // A spool that has settled stays put: its decay would end in slow denormal numbers.
+    // A settled spool is set exactly: otherwise its decay ends in denormal numbers, which are slow.
     if (std::abs(e) < 1e-14 && std::abs(v) < 1e-11) {
       x = command;
       v = 0.0;
@@ -50,9 +50,9 @@ struct SpoolTransition {
 struct EdgeShape {
   double lap, rounding, exponent;
 
-  // (d + (|d|^n + eps^n)^(1/n))/2 beyond a lap (d = spool - lap): eps/2 at the lap for every n. A
-  // hyperbola with n = 2; with n = 1 it stays open by eps/2 behind the lap, as an edge with radial
-  // clearance does; a larger n shuts sooner.
+  // (d + (|d|^n + eps^n)^(1/n))/2 with d = spool - lap: eps/2 at the lap for every n. It is a hyperbola
+  // for n = 2; for n = 1 it stays open by eps/2 below the lap, like an edge with radial clearance; a
+  // larger n closes sooner.
   double opening(double spool) const {
     const double d = spool - lap;
     return 0.5 * (d + reach(std::abs(d)));
@@ -67,7 +67,7 @@ struct EdgeShape {
   }
 };
 
-// Four orifices side by side: Q = w dp / (dp^2 + dp_cr^2)^(1/4), and its slope dQ/d(dp).
+// Flows of four independent orifices: Q = w dp / (dp^2 + dp_cr^2)^(1/4), and slopes dQ/d(dp).
 struct OrificeFlows {
   double q[4];
   double slope[4];

@@ -37,10 +37,10 @@ struct QuadraticBasis {
   T lower() const { return knots[2]; }
   T upper() const { return knots[knot_count + 1]; }
 
-  // Abscissa at which weight i makes the network the identity (Greville; full basis).
+  // Weight i for which the network is the identity: Greville abscissa (full basis).
   T greville(int i) const { return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2); }
 
-  // Places of an array of weights with `offset` unused ones at each end; see evaluate_padded.
+  // Length of an array of weights with `offset` unused entries at each end; see evaluate_padded.
   int padded() const { return count + 2 * offset; }
 
   template <bool Slope = false>
@@ -50,15 +50,15 @@ struct QuadraticBasis {
     return local;
   }
 
-  // In place: a copy of what was just written, piece by piece, would wait for it.
+  // Writes in place: a copy of the struct would stall on the fields that were just written.
   template <bool Slope = false>
   void evaluate(T u, LocalBasis<T>& local) const {
     locate<Slope>(u, local);
     if (offset != 0) fold<Slope>(local);
   }
 
-  // As evaluate, but `first` counts from the padding and dropped splines have value zero: no
-  // branch depends on the input.
+  // Variant of evaluate without branches that depend on the input: `first` counts from the padding,
+  // and dropped splines have value zero.
   LocalBasis<T> evaluate_padded(T u) const {
     LocalBasis<T> local;
     locate<false>(u, local);
@@ -73,7 +73,7 @@ struct QuadraticBasis {
  private:
   template <bool Slope>
   void locate(T u, LocalBasis<T>& local) const {
-    // NaN (a diverged simulation) goes to the lower end: the interval must exist whatever u is.
+    // NaN (a diverged simulation) maps to the lower end: the interval must be valid for any u.
     const T nearest = !(u >= lower()) ? lower() : (upper() < u ? upper() : u);
     local.clipped = nearest != u;
     int interval;  // nearest lies in [knots[interval + 2], knots[interval + 3])
@@ -118,7 +118,7 @@ struct QuadraticBasis {
     local.first = interval - offset;
   }
 
-  // Last interval whose left knot is not above u; the last one is closed on the right.
+  // Returns the last interval whose left knot is not above u; the last is closed on the right.
   int search(T u) const {
     int low = 0, high = knot_count - 1;
     while (high - low > 1) {
@@ -149,10 +149,10 @@ struct QuadraticBasis {
   }
 };
 
-// Basis over `p` knots; `extended` needs p + 4 places and must outlive the basis.
+// Makes a basis over `p` knots; `extended` needs p + 4 entries and must outlive the basis.
 template <class T>
 QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
-  // By two knots at each end, which repeat the outermost gap.
+  // Two more knots at each end, spaced like the outermost gap.
   for (int i = 0; i < p; ++i) extended[i + 2] = knots[i];
   const T head = knots[1] - knots[0], tail = knots[p - 1] - knots[p - 2];
   extended[1] = knots[0] - head;
@@ -170,7 +170,7 @@ QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
   basis.knot_count = p;
   basis.offset = full ? 0 : 2;
   basis.count = full ? p + 1 : p - 3;
-  // Knots so close that the inverse is infinite are searched: no index comes from such a product.
+  // Knots so close that the inverse is infinite need a search: a product would give no index.
   basis.inverse_spacing = equidistant && is_finite(inverse) ? inverse : T(0);
   return basis;
 }

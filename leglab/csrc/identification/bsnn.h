@@ -34,7 +34,7 @@ class Bsnn {
     std::int64_t violations;  // steps whose learning constant broke the bound of Eq. 21
     T largest_contraction;    // largest eta N^T (N (1 - |W|)); Eq. 21 asks for less than 2
     T bias;
-    T learning_scale;            // multiplies the learning constants; 1 unless a gain schedule acts
+    T learning_scale;            // factor on the learning constants; 1 without a gain schedule
   };
 
   void layout(Workspace& workspace, const BsnnSettings<T>& settings) {
@@ -61,7 +61,7 @@ class Bsnn {
   const Tally& tally() const { return *tally_; }
   void scale_learning(T factor) { tally_->learning_scale = factor; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const Tally& t = *tally_;
     const bool counts = t.clipped >= 0 && t.violations >= 0;
@@ -77,7 +77,7 @@ class Bsnn {
     return nullptr;
   }
 
-  // Network output (Eqs. 10 and 13); remembers the local basis for adapt().
+  // Returns the network output (Eqs. 10 and 13); stores the local basis for adapt().
   T output(const T* u) {
     T sum = settings_.bias ? tally_->bias : T(0);
     const T* w = weights_;
@@ -90,7 +90,7 @@ class Bsnn {
     return sum;
   }
 
-  // One learning step towards target - output = error at the input of the last output().
+  // Does one learning step at the input of the last output(); error is target - output.
   void adapt(T error) {
     if (!is_finite(error)) return;
     T contraction = T(0);
@@ -122,10 +122,10 @@ class Bsnn {
     return w[0] * value[0] + w[1] * value[1] + w[2] * value[2];
   }
 
-  // Eq. 12 (14, 15) for `count` weights; returns their share of Eq. 21's sum, with the weights
-  // from before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1;
-  // that product is limited just below one, or a single wild error would throw w out for good.
-  // Rounding must not carry w to one either: there the factor is zero and w would be dead.
+  // Applies Eq. 12 (14, 15) to `count` weights; returns their share of Eq. 21's sum, computed with
+  // the weights before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1; that
+  // product is limited to just below one, or a single outlier would move w outside permanently.
+  // Rounding must not move w to one either: there the factor is zero and w would be stuck.
   T move(T* w, const T* value, int count, T eta, T error) const {
     constexpr T limit = T(1) - T(1) / T(1024), most = T(1) - T(1) / T(1 << 20);
     T sum = T(0);

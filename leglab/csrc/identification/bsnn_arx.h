@@ -13,7 +13,7 @@ template <class T>
 struct BsnnArxSettings {
   int na = 3;  // past outputs, n of Eq. 1
   int nb = 3;  // past network outputs, m of Eq. 1
-  int nk = 1;  // delay of the first of them [samples]; 1 in Eq. 3
+  int nk = 1;  // smallest lag of the network outputs [samples]; 1 in Eq. 3
   BsnnSettings<T> network;
   RlsSettings<T> rls;
   GuardSettings<T> guard;
@@ -51,7 +51,7 @@ class BsnnArx {
   int inputs() const { return settings_.network.inputs; }
   T openness() const { return *openness_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     if (!is_finite(*openness_)) return "openness";
     if (!all_finite(phi_, settings_.na)) return "past output";
@@ -60,8 +60,8 @@ class BsnnArx {
     return guard_.fault();
   }
 
-  // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t). NaN in y is fine
-  // where only a prediction is wanted: the sample then teaches nothing.
+  // Takes the sample (u(t), y(t)); returns the a-priori prediction of y(t). If only a prediction
+  // is wanted, y may be NaN: the sample is then not learned.
   T update(const T* input, T y) {
     T u[GuardSettings<T>::max_inputs];
     for (int j = 0; j < settings_.network.inputs; ++j) u[j] = input[j];
@@ -77,12 +77,12 @@ class BsnnArx {
     return prediction;
   }
 
-  // As update() with adaptation switched off and y taken as it is; for validation and free run
-  // on a copy of the workspace.
+  // Together these act as update() without adaptation and without checks of y, for validation and
+  // free run on a copy of the workspace.
   T predict_next(const T* u) { return predict(network_.output(u)); }
   void remember(T y) { push(phi_, settings_.na - 1, -y); }
 
-  // Prediction of the next output for an input that is not taken; changes nothing.
+  // Predicts the next output for an input without storing it; changes nothing.
   T peek(const T* u) {
     const T n = network_.output(u);
     for (int i = 0; i < settings_.nb; ++i) {
@@ -92,7 +92,7 @@ class BsnnArx {
     return rls_.predict(phi_);
   }
 
-  // Moves the poles of the ARX part inside the radius; true where they had to move.
+  // Scales the poles of the ARX part into the radius; returns true if they had to move.
   bool project_poles(T radius) {
     T* a = rls_.theta();
     const T g = pole_contraction(a, settings_.na, radius, poles_);

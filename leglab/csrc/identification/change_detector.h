@@ -1,4 +1,4 @@
-// Watches the squared a-priori error and says when the machine has changed.
+// Detection of changes of the machine from the squared a-priori error.
 #pragma once
 
 #include <cstdint>
@@ -13,16 +13,16 @@ enum class OnChange : int { reset, inflate };
 template <class T>
 struct ChangeSettings {
   bool enabled = false;
-  int fast_window = 20;   // samples of the quick mean
+  int fast_window = 20;   // samples of the fast mean
   int slow_window = 500;  // samples of the slow mean
-  T ratio = T(3);         // quick above ratio times slow: a change
-  int hold_off = 200;     // samples without a second alarm, also after the start
+  T ratio = T(3);         // a fast mean above ratio times the slow mean is a change
+  int hold_off = 200;     // samples without alarm after an alarm and after the start
   OnChange action = OnChange::reset;
-  T gain = T(1e4);        // least squares takes F := gain * I, or F += gain * I, on a change
+  T gain = T(1e4);        // on a change least squares sets F := gain * I, or F += gain * I
 };
 
-// Quick and slow exponential means of the squared error. Until a window is full its mean is the
-// plain average, so that no starting value has to be guessed.
+// Fast and slow exponential means of the squared error. Until a window is full its mean is the
+// plain average, so that no initial value has to be guessed.
 template <class T>
 class ChangeDetector {
  public:
@@ -35,8 +35,8 @@ class ChangeDetector {
 
   void configure(const ChangeSettings<T>& settings) { settings_ = settings; }
 
-  // Takes one squared error; true where it shows a change. The slow mean of before this
-  // sample is the measure, or a large error would hide itself.
+  // Takes one squared error; returns true if it shows a change. The slow mean before this sample
+  // sets the threshold, so that a large error does not raise it.
   bool observe(T squared) {
     State& s = *state_;
     ++s.samples;
@@ -55,12 +55,12 @@ class ChangeDetector {
     return change;
   }
 
-  // No alarm for the hold-off from now on: who calls knows of the change.
+  // Suppresses alarms for the hold-off, after a change that the caller knows of.
   void hold() { state_->last_change = state_->samples; }
 
   const State& state() const { return *state_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const State& s = *state_;
     const bool counts = s.samples >= 0 && s.last_change >= 0 && s.last_change <= s.samples &&

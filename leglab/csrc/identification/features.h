@@ -28,16 +28,16 @@ struct Block {
   Feature feature = Feature::constant;
   int signal = 0;
   int lag = 0;
-  int lags = 1;  // number of them, of lags and hammerstein
+  int lags = 1;  // number of lags, for lags and hammerstein
   QuadraticBasis<T> basis;
-  int factor_signal = -1;  // of spline and term; -1: none
+  int factor_signal = -1;  // for spline and term; -1: none
   int factor_lag = 0;
-  T learning_constant = T(0);  // of hammerstein
-  Curve curve = Curve::power;  // of term, and all below
+  T learning_constant = T(0);  // for hammerstein
+  Curve curve = Curve::power;  // for term, like all fields below
   int degree = 1;
   T at = T(0);
   T width = T(1);
-  bool change = false;  // of x(t - lag) - x(t - lag - 1)
+  bool change = false;  // whether g is of x(t - lag) - x(t - lag - 1)
 
   int count() const {
     return feature == Feature::spline ? basis.count : feature == Feature::constant ? 1 : lags;
@@ -53,7 +53,7 @@ struct Block {
     return factor_signal >= 0 ? larger(last, factor_lag) : last;
   }
 
-  // g and its slope at x.
+  // Computes g and its slope at x.
   void bend(T x, T& value, T& slope) const {
     const T d = x - at;
     switch (curve) {
@@ -88,7 +88,7 @@ struct Structure {
   int parameters() const { return sum(&Block<T>::count); }
   int weights() const { return sum(&Block<T>::weights); }
   int locals() const { return sum(&Block<T>::locals); }
-  // Samples of history: the largest lag in use.
+  // Number of past samples: the largest lag in use.
   int depth() const {
     int most = 1;
     for (const Block<T>& block : *this) most = larger(most, block.deepest());
@@ -184,7 +184,7 @@ class Features {
     nonzero_ = nonzero;
   }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const LocalBasis<T>* local = local_;
     for (const Block<T>& block : structure_) {
@@ -196,14 +196,14 @@ class Features {
     return nullptr;
   }
 
-  // theta^T phi.
+  // Returns theta^T phi.
   T predict(const T* theta) const {
     T sum = T(0);
     for (int k = 0; k < nonzero_; ++k) sum += theta[support_[k]] * phi_[support_[k]];
     return sum;
   }
 
-  // d (theta^T phi) / d y(t - lag) at [lag], for lag 1 ... depth; after build<true>.
+  // Writes d (theta^T phi) / d y(t - lag) at [lag], for lag 1 ... depth; after build<true>.
   void output_slopes(const T* theta, const History<T>& past, T* slope) const {
     for (int k = 0; k <= past.depth; ++k) slope[k] = T(0);
     const LocalBasis<T>* local = local_;
@@ -236,7 +236,7 @@ class Features {
     }
   }
 
-  // d (theta^T phi) / d weights of the hammerstein blocks.
+  // Writes d (theta^T phi) / d weights of the hammerstein blocks.
   void weight_slopes(const T* theta, T* slope) const {
     const LocalBasis<T>* local = local_;
     for (const Block<T>& block : structure_) {

@@ -1,5 +1,5 @@
-// Free run of a model over stretches of a record, each from its measured start, and the sums from
-// which a Gauss-Newton step and the ranking of further features are made.
+// Free run of a model over stretches of a record, each started from measured samples, and the sums
+// for a Gauss-Newton step and for the ranking of candidate features.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 
 namespace leglab::identification {
 
-// Scaled signals: the output, which may have gaps (NaN), and the inputs one behind the other.
+// Scaled signals: the output, which may have gaps (NaN), and the inputs, concatenated.
 template <class T>
 struct Record {
   const T* output = nullptr;
@@ -18,15 +18,15 @@ struct Record {
   int samples = 0;
 };
 
-// With psi = d y / d theta of the model's own output y, and for features that the model lacks the
-// sensitivity that they would have (theta zero). `width` counts both, the model's first.
+// psi = d y / d theta of the simulated output y, for the model's parameters and then for those of
+// candidate features, which are zero. `width` is the number of both.
 template <class T>
 struct Sums {
   Products<T> products;     // (width, parameters): sum of psi_i psi_j
   std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
-  std::vector<T> squares;   // lower triangles of sum of psi_i psi_j within each further block
+  std::vector<T> squares;   // lower triangles of sum of psi_i psi_j within each candidate block
   T error = T(0);           // sum of squared errors
-  std::size_t count = 0;    // of samples
+  std::size_t count = 0;    // number of samples
 };
 
 template <class T>
@@ -63,8 +63,8 @@ class FreeRun {
     sums_.count = 0;
   }
 
-  // Simulates samples start ... start + length - 1 (start >= depth) and adds to the sums, without
-  // those of sensitivities if not wanted.
+  // Simulates samples start ... start + length - 1 (start >= depth) and adds to the sums; to those
+  // of sensitivities only if wanted.
   void run(const Record<T>& record, int start, int length, const T* theta, bool sensitivities) {
     const int inputs = model_.inputs;
     for (int k = 1; k <= depth_; ++k) past_.output[k] = record.output[start - k];
@@ -107,8 +107,8 @@ class FreeRun {
     psi_ = workspace.take<T>(width_ * (depth_ + 1));
   }
 
-  // Output of the model at this sample; fills its sensitivities:
-  // psi(t) = phi(t) + sum_k d y(t) / d y(t - k) psi(t - k), zero where the output is held.
+  // Returns the model's output at this sample; fills its sensitivities:
+  // psi(t) = phi(t) + sum_k d y(t) / d y(t - k) psi(t - k), zero if the output is clamped.
   T step(const T* theta, bool sensitivities) {
     if (sensitivities) features_.template build<true>(past_, nullptr);
     else features_.build(past_, nullptr);
@@ -131,7 +131,7 @@ class FreeRun {
     const int after = depth_ - newest_;
     add_rows(psi, psi + width_, slope_ + 1, after, width_);
     add_rows(psi, psi_, slope_ + 1 + after, newest_, width_);
-    drop_beyond(T(1e12), psi, width_);  // an unstable model: its sensitivities tell nothing
+    drop_beyond(T(1e12), psi, width_);  // such sensitivities, of an unstable model, are useless
     return own;
   }
 
@@ -157,7 +157,7 @@ class FreeRun {
   Features<T> features_, further_features_;
   History<T> past_;
   T* slope_ = nullptr;
-  T* psi_ = nullptr;  // [place][parameter], a ring
+  T* psi_ = nullptr;  // [row][parameter], a ring buffer of rows
   Sums<T> sums_;
 };
 

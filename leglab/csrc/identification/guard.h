@@ -1,4 +1,4 @@
-// Decides whether a sample may teach the identifier anything.
+// Guard that decides whether a sample may be learned.
 #pragma once
 
 #include <cstdint>
@@ -8,14 +8,14 @@
 
 namespace leglab::identification {
 
-// What became of a sample; also the index of its counter.
+// Outcome of a sample; also the index of its counter.
 enum class Sample : int {
   learned,
   frozen,       // good, but adaptation is switched off
   recovering,   // good, but the regressor still holds a bad one
-  dropped,      // the caller said that it is missing
+  dropped,      // marked as missing by the caller
   not_finite,   // NaN or infinite
-  implausible,  // beyond what the signal can be
+  implausible,  // outside the plausible range of the signal
   saturated,    // input at or beyond its limits
   stuck,        // output unchanged for stuck_samples although an input moved
   count,
@@ -26,7 +26,7 @@ struct GuardSettings {
   static constexpr int max_inputs = 40;
   int inputs = 1;
   T output_centre = T(0);
-  T output_limit = T(0);  // largest plausible distance of y from its centre; 0: any
+  T output_limit = T(0);  // largest plausible distance of y from its centre; 0: no limit
   T input_centre[max_inputs] = {};
   T input_limit[max_inputs] = {};
   int stuck_samples = 0;  // 0: never
@@ -41,11 +41,11 @@ class Guard {
  public:
   struct State {
     std::int64_t tally[static_cast<int>(Sample::count)];
-    std::int64_t unchanged;   // samples the output has not moved
-    std::int64_t dirty;       // samples until the regressor is clean
-    T output;                 // last good output, stands in for a bad one
+    std::int64_t unchanged;   // samples since the output last changed
+    std::int64_t dirty;       // samples until the regressor holds only good values
+    T output;                 // last good output, replaces a bad one
     T input[GuardSettings<T>::max_inputs];
-    bool input_moved;         // since the output last moved
+    bool input_moved;         // whether an input changed since the output last did
     bool frozen;
   };
 
@@ -53,7 +53,7 @@ class Guard {
 
   void configure(const GuardSettings<T>& settings) {
     settings_ = settings;
-    // "Any" is the largest number: then one comparison also refuses NaN and the infinities.
+    // The largest number stands for no limit: one comparison then also refuses NaN and infinities.
     constexpr T any = sizeof(T) == 4 ? T(3.4e38) : T(1.7e308);
     if (!(settings_.output_limit > T(0))) settings_.output_limit = any;
     for (T& limit : settings_.input_limit) limit = limit > T(0) ? limit : any;
@@ -61,7 +61,7 @@ class Guard {
 
   State& state() { return *state_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const State& s = *state_;
     for (const std::int64_t count : s.tally) {
@@ -73,7 +73,7 @@ class Guard {
     return numbers ? nullptr : "last good sample";
   }
 
-  // Judges a sample and replaces what must not enter the history by the last good value.
+  // Classifies a sample; replaces bad values, which must not enter the history, by the last good.
   Sample judge(T* u, T& y, bool present) {
     State& s = *state_;
     Sample verdict = present ? Sample::learned : Sample::dropped;

@@ -1,4 +1,4 @@
-// Output-error stage: the model's own simulation, and how its output depends on the parameters
+// Output-error stage: simulation of the model and sensitivities of its output to the parameters
 // (recursive prediction error method, Ljung and Soderstrom 1983).
 #pragma once
 
@@ -16,7 +16,7 @@ class OutputError {
   struct State {
     std::int64_t resynchronised;
     std::int64_t samples;
-    T mean_square;  // of the simulation error: what free run would cost, before it is learned
+    T mean_square;  // of the simulation error, which is taken before the sample is learned
     bool running;
   };
 
@@ -33,8 +33,8 @@ class OutputError {
 
   State& state() { return *state_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound. Its numbers may be
-  // anything: a simulation that is lost starts anew.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid. The
+  // simulated values may be anything: a simulation that diverges is restarted.
   const char* fault() const {
     const State& s = *state_;
     const bool sound = s.resynchronised >= 0 && s.samples >= 0 && is_finite(s.mean_square) &&
@@ -42,7 +42,7 @@ class OutputError {
     return sound ? features_.fault() : "simulation";
   }
 
-  // Sensitivities of the simulated output at this sample: theta first, then the weights.
+  // Returns sensitivities of the simulated output at this sample: to theta, then to the weights.
   const T* sensitivity() const { return psi_; }
 
   // Restarts the simulation from the measured past.
@@ -52,7 +52,7 @@ class OutputError {
     state_->running = true;
   }
 
-  // Simulated output at this sample; fills sensitivity():
+  // Returns the simulated output at this sample; fills sensitivity():
   // psi(t) = phi(t) + sum_k d y(t) / d y(t - k) psi(t - k).
   T simulate(const History<T>& measured, const T* theta, const T* weights) {
     const History<T> own{measured.depth, past_, measured.inputs};

@@ -5,8 +5,8 @@
 
 namespace leglab::identification {
 
-// Whether all roots lie strictly inside |z| < radius: Schur-Cohn step-down on the polynomial
-// scaled by the radius. `scratch` needs 2 n places.
+// Tests whether all roots lie strictly inside |z| < radius: Schur-Cohn step-down on the polynomial
+// scaled by the radius. `scratch` needs 2 n entries.
 template <class T>
 bool poles_within(const T* a, int n, T radius, T* scratch) {
   T* p = scratch;
@@ -27,8 +27,8 @@ bool poles_within(const T* a, int n, T radius, T* scratch) {
   return true;
 }
 
-// Largest factor g <= 1 for which the roots times g lie inside the radius; a_i g^i has those
-// roots. Exactly 1 where nothing has to move. `scratch` needs 3 n places.
+// Returns the largest factor g <= 1 for which the roots times g lie inside the radius; a_i g^i has
+// those roots. Exactly 1 if no root has to move. `scratch` needs 3 n entries.
 template <class T>
 T pole_contraction(const T* a, int n, T radius, T* scratch) {
   if (poles_within(a, n, radius, scratch)) return T(1);

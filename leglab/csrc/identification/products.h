@@ -1,4 +1,4 @@
-// Sum of the products of many vectors with themselves, by tiles that stay in registers.
+// Sum of the outer products of many vectors, computed in tiles that stay in registers.
 #pragma once
 
 #include <cstddef>
@@ -8,7 +8,7 @@
 
 namespace leglab::identification {
 
-// sum psi_i psi_j for i < width and j < columns <= width, of which j <= i within the first square.
+// sum psi_i psi_j for i < width, j < columns <= width; in the first square only j <= i is computed.
 template <class T>
 class Products {
  public:

@@ -1,4 +1,4 @@
-// Recursive least squares on the factorised gain, with four ways to forget.
+// Recursive least squares on the factorised gain, with four kinds of forgetting.
 #pragma once
 
 #include <cstdint>
@@ -21,9 +21,9 @@ struct RlsSettings {
   Forgetting forgetting = Forgetting::none;
   T forgetting_factor = T(1);        // lambda; the smallest one allowed in variable forgetting
   T memory = T(400);                 // N_0 of variable forgetting [samples]
-  T noise_variance = T(0);           // of variable forgetting; 0: the detector's slow mean
+  T noise_variance = T(0);           // for variable forgetting; 0: the detector's slow mean
   T gain_bound = T(1e6);             // trace(F) <= gain_bound times the number of parameters
-  T restore_gain = T(1e4);           // prior variance of theta that is given back
+  T restore_gain = T(1e4);           // variance of the prior of theta that is restored
   int restore_interval = 0;          // updates from one restored parameter to the next; 0: never
   ChangeSettings<T> change;
 };
@@ -33,12 +33,12 @@ class Rls {
  public:
   struct Tally {
     std::int64_t rejected;  // updates refused because they would not have stayed finite
-    std::int64_t in_a_row;  // of them
-    std::int64_t restarts;  // times that theta and F were given up for that
+    std::int64_t in_a_row;  // consecutive refused updates
+    std::int64_t restarts;  // resets of theta and F after too many of them
     T factor;               // forgetting factor of the last update
     T forgotten;            // sum of (1 - factor), since `visit` was last at the first parameter
     std::int64_t until;     // updates until the next parameter is restored
-    std::int64_t visit;     // which it is
+    std::int64_t visit;     // index of that parameter
   };
 
   void layout(Workspace& workspace, int parameters) {
@@ -68,7 +68,7 @@ class Rls {
   void hold_alarm() { detector_.hold(); }
   const typename ChangeDetector<T>::State& change() const { return detector_.state(); }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const Tally& t = *tally_;
     const bool counts = t.rejected >= 0 && t.in_a_row >= 0 && t.restarts >= 0 && t.until >= 0 &&
@@ -94,8 +94,8 @@ class Rls {
     return i < n ? even + odd + theta_[i] * phi[i] : even + odd;
   }
 
-  // One update with regressor phi and a-priori error; true where a change was detected. `variance` is
-  // that of the noise in this sample over that in others.
+  // Does one update with regressor phi and a-priori error; returns true if a change was detected.
+  // `variance` is the noise variance of this sample, relative to that of other samples.
   bool update(const T* phi, T error, Support support = {}, T variance = T(1)) {
     bool changed = false;
     T power = factor_.project(phi, support);
@@ -131,9 +131,9 @@ class Rls {
   }
 
  private:
-  // What is forgotten of the prior, theta = 0 with variance restore_gain, is given back, parameter by
-  // parameter in turn, as observations theta_i = 0 (Gunnarsson 1996, CDC, 2551). So F stays bounded
-  // and theta finds home in directions that nothing excites.
+  // Restores what was forgotten of the prior, theta = 0 with variance restore_gain, parameter by
+  // parameter, through observations theta_i = 0 (Gunnarsson 1996, CDC, 2551). So F stays bounded,
+  // and theta returns to the prior in directions without excitation.
   void restore() {
     Tally& tally = *tally_;
     tally.forgotten += T(1) - tally.factor;
@@ -158,7 +158,7 @@ class Rls {
     for (int k = 0; k < n; ++k) theta_[k] += gain[k] * weight;
   }
 
-  // Parameters so large that their error overflows could never learn again.
+  // Counts a refused update. Parameters so large that errors overflow need a reset to learn again.
   void reject() {
     constexpr std::int64_t patience = 10;
     ++tally_->rejected;
@@ -169,7 +169,7 @@ class Rls {
     ++tally_->restarts;
   }
 
-  // Updates F; returns what the gain F phi is divided by.
+  // Updates F; returns the divisor of the gain F phi.
   T forget(T power, T squared, T variance) {
     const T one = T(1);
     T factor = one;

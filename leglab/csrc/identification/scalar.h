@@ -18,19 +18,19 @@ constexpr T larger(T a, T b) {
   return a < b ? b : a;
 }
 
-// NaN becomes the lower end.
+// Clamps x to [lower, upper]; NaN becomes the lower end.
 template <class T>
 constexpr T clamp(T x, T lower, T upper) {
   return x > lower ? smaller(x, upper) : lower;
 }
 
-// NaN and the infinities are the only values whose difference with themselves is not zero.
+// Tests x: NaN and the infinities are the only values whose difference with themselves is not zero.
 template <class T>
 constexpr bool is_finite(T x) {
   return x - x == T(0);
 }
 
-// Whether all of `count` values are finite.
+// Tests whether all of `count` values are finite.
 template <class T>
 constexpr bool all_finite(const T* values, int count) {
   for (int i = 0; i < count; ++i) {
@@ -39,13 +39,13 @@ constexpr bool all_finite(const T* values, int count) {
   return true;
 }
 
-// Whether a flag read from outside is one: a bool of another byte has no defined value.
+// Tests whether a flag read from outside has byte 0 or 1: others are undefined as a bool.
 inline bool is_flag(const bool& flag) {
   return *reinterpret_cast<const unsigned char*>(&flag) <= 1;
 }
 
-// Shifts the newest value into past[0 .. depth]. The carry keeps compilers from calling memmove,
-// which costs more than a few values are worth.
+// Shifts the newest value into past[0 .. depth]. The carried value keeps compilers from calling
+// memmove, which is slower for a few values.
 template <class T>
 void push(T* past, int depth, T newest) {
   for (int k = 0; k <= depth; ++k) {

@@ -9,7 +9,7 @@
 
 namespace leglab::identification {
 
-// Declared range of a signal: scaled to [-1, 1] before anything else is done with it.
+// Declared range of a signal, which is scaled to [-1, 1] before all computations.
 template <class T>
 struct Scale {
   T centre = T(0);
@@ -28,8 +28,8 @@ struct SplineNarxSettings {
   GuardSettings<T> guard;
   int output_error_after = 0;       // learned samples until the output-error stage; 0: never
   T resynchronise_above = T(0.5);   // simulation error that restarts the simulation (scaled)
-  T pole_limit = T(0);              // largest pole radius of the lags of y; 0: any
-  bool held = false;  // whether the model's own output never leaves the following (scaled)
+  T pole_limit = T(0);              // largest pole radius of the lags of y; 0: no limit
+  bool held = false;  // whether the simulated output is clamped to the limits below (scaled)
   T lower = T(-1e30);
   T upper = T(1e30);
 };
@@ -68,8 +68,8 @@ class SplineNarx {
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
     start_weights();
-    // The zeros of the empty history are no samples: equations with them would be remembered by
-    // least squares for the whole pass.
+    // The zeros of the empty history are no samples: least squares would remember equations with
+    // them for the whole pass.
     guard_.state().dirty = past_.depth;
   }
 
@@ -81,12 +81,12 @@ class SplineNarx {
   Rls<T>& rls() { return rls_; }
   Guard<T>& guard() { return guard_; }
   const State& state() const { return *state_; }
-  // Of the last sample, or of what was asked for after it.
+  // Regressor of the last sample, or of a later peek().
   const T* regressor() const { return features_.phi(); }
   bool refines() const { return settings_.output_error_after > 0; }
   OutputError<T>& simulation() { return simulation_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const State& s = *state_;
     if (s.learned < 0 || s.clipped < 0 || s.projected < 0) return "count of samples";
@@ -111,9 +111,9 @@ class SplineNarx {
       ++state_->learned;
       state_->clipped += features_.clipped();
     }
-    T own = measured;  // what the simulation takes for y(t)
+    T own = measured;  // value that the simulation stores for y(t)
     if (refines() && simulation_.state().running) own = refine(measured, verdict);
-    // Also where the simulation has just been lost: a model that is far off must still learn.
+    // Also if the simulation has just diverged: a model that is far off must still learn.
     if (learns && !(refines() && simulation_.state().running)) {
       learn(features_.phi(), features_.support(), measured - prediction);
     }
@@ -123,7 +123,7 @@ class SplineNarx {
     return settings_.output.undo(prediction);
   }
 
-  // Prediction without learning, and the output that is to stand for y(t) afterwards; for
+  // Predicts without learning; remember() then stores the output that stands for y(t). For
   // validation and free run on a copy of the workspace.
   T predict_next(const T* u) {
     const T own = expect(u);
@@ -132,7 +132,7 @@ class SplineNarx {
   }
   void remember(T y) { remember_scaled(settings_.output.apply(y)); }
 
-  // Prediction of the next output for an input that is not taken; changes nothing.
+  // Predicts the next output for an input without storing it; changes nothing.
   T peek(const T* u) {
     const int count = (past_.depth + 1) * inputs();
     for (int i = 0; i < count; ++i) kept_[i] = past_.inputs[i];
@@ -141,7 +141,7 @@ class SplineNarx {
     return settings_.output.undo(prediction);
   }
 
-  // Moves the poles of the lags of y inside the radius; true where they had to move.
+  // Scales the poles of the lags of y into the radius; returns true if they had to move.
   bool project_poles(T radius) {
     T* a = poles_;
     for (int k = 0; k < past_.depth; ++k) a[k] = T(0);
@@ -165,8 +165,8 @@ class SplineNarx {
     return features_.predict(rls_.theta());
   }
 
-  // Gauss-Newton step on the simulation error; returns the simulated output, or ends the simulation
-  // and returns the measured one.
+  // Does a Gauss-Newton step on the simulation error and returns the simulated output; if that is
+  // not usable, ends the simulation and returns the measured output.
   T refine(T measured, Sample verdict) {
     const T simulated = simulation_.simulate(past_, rls_.theta(), weights_);
     const T error = measured - simulated;
@@ -187,16 +187,16 @@ class SplineNarx {
 
   void learn(const T* phi, Support support, T error) {
     if (weight_count_ > 0) features_.weight_slopes(rls_.theta(), weight_slope_);
-    // Gathering pays only where most of the regressor is zero.
+    // Gathering the nonzero entries pays only if most of the regressor is zero.
     rls_.update(phi, error, support.count * 3 <= parameters_ ? support : Support{});
     move_weights(weight_slope_, error);
   }
 
-  // Gradient step through the sensitivity of the output, normalised by its power (NLMS). The
-  // offset, a sensitivity of a tenth in scaled units, calms the start, where theta is zero; of
-  // 1, 0.1, 0.01 and 0.001 it serves a dead zone and u|u| best at mu = 0.1. Scaled weights
-  // are about one (the identity), and theta takes up any gain: weights beyond the limit
-  // are not needed, and would only let wild data drive the product of both to infinity.
+  // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). The
+  // offset of the power, a sensitivity of 0.1 in scaled units, limits the first steps, where theta
+  // is zero; of 1, 0.1, 0.01 and 0.001 it suits a dead zone and u|u| best at mu = 0.1. Scaled
+  // weights are about one (the identity), and theta takes up any gain. Weights beyond the limit are
+  // therefore not needed, and with outliers the product of both could grow to infinity.
   void move_weights(const T* slope, T error) {
     T* w = weights_;
     for (const Block<T>& block : settings_.structure) {

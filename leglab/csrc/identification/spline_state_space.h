@@ -1,5 +1,5 @@
-// Identifier of a state-space model with curves: an extended Kalman predictor follows the state, and
-// recursive least squares on the predictor's sensitivities learns the parameters (recursive
+// Identifier of a state-space model with curves: an extended Kalman predictor estimates the state,
+// recursive least squares on the predictor's sensitivities estimates the parameters (recursive
 // prediction error method, Ljung 1979, "Asymptotic behavior of the extended Kalman filter as a
 // parameter estimator").
 #pragma once
@@ -20,8 +20,8 @@ struct SplineStateSpaceSettings {
   RlsSettings<T> rls;
   GuardSettings<T> guard;
   T noise = T(1e-4);          // variance of the output's error (scaled)
-  T process_noise = T(0);     // variance that each state gains in a sample; 0: the free run is right
-  bool held = false;          // whether the free run is held within the limits below (scaled)
+  T process_noise = T(0);     // variance added to each state per sample; 0: no disturbances
+  bool held = false;          // whether the free run is clamped to the limits below (scaled)
   T lower = T(-1e30);
   T upper = T(1e30);
 };
@@ -31,7 +31,7 @@ class SplineStateSpace {
  public:
   struct State {
     std::int64_t learned;
-    T expected;  // prediction of the sample that is to be remembered (scaled)
+    T expected;  // prediction for the sample of the next remember() (scaled)
   };
 
   void layout(Workspace& workspace, const SplineStateSpaceSettings<T>& settings) {
@@ -67,7 +67,7 @@ class SplineStateSpace {
   Guard<T>& guard() { return guard_; }
   const State& state() const { return *state_; }
 
-  // What a state read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a state read from outside; returns nullptr if the state is valid.
   const char* fault() const {
     const int n = settings_.structure.states;
     if (state_->learned < 0 || !is_finite(state_->expected)) return "count of samples";
@@ -91,7 +91,7 @@ class SplineStateSpace {
     const bool follows = !guard_.state().frozen;
     model_.linearise(rls_.theta());
     if (follows) model_.propagate(rls_.theta(), sensitivity_, psi_);
-    // Where the output itself is doubtful, the state follows the model alone.
+    // If the measured output is unusable, the state follows the model alone.
     const T variance = advance(error, measured);
     if (follows && measured) {
       for (int i = 0; i < settings_.structure.states; ++i) {
@@ -101,13 +101,13 @@ class SplineStateSpace {
     }
     if (verdict == Sample::learned) {
       ++state_->learned;
-      // An error that the state explains tells little of the parameters.
+      // An error that the state's uncertainty explains says little about the parameters.
       rls_.update(psi_, error, {}, variance / settings_.noise);
     }
     return settings_.output.undo(prediction);
   }
 
-  // Prediction without learning, and the output that is to stand for y(t) afterwards; for
+  // Predicts without learning; remember() then takes the output that stands for y(t). For
   // validation and free run on a copy of the workspace.
   T predict_next(const T* u) {
     const T own = expect(u);
@@ -119,7 +119,7 @@ class SplineStateSpace {
     advance(settings_.output.apply(y) - state_->expected, true);
   }
 
-  // Prediction of the next output for an input that is not taken; changes nothing.
+  // Predicts the next output for an input without storing it; changes nothing.
   T peek(const T* u) {
     const int count = (deepest_ + 1) * inputs();
     for (int i = 0; i < count; ++i) kept_[i] = past_[i];
@@ -139,7 +139,7 @@ class SplineStateSpace {
     return model_.evaluate(rls_.theta(), x_, late);
   }
 
-  // Where an input is not known, no state is: another recording may follow.
+  // Makes the state unknown if an input is missing or bad: another recording may follow.
   void lose_state(const T* input, const T* used) {
     for (int j = 0; j < inputs(); ++j) {
       if (input[j] == used[j]) continue;
@@ -149,8 +149,8 @@ class SplineStateSpace {
     }
   }
 
-  // x(t + 1) and its covariance from those of x(t), after `linearise`; returns the variance of the
-  // prediction's error.
+  // Advances the state and its covariance from t to t + 1, after `linearise`; returns the variance
+  // of the prediction error.
   T advance(T error, bool measured) {
     const int n = settings_.structure.states;
     const T* j = model_.jacobian();
@@ -190,7 +190,7 @@ class SplineStateSpace {
     }
   }
 
-  // A state of which nothing is known but its range.
+  // Resets to an unknown state: zero, with the covariance of its range.
   void forget_state() {
     for (int i = 0; i < settings_.structure.states; ++i) x_[i] = T(0);
     forget_covariance();

@@ -1,5 +1,5 @@
-// Simulation of a state-space model over a stretch of a record from a given state, and the sums from
-// which a Gauss-Newton step is made.
+// Simulation of a state-space model over a stretch of a record from an initial state, and the sums
+// for a Gauss-Newton step.
 #pragma once
 
 #include <cstddef>
@@ -10,21 +10,21 @@
 
 namespace leglab::identification {
 
-// With psi = d y / d (theta, x0, g), where g are the splines' weights of a further curve: those of
-// what it adds to each state, then to the output. The curve itself is zero.
+// psi = d y / d (theta, x0, g), where g are the spline weights of a candidate curve: those of its
+// effects on each state, then of its effect on the output. The curve itself is zero.
 template <class T>
 struct StateSums {
   Products<T> products;     // (width, width): sum of psi_i psi_j
   std::vector<T> gradient;  // (width): sum of psi_i (y measured - y)
   T error = T(0);           // sum of squared errors
-  std::size_t count = 0;    // of samples
+  std::size_t count = 0;    // number of samples
 };
 
 template <class T>
 class StateRun {
  public:
-  // `further`: weights of states and inputs in the argument of a further curve, or nullptr; owned by
-  // the caller.
+  // `further`: weights of states and inputs in the argument of a candidate curve, or nullptr; owned
+  // by the caller.
   StateRun(const StateStructure<T>& structure, T lower, T upper, const T* further)
       : further_(further), lower_(lower), upper_(upper) {
     width_ = structure.parameters() + structure.states;
@@ -42,7 +42,7 @@ class StateRun {
   StateSums<T>& sums() { return sums_; }
 
   // Simulates `length` samples of inputs (length, inputs) from the state x0; y may have gaps (NaN).
-  // Writes the states, (length, states), where they are given.
+  // Writes the states, (length, states), unless `states` is nullptr.
   void run(const T* u, const T* y, int length, const T* theta, const T* x0, bool sensitivities,
            T* states = nullptr) {
     clear();
@@ -78,7 +78,7 @@ class StateRun {
     std::byte bytes[Workspace::alignment];
   };
 
-  // What the weights of the further curve do at this sample.
+  // Adds the direct effects of the candidate curve's weights at this sample.
   void add_further(const T* x, const T* u, T* psi) {
     const StateStructure<T>& s = model_.structure();
     T z = T(0);

@@ -14,7 +14,7 @@ namespace leglab::identification {
 
 template <class T>
 struct StateStructure {
-  static constexpr T reach = T(2);  // a state is held within it; training data have it within one
+  static constexpr T reach = T(2);  // clamp of the states, which are within one in training data
   int states = 1;
   int inputs = 1;
   int curves = 0;
@@ -26,7 +26,7 @@ struct StateStructure {
   int parameters() const { return linear() + curves * curve(); }
 };
 
-// One step and its sensitivities, which have `width` columns: those of the parameters, then others.
+// One step and its sensitivities, of `width` columns: first to the parameters, then to others.
 template <class T>
 class StateSpace {
  public:
@@ -50,7 +50,7 @@ class StateSpace {
   const T* jacobian() const { return jacobian_; }
   const T* output_slope() const { return output_; }
 
-  // y(t), and x(t + 1) in next().
+  // Returns y(t); next() then has x(t + 1).
   T evaluate(const T* theta, const T* x, const T* u) {
     const int n = s_.states, m = s_.signals();
     for (int i = 0; i < n; ++i) signals_[i] = x[i];
@@ -81,7 +81,7 @@ class StateSpace {
     return y;
   }
 
-  // Slopes at the sample of `evaluate`.
+  // Computes the slopes at the sample of the last `evaluate`.
   void linearise(const T* theta) {
     const int n = s_.states, m = s_.signals();
     for (int i = 0; i < n * n; ++i) jacobian_[i] = theta[i];
@@ -100,7 +100,7 @@ class StateSpace {
     }
   }
 
-  // From S = d x(t) / d theta, (states, width), to that of x(t + 1), in place; psi = d y(t) / d theta.
+  // Advances S = d x(t) / d theta, (states, width), to t + 1 in place; psi gets d y(t) / d theta.
   void propagate(const T* theta, T* sensitivity, T* psi) {
     const int n = s_.states;
     for (int i = 0; i < n * width_; ++i) former_[i] = sensitivity[i];
@@ -109,7 +109,7 @@ class StateSpace {
       for (int p = 0; p < width_; ++p) row[p] = T(0);
       if (i == n || !held_[i]) direct(theta, i, row);
       add_rows(row, former_, i < n ? jacobian_ + i * n : output_, n, width_);
-      drop_beyond(T(1e12), row, width_);  // an unstable model: its sensitivities tell nothing
+      drop_beyond(T(1e12), row, width_);  // such sensitivities, of an unstable model, are useless
     }
   }
 
@@ -120,7 +120,7 @@ class StateSpace {
     return sum;
   }
 
-  // Adds what the parameters do at this sample to state i, or to the output (i = states).
+  // Adds the direct derivative of next state i, or of the output (i = states), by the parameters.
   void direct(const T* theta, int i, T* row) {
     const int n = s_.states, m = s_.signals();
     if (i < n) {
@@ -145,7 +145,7 @@ class StateSpace {
   int width_ = 0;
   T* signals_ = nullptr;  // x, then u
   T* next_ = nullptr;
-  bool* held_ = nullptr;  // states beyond their reach
+  bool* held_ = nullptr;  // whether each state is clamped
   LocalBasis<T>* local_ = nullptr;
   T* value_ = nullptr;  // of each curve
   T* slope_ = nullptr;

@@ -1,4 +1,4 @@
-// Gain matrix F = U D U^T of recursive least squares, kept as its factors (Bierman 1976).
+// Gain matrix F = U D U^T of recursive least squares, stored as its factors (Bierman 1976).
 #pragma once
 
 #include <utility>
@@ -6,8 +6,8 @@
 #include "identification/scalar.h"
 #include "identification/workspace.h"
 
-// Compiles a function once more for processors with AVX2, which is taken on these: vectors of four
-// do the same additions in the same order, so the results are the same to the bit.
+// Compiles a second version of a function, which processors with AVX2 use. Its vectors of four do
+// the same additions in the same order, so the results are bit-identical.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && __STDC_HOSTED__ && \
     !defined(__SANITIZE_ADDRESS__)
 #define LEGLAB_AVX2_TOO [[gnu::target_clones("avx2", "default")]]
@@ -17,15 +17,15 @@
 
 namespace leglab::identification {
 
-// Which regressors are not zero; index == nullptr means all of them.
+// Indices of the nonzero regressors; index == nullptr means all of them.
 struct Support {
   const int* index = nullptr;  // increasing
   int count = 0;
 };
 
-// U is unit upper triangular, its columns packed one behind the other; D is positive. F is
-// symmetric positive definite by construction: no rounding can undo it, and what
-// keeps D above `floor` and the columns below a bound only ever changes positive factors.
+// U is unit upper triangular, its columns packed consecutively; D is positive. So F is symmetric
+// positive definite by construction: rounding cannot destroy this, nor can the limits that keep D
+// above `floor` and the columns' shares of the trace below a bound, since they leave D positive.
 template <class T>
 class UdFactor {
  public:
@@ -46,9 +46,9 @@ class UdFactor {
     for (int i = 0; i < n_; ++i) d_[i] = gain;
   }
 
-  // Takes the factors of a symmetric positive definite F, n times n: F = U D U^T from the last column
-  // on (Bierman 1977, Factorization Methods, III.3). Where rounding leaves D without a positive
-  // entry, it is the floor.
+  // Factorises a symmetric positive definite F, n times n: F = U D U^T from the last column on
+  // (Bierman 1977, Factorization Methods, III.3). An entry of D that rounding would leave below the
+  // floor becomes the floor.
   void assign(const T* full) {
     for (int j = n_ - 1; j >= 0; --j) {
       T* column = u_ + j * (j - 1) / 2;
@@ -68,7 +68,7 @@ class UdFactor {
   int size() const { return n_; }
   const T* upper() const { return u_; }
   const T* diagonal() const { return d_; }
-  const T* gain_vector() const { return b_; }  // F phi of the last update, before it
+  const T* gain_vector() const { return b_; }  // F phi of the last update, with F before it
 
   // Computes f = U^T phi and v = D f; returns phi^T F phi.
   T project(const T* phi, Support support) {
@@ -101,13 +101,13 @@ class UdFactor {
 
   // F <- (F - beta F phi phi^T F / (alpha + beta phi^T F phi)) * scale after project(phi).
   // beta may be negative (directional forgetting) as long as alpha + beta phi^T F phi stays
-  // positive. Where F can have grown, every column's share of the trace is kept within bound.
+  // positive. If F may have grown, every column's share of the trace is limited to bound.
   void update(T alpha, T beta, T scale, T bound) {
     Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
     if (n_ == 6 && first_ == 0) rotate<6>(sweep);
     else if (n_ == 7 && first_ == 0) rotate<7>(sweep);
     else rotate_many(sweep);
-    // Exactly, F can only have grown in the first two cases; rounding adds the others.
+    // In exact arithmetic F can grow only in the first two cases; rounding adds the others.
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
 
@@ -132,7 +132,7 @@ class UdFactor {
     limit(bound);
   }
 
-  // What a factor read from outside cannot be; nullptr where it is sound.
+  // Names the invalid part of a factor read from outside; returns nullptr if it is valid.
   const char* fault() const {
     if (!all_finite(u_, n_ * (n_ - 1) / 2) || !all_finite(d_, n_)) return "gain";
     for (int i = 0; i < n_; ++i) {
@@ -148,7 +148,7 @@ class UdFactor {
   }
 
  private:
-  // first + sum_i a_i b_i in as many sums, since the additions of one wait for each other.
+  // Returns first + sum_i a_i b_i by `sums` partial sums: additions to one sum wait for each other.
   template <int sums>
   [[gnu::always_inline]] static T dot(T first, const T* a, const T* b, int count) {
     T sum[sums] = {first};
@@ -166,7 +166,7 @@ class UdFactor {
     return dot<4>(T(1), column, column, j);
   }
 
-  // Goes through the columns; unrolled where the compiler knows their number N, which is not 0.
+  // Calls step for each column; unrolled if the compiler knows their number N (N > 0).
   template <int N, class Step>
   [[gnu::always_inline]] void each_column(Step step) const {
     if constexpr (N > 0) {
@@ -178,8 +178,8 @@ class UdFactor {
     }
   }
 
-  // Scales D where a column's share of the trace is beyond the bound. A column that would need
-  // less than the floor, or is no longer finite, forgets its correlations instead.
+  // Scales D if a column's share of the trace is beyond the bound. A column that would need less
+  // than the floor, or is no longer finite, gets the floor and loses its correlations.
   void limit(T bound) {
     for (int j = 0; j < n_; ++j) {
       const T power = column_power(j);
@@ -206,15 +206,15 @@ class UdFactor {
   // Running state of one update: alpha of the columns done so far, and its inverse.
   struct Sweep {
     T alpha, beta, scale, inverse;
-    bool floored;  // an entry of D was held at the floor
+    bool floored;  // whether an entry of D was raised to the floor
   };
 
-  // Factor by which column j of U takes up b; advances the sweep and D.
+  // Returns the factor with which b is added to column j of U; advances the sweep and D.
   [[gnu::always_inline]] T turn(Sweep& sweep, int j) {
     const T f = sweep.beta * f_[j];
     const T ratio = -f * sweep.inverse;
     T next = sweep.alpha + f * v_[j];
-    // Exactly, the last alpha is lambda (1 + phi^T F phi) > 0.25 where beta < 0.
+    // In exact arithmetic the last alpha is lambda (1 + phi^T F phi) > 0.25 if beta < 0.
     if (sweep.beta < T(0)) next = larger(next, T(0.25));
     sweep.inverse = T(1) / next;
     const T d = d_[j] * (sweep.scale * sweep.alpha * sweep.inverse);

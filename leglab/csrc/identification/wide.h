@@ -1,9 +1,9 @@
-// Sums over long arrays, with wide instructions where the machine has them.
+// Sums over long arrays, with wide vector instructions if the processor has them.
 #pragma once
 
 namespace leglab::identification {
 
-// Each element is computed by itself and nothing is fused, so the bits are the same without.
+// Elements are computed separately and no operations are fused: all versions are bit-identical.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && __STDC_HOSTED__ && \
     !defined(__SANITIZE_ADDRESS__)
 #define LEGLAB_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
@@ -27,14 +27,14 @@ LEGLAB_WIDE inline void add_rows(double* __restrict to, const double* __restrict
   }
 }
 
-// Zero for what is not within a bound, or not a number.
+// Sets values beyond a bound, and NaN, to zero.
 LEGLAB_WIDE inline void drop_beyond(double bound, double* values, int count) {
   for (int i = 0; i < count; ++i) {
     values[i] = values[i] < bound && values[i] > -bound ? values[i] : 0.0;
   }
 }
 
-// The same in other arithmetic.
+// Versions of both for other types.
 template <class T>
 void add_rows(T* to, const T* from, const T* factors, int rows, int count) {
   for (int i = 0; i < rows * count; ++i) to[i % count] += factors[i / count] * from[i];
@@ -46,10 +46,10 @@ void drop_beyond(T bound, T* values, int count) {
   }
 }
 
-constexpr int lanes = 8;  // a line of memory
+constexpr int lanes = 8;  // doubles in a cache line
 using Lanes [[gnu::vector_size(lanes * sizeof(double)), gnu::aligned(8), gnu::may_alias]] = double;
 
-// to[i, j] += sum_k from[k, i] * from[k, j] of `count` rows of `width`, for i < width and j < columns
+// to[i, j] += sum_k from[k, i] * from[k, j] over `count` rows of `width`, i < width, j < columns,
 // in the tiles that hold a j <= i. Widths are multiples of `lanes`.
 LEGLAB_WIDE inline void add_products(double* to, const double* from, int count, int width,
                                      int columns) {

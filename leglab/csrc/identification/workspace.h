@@ -1,4 +1,4 @@
-// Hands out typed pieces of one block of memory that the caller owns: no heap is ever used.
+// Workspace: typed pieces of one block of memory that the caller owns, without use of the heap.
 #pragma once
 
 #include <cstddef>
@@ -7,8 +7,8 @@
 namespace leglab::identification {
 
 // Every mutable value of an identifier lives in its workspace. So the size is known before
-// construction (run the same layout on a null block), a copy of the block is a snapshot that
-// resumes bit-exactly, and identifiers of several joints lie one behind the other.
+// construction (by the same layout on a null block), a copy of the block is a snapshot that resumes
+// bit-exactly, and identifiers of several joints are stored consecutively.
 class Workspace {
  public:
   static constexpr std::size_t alignment = 16;
@@ -16,7 +16,7 @@ class Workspace {
   Workspace() = default;
   explicit Workspace(std::byte* block) : block_(block) {}
 
-  // Takes `count` values, set to zero, or nullptr while only measuring.
+  // Returns `count` values, set to zero, or nullptr while only measuring the size.
   template <class U>
   U* take(int count) {
     static_assert(std::is_trivially_copyable_v<U> && alignof(U) <= alignment);

@@ -1,4 +1,4 @@
-// Positions and velocities that a controller is told, once a control period.
+// Measured positions and velocities for a controller, once per control period.
 #pragma once
 
 #include <cmath>
@@ -9,20 +9,20 @@ namespace leglab::loop {
 
 struct SensingSettings {
   std::size_t joints = 0;
-  int counts = 0;     // of an encoder, a turn; 0 for infinite resolution
-  double gain = 0.0;  // of a difference of two readings in the filtered velocity [1/s]
-  double keep = 0.0;  // share of the velocity that is kept from one period to the next
+  int counts = 0;     // encoder counts per turn; 0 for infinite resolution
+  double gain = 0.0;  // factor on the difference of two readings in the velocity filter [1/s]
+  double keep = 0.0;  // factor on the previous velocity in the velocity filter
 };
 
-// Disturbances of one reading; arrays of one value a joint.
+// Disturbances of one reading; arrays with one value per joint.
 struct Disturbance {
   const double* noise;  // [rad]
-  const double* shift;  // what faults add [rad]
-  const bool* lost;     // where the last reading is repeated; null for nowhere
+  const double* shift;  // shift due to faults [rad]
+  const bool* lost;     // true repeats the last reading; null for no losses
 };
 
-// Reading: true position + noise + shift, rounded to counts. Velocity: first-order filter behind
-// the difference of two readings.
+// Reading: true position + noise + shift, rounded to counts. Velocity: difference of two readings,
+// passed through a first-order filter.
 class Sensing {
  public:
   Sensing(SensingSettings settings, double* position, double* velocity)
@@ -33,7 +33,7 @@ class Sensing {
     }
   }
 
-  // The reading from which the first velocity is counted.
+  // Takes the initial reading, with velocity 0.
   void start(const double* sample, const Disturbance& by) {
     for (std::size_t j = 0; j < settings_.joints; ++j) {
       position_[j] = reading(sample[j], by, j);

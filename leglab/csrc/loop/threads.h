@@ -1,4 +1,4 @@
-// Threads that share the items of a range, called many times a second.
+// Thread pool that shares the items of a range, for many calls per second.
 #pragma once
 
 #include <atomic>
@@ -10,8 +10,8 @@
 
 namespace leglab::loop {
 
-// Whoever calls works too: with one thread there are no others. Which thread takes which item
-// differs from call to call, so an item must touch nothing of another.
+// The calling thread is one of the `count` threads. The assignment of items to threads differs from
+// call to call, so the work on one item must not access data of another.
 class Threads {
  public:
   // count: at least 1.
@@ -56,7 +56,7 @@ class Threads {
     }
   }
 
-  std::barrier<> turn_;  // at which all begin, and then end
+  std::barrier<> turn_;  // passed by all threads at the start and at the end of a call
   const Work* work_ = nullptr;
   std::size_t count_ = 0;
   std::atomic<std::size_t> next_{0};

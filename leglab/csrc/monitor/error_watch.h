@@ -1,4 +1,4 @@
-// Notices that a learner errs more than it normally does: a cumulative sum.
+// Detects that a learner's errors exceed their normal level, by cumulative sums.
 #pragma once
 
 #include <algorithm>
@@ -9,22 +9,22 @@
 namespace leglab::monitor {
 
 struct WatchSettings {
-  double sample_period = 0.0;  // from one learned sample to the next [s]
-  double error_ratio = 4.0;    // rise of the mean square error that is tested for
-  double alarm = 4.0;          // log-likelihood ratio of a change, beyond what is reached without
-  double correlation = 1.0;    // samples that count as one
-  int slow_window = 1;         // samples in the mean square error that is normal
+  double sample_period = 0.0;  // time between learned samples [s]
+  double error_ratio = 4.0;    // factor on the mean square error that is to be detected
+  double alarm = 4.0;          // log-likelihood ratio for an alarm, in excess of usual peaks
+  double correlation = 1.0;    // number of correlated samples that count as one
+  int slow_window = 1;         // number of samples in the normal mean square error
 };
 
-// Cumulative sums (Page 1954, Biometrika 41, 100) of the log-likelihood ratio of errors that are
-// `error_ratio` times as large to normal ones, of every joint and, last, of all together.
+// Cumulative sums (Page 1954, Biometrika 41, 100) of the log-likelihood ratio of mean square errors
+// `error_ratio` times the normal ones, for each joint and, last, for all joints together.
 class ErrorWatch {
  public:
   ErrorWatch(int joints, const WatchSettings& settings)
       : settings_(settings), normal_(std::size_t(joints)), seen_(normal_),
         sum_(std::size_t(joints + 1)), peak_(sum_), top_(sum_), since_(sum_) {}
 
-  // Begins to learn what is normal; without alarms for so many samples.
+  // Restarts learning of the normal errors; there is no alarm during the first `wait` samples.
   void start(double wait) {
     wait_ = wait;
     for (auto* values : {&normal_, &seen_, &sum_, &peak_, &top_, &since_}) {
@@ -32,13 +32,13 @@ class ErrorWatch {
     }
   }
 
-  // Mean square errors that are normal, (joints).
+  // Normal mean square errors, (joints).
   const double* normal() const { return normal_.data(); }
 
-  // When the earliest sum that is at the alarm began to rise [s].
+  // Time at which the first of the sums that cause the alarm began to rise [s].
   double since() const { return alarm_since_; }
 
-  // Takes the mean square errors of a block that ends at `time` and the number of samples in them,
+  // Takes the mean square errors of a block that ends at `time` and their numbers of samples, both
   // (joints). Returns whether there is an alarm.
   bool take(double time, const double* mean, const double* used) {
     const std::size_t joints = normal_.size();
@@ -54,7 +54,7 @@ class ErrorWatch {
       all += step;
       const double seen =
           j < joints ? seen_[j] : *std::min_element(seen_.begin(), seen_.end());
-      // What the sum reaches in every stride, where a motion is hard for a moment, is no alarm.
+      // Peaks that the sum reaches in every stride, when the motion is briefly hard, are no alarm.
       const double limit = settings_.alarm + margin * peak_[j];
       const double total =
           seen >= settings_.slow_window ? std::max(sum_[j] + step, 0.0) : 0.0;
@@ -74,7 +74,7 @@ class ErrorWatch {
     return alarm;
   }
 
-  // Takes the same block for normal.
+  // Includes a block in the normal mean square errors.
   void learn(const double* mean, const double* used) {
     for (std::size_t j = 0; j < normal_.size(); ++j) {
       seen_[j] += used[j];
@@ -87,10 +87,10 @@ class ErrorWatch {
   }
 
  private:
-  // How much of what a sum reached before is added to the alarm, and the time constant in which
-  // that is forgotten, in slow windows.
+  // Factor on a sum's earlier peak that is added to the alarm threshold, and the time constant of the
+  // peak's decay in slow windows.
   static constexpr double margin = 2.0, peak_windows = 2.5;
-  // A mean square error counts at most so many times the normal one towards that.
+  // Largest mean square error that is included, as a multiple of the normal one.
   static constexpr double outlier = 9.0;
 
   double rise(double mean, double used, double normal) const {

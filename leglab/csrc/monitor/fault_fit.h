@@ -1,4 +1,4 @@
-// The size of every fault of a bank that fits samples best, and the odds among the faults.
+// Best-fitting magnitude of every fault of a bank, and the probabilities of the faults.
 #pragma once
 
 #include <algorithm>
@@ -10,30 +10,30 @@
 
 namespace leglab::monitor {
 
-// Shifts of a map's parameters by one fault, straight between its sizes. It points to constants,
-// which may lie in read-only memory; `Shift` is double or float.
+// Shifts of a map's parameters by one fault, piecewise linear in its magnitude. It points to constants,
+// which may be in read-only memory; `Shift` is double or float.
 template <class Shift>
 struct FaultCurve {
-  int nodes = 0;                  // sizes, the healthy one first
-  const double* sizes = nullptr;  // strictly monotone, (nodes)
-  const Shift* shifts = nullptr;  // without that of the healthy size, (nodes - 1, joints, parameters)
+  int nodes = 0;                  // number of magnitudes, the healthy one first
+  const double* sizes = nullptr;  // magnitudes, strictly monotone, (nodes)
+  const Shift* shifts = nullptr;  // all but the healthy one, (nodes - 1, joints, parameters)
 };
 
-// Finds the best size of every curve by weighted least squares, so many curves at a time.
-// On a straight piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost
-// sum_j w_j sum (y - phi D_j(t))^2 is a parabola in t: its least value within [0, 1] is in closed
+// Weighted least squares fit of the magnitude of every curve, a number of curves at a time.
+// On a linear piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost
+// sum_j w_j sum (y - phi D_j(t))^2 is a parabola in t, so that its minimum within [0, 1] has a closed
 // form.
 template <class Shift>
 class FaultFit {
  public:
-  // Of banks of at most so many curves.
+  // most_curves: largest number of curves of a bank.
   FaultFit(int joints, int parameters, int most_curves)
       : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
         size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
 
-  // Begins with samples about the map before the fault, mean square errors that are normal (joints),
-  // and the discrepancy of `Moments::weight`; with those of one joint, or of all where it is -1.
-  // Curves and moments must stay as they are until `advance` says that all is done.
+  // Starts a fit from moments about the map before the fault, normal mean square errors (joints), and
+  // the discrepancy of `Moments::weight`; uses the samples of one joint, or of all if it is -1.
+  // Curves and moments must not change until `advance` returns true.
   void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
              const double* normal, double discrepancy, int joint = -1) {
     curves_ = curves;
@@ -50,7 +50,7 @@ class FaultFit {
     }
   }
 
-  // Fits so many curves more; true once all are fitted.
+  // Fits the next `curves` curves; returns true once all are fitted.
   bool advance(int curves) {
     for (; curves > 0 && done_ < count_; --curves, ++done_) fit(curves_[done_], std::size_t(done_));
     return done_ == count_;
@@ -58,18 +58,18 @@ class FaultFit {
 
   int curves() const { return count_; }
   double without() const { return without_; }  // weighted sum of squared errors without any fault
-  double noise() const { return noise_; }      // what it would be of a machine that had not changed
+  double noise() const { return noise_; }      // its expected value for an unchanged machine
   const double* size() const { return size_.data(); }
-  const double* spread() const { return spread_.data(); }  // change of size that costs one more
-  const double* cost() const { return cost_.data(); }      // as `without`, with the fault
+  const double* spread() const { return spread_.data(); }  // change of size that adds 1 to the cost
+  const double* cost() const { return cost_.data(); }      // as `without`, but with the fault
 
-  // The curve that fits best.
+  // Index of the curve that fits best.
   int best() const {
     return int(std::min_element(cost_.begin(), cost_.begin() + count_) - cost_.begin());
   }
 
  private:
-  static constexpr int together = 4;  // nodes whose forms are computed at a time
+  static constexpr int together = 4;  // number of nodes whose forms are computed at a time
 
   // Sums over the joints for neighbouring nodes: of D c, of D G D, and of D_k G D_{k+1}, with the
   // correlation c and the information G.
@@ -80,9 +80,9 @@ class FaultFit {
   void fit(const FaultCurve<Shift>& curve, std::size_t place) {
     const int shifted = curve.nodes - 1;
     double best = -std::numeric_limits<double>::infinity();
-    double linear = 0.0, square = 0.0;  // of the node where a piece begins; nil of the healthy one
+    double linear = 0.0, square = 0.0;  // forms of a piece's first node; 0 for the healthy one
     for (int first = 0; first < shifted;) {
-      // The last node of the pieces before leads, for the form that it has with the next.
+      // The last node of the previous pieces comes first, for its cross form with the next node.
       const int lead = first > 0 ? 1 : 0;
       const int number = std::min(shifted - first + lead, together);
       const Forms forms = forms_of(curve, first - lead, number);
@@ -122,7 +122,7 @@ class FaultFit {
     return sum;
   }
 
-  // Lays a joint's shifts of some nodes side by side, (parameters, number); false where all are nil.
+  // Packs a joint's shifts of some nodes as (parameters, number); returns false if all are zero.
   bool pack(const FaultCurve<Shift>& curve, int first, int number, int joint) {
     const int parameters = moments_->parameters();
     const Shift* shifts = curve.shifts + (first * moments_->joints() + joint) * parameters;
@@ -137,8 +137,8 @@ class FaultFit {
   }
 
   // With the upper triangle U of G, its diagonal halved, G = U + U': D G D = 2 D U D and
-  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once a node. Not inlined: the
-  // sums would lack registers.
+  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once per node. Not inlined, as
+  // the sums would run out of registers.
   template <int number>
   [[gnu::noinline]] void add_forms(int joint, Forms& sum) const {
     const int parameters = moments_->parameters();
@@ -193,17 +193,17 @@ class FaultFit {
   std::vector<double> weight_, packed_, size_, spread_, cost_;
 };
 
-// Share of what noise costs that is not known.
+// Relative uncertainty of the cost due to noise.
 constexpr double noise_doubt = 0.2;
 
-// Probability of every key among all by likelihood, (keys).
-// What the best fault leaves is partly noise, of which more samples tell more, and partly that the
-// machine is not the nominal one, of which they do not. Either has its likelihood: that of a known
-// variance, and that of an unknown one, cost^(-n/2), with n errors that differ independently. A
-// rival is as unlikely as the weaker of both makes it. Without n (0) noise alone counts.
-// correlation: samples that count as one. noise: the part of all costs that noise makes, at most the
-// least cost. The unknown variance is of what costs have beyond it, so that joints that show nothing
-// hide no difference.
+// Computes the probability of every key from the likelihoods, (keys).
+// The residual of the best fault is partly noise, which averages out with more samples, and partly due
+// to the machine not being the nominal one, which does not. Each has a likelihood: that of a known
+// variance, and that of an unknown one, cost^(-n/2), with n = `independent` independent errors. The one
+// that distinguishes a rival less from the best is used. With n = 0 only noise is considered.
+// correlation: number of samples that count as one. noise: the part of all costs due to noise, at most
+// the least cost. The unknown variance is that of the costs beyond noise, so that joints without
+// information do not hide differences.
 // key: number of a cost's fault and element.
 inline void chances(const double* cost, const int* key, int count, double correlation,
                     double independent, double noise, double* chance, int keys) {

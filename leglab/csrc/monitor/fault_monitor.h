@@ -1,4 +1,4 @@
-// Notices a change from the samples of a learner, and sums up those that come after it.
+// Detects a change from a learner's samples, and accumulates the moments of those after it.
 #pragma once
 
 #include <algorithm>
@@ -12,16 +12,16 @@
 namespace leglab::monitor {
 
 struct MonitorSettings : WatchSettings {
-  double passing = 0.0;  // right after an onset samples do not count [s]
-  int blocks = 1;        // that are kept to look back at
-  int most_samples = 1;  // in a block
+  double passing = 0.0;  // time after an onset during which samples are skipped [s]
+  int blocks = 1;        // number of recent blocks that are kept
+  int most_samples = 1;  // largest number of samples in a block
 };
 
-// Samples that are taken at once where time does not matter.
+// Number of samples for calls without a limit.
 constexpr int everything = std::numeric_limits<int>::max();
 
-// Takes blocks of samples. With an alarm it opens a case: samples from the onset on are summed up,
-// for a `FaultFit`. Sums are made in pieces as small as there is time for, with the same results.
+// Takes blocks of samples. An alarm opens a case: the moments of the samples from the onset on are
+// accumulated for a `FaultFit`, in pieces of any size, which does not change the results.
 class FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
@@ -30,31 +30,31 @@ class FaultMonitor {
         sums_(joints, parameters), seen_(sums_), base_(std::size_t(joints * parameters)),
         mean_(std::size_t(joints)), used_(mean_) {}
 
-  // Forgets everything; without alarms for so many samples.
+  // Forgets everything; there is no alarm during the next `wait` samples.
   void reset(double wait) {
     recent_.clear();
     close(wait);
   }
 
-  // Ends the case and begins to learn what errors are normal.
+  // Ends the case and restarts learning of the normal errors.
   void close(double wait) {
     open_ = false;
     watch_.start(wait);
   }
 
   bool open() const { return open_; }
-  double onset() const { return onset_; }                     // of the case [s]
+  double onset() const { return onset_; }                     // onset of the case [s]
   const double* base() const { return base_.data(); }         // map before it, (joints, parameters)
-  const double* normal() const { return watch_.normal(); }    // mean square errors, (joints)
+  const double* normal() const { return watch_.normal(); }    // normal mean square errors, (joints)
   const RecentSamples& recent() const { return recent_; }
 
-  // Blocks before the case's onset are from `recent().begin()` to this one; one at least.
+  // First block after the case's onset; at least one block, from `recent().begin()` on, is before it.
   long first_after() const { return first_after_; }
 
-  // Takes a block (samples, joints, parameters + 3) that ends at `time` [s], of at most
-  // `most_samples`, and the map then, (joints, parameters). Returns whether it opens a case.
+  // Takes a block (samples, joints, parameters + 3) that ends at `time` [s], of at most `most_samples`,
+  // and the map at that time, (joints, parameters). Returns whether it opens a case.
   bool take(double time, const double* samples, int count, const double* parameters) {
-    // What waits is summed up before it is overwritten.
+    // A waiting block is accumulated before it is overwritten.
     if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(everything);
     recent_.push(time, samples, count, parameters);
     measure(samples, count);
@@ -68,13 +68,13 @@ class FaultMonitor {
     return true;
   }
 
-  // Adds so many of the case's samples to its sums that are not there yet; true once all are.
+  // Accumulates up to `samples` more samples of the case; returns true once all are included.
   bool sum(int samples) {
     while (open_ && waiting_ < recent_.end() && samples > 0) samples -= sum_block(samples);
     return !open_ || waiting_ == recent_.end();
   }
 
-  // The sums as they are now, about the base; they stay until the next call.
+  // Returns the present moments about the base map; they are valid until the next call.
   const Moments& look() {
     seen_ = sums_;
     seen_.take_off(base_.data());
@@ -82,7 +82,7 @@ class FaultMonitor {
   }
 
  private:
-  // Mean square errors of a block and the samples in them.
+  // Computes the mean square errors of a block and their numbers of samples.
   void measure(const double* row, int count) {
     std::fill(mean_.begin(), mean_.end(), 0.0);
     std::fill(used_.begin(), used_.end(), 0.0);
@@ -110,8 +110,7 @@ class FaultMonitor {
     waiting_sample_ = 0;
   }
 
-  // Adds up to `most` samples of the block that waits; returns their number, those left out not
-  // counted.
+  // Accumulates up to `most` samples of the waiting block; returns their number without skipped ones.
   int sum_block(int most) {
     const RecentSamples::Block& block = recent_.block(waiting_);
     const double period = settings_.sample_period;
@@ -138,8 +137,8 @@ class FaultMonitor {
   std::vector<double> base_, mean_, used_;
   bool open_ = false;
   double onset_ = 0.0;
-  long first_after_ = 0, waiting_ = 0;  // blocks; the next one to be summed up
-  int waiting_sample_ = 0;              // and its next sample
+  long first_after_ = 0, waiting_ = 0;  // blocks: first after the onset, next to accumulate
+  int waiting_sample_ = 0;              // next sample of that block
 };
 
 }  // namespace leglab::monitor

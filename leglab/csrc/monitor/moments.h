@@ -1,4 +1,4 @@
-// Sums over learned samples that least squares needs.
+// Moments (sums of products) of learned samples for least squares.
 #pragma once
 
 #include <algorithm>
@@ -6,12 +6,12 @@
 
 namespace leglab::monitor {
 
-// A learned sample of one joint is a row of a regressor, its output, the a-priori error and 1; only
-// zeros where the sample taught that joint nothing (`feedforward/kept_samples.h`).
+// A learned sample of one joint is a row of regressor, output, a-priori error and 1; only zeros if the
+// joint did not learn the sample (`feedforward/kept_samples.h`).
 constexpr int behind_regressor = 3;
 
-// Sums of regressor times regressor, regressor times output, squared output and 1, of every joint.
-// The first is symmetric: its upper triangle is kept, row by row.
+// Sums of regressor times regressor, regressor times output, squared output and 1, for every joint.
+// The first is symmetric: its upper triangle is stored, row by row.
 class Moments {
  public:
   Moments(int joints, int parameters)
@@ -36,8 +36,8 @@ class Moments {
     }
   }
 
-  // Adds samples (samples, joints, width). The sums are the same to the bit however they are
-  // divided among calls.
+  // Adds samples (samples, joints, width). The sums are bit-identical however the samples are divided
+  // among calls.
   void add(const double* samples, int number) {
     const int stride = joints_ * width();
     for (int joint = 0; joint < joints_; ++joint) {
@@ -50,14 +50,14 @@ class Moments {
     }
   }
 
-  // Weight of a joint's squared errors: of the normal mean square error and of the share of its own,
-  // a deviation, that a right fault leaves, since no machine is the nominal one.
+  // Weight of a joint's squared errors: inverse of the normal mean square error plus the residual of the
+  // true fault, `discrepancy` times the joint's RMS output, as no machine is the nominal one.
   double weight(int joint, double normal, double discrepancy) const {
     const double left = discrepancy * discrepancy * (power(joint) / std::max(count(joint), 1.0));
     return 1.0 / std::max(normal + left, 1e-300);
   }
 
-  // Takes off the outputs what a map of these parameters (joints, parameters) predicts.
+  // Subtracts the predictions of a map with these parameters (joints, parameters) from the outputs.
   void take_off(const double* parameters) {
     for (int joint = 0; joint < joints_; ++joint, parameters += parameters_) {
       const double* row = information(joint);
@@ -82,7 +82,7 @@ class Moments {
   }
 
  private:
-  // Rows that pass through the triangle at a time: a block of the monitor has as many by default.
+  // Number of rows added to the triangle at a time: the default size of a block of the monitor.
   static constexpr int together = 5;
 
   template <int rows>
@@ -96,7 +96,7 @@ class Moments {
       double own[rows];
       bool shown = false;
       for (int k = 0; k < rows; ++k) shown |= (own[k] = x[k][i]) != 0.0;
-      if (!shown) continue;  // of a spline, whose parameters are elsewhere most of the time
+      if (!shown) continue;  // inactive basis function of a spline, the usual case
       for (int j = i; j < parameters_; ++j) {
         double value = sum[j - i];
         for (int k = 0; k < rows; ++k) value += own[k] * x[k][j];
@@ -115,7 +115,7 @@ class Moments {
 
   int joints_, parameters_, triangle_;
   std::vector<double> information_, correlation_, power_, count_;
-  std::vector<double> product_;  // of the information and a map's parameters
+  std::vector<double> product_;  // information times a map's parameters
 };
 
 }  // namespace leglab::monitor

@@ -1,4 +1,4 @@
-// The latest learned samples in blocks, for who looks back at them.
+// Ring buffer of the latest learned samples in blocks.
 #pragma once
 
 #include <algorithm>
@@ -9,15 +9,15 @@
 
 namespace leglab::monitor {
 
-// Blocks have numbers from 0 on; the latest `blocks` of them are kept.
+// Blocks are numbered from 0; the latest `blocks` of them are kept.
 class RecentSamples {
  public:
   struct Block {
-    double time = 0.0;  // of the last sample [s]
-    int count = 0;      // of samples
+    double time = 0.0;  // time of the last sample [s]
+    int count = 0;      // number of samples
   };
 
-  // most_samples: in a block.
+  // most_samples: largest number of samples in a block.
   RecentSamples(int joints, int parameters, int blocks, int most_samples)
       : joints_(joints), parameters_(parameters), capacity_(blocks), most_(most_samples),
         blocks_(std::size_t(blocks)),
@@ -38,12 +38,12 @@ class RecentSamples {
     return samples_.data() + slot(number) * std::size_t(most_ * joints_ * width());
   }
 
-  // Of the map when the block ended, (joints, parameters).
+  // Parameters of the map at the end of a block, (joints, parameters).
   const double* parameters(long number) const {
     return maps_.data() + slot(number) * std::size_t(joints_ * parameters_);
   }
 
-  // Takes a block; the oldest one makes room.
+  // Adds a block and drops the oldest one if the buffer is full.
   void push(double time, const double* samples, int count, const double* parameters) {
     const std::size_t at = slot(next_++);
     blocks_[at] = {time, count};
@@ -53,9 +53,9 @@ class RecentSamples {
     std::copy_n(parameters, map, maps_.data() + at * map);
   }
 
-  // The time of a change by maximum likelihood, within the blocks after `since` [s].
-  // The error's variance is the normal one (joints) before, and its mean square from then on
-  // (Hinkley 1970, Biometrika 57, 1), over the joints together; without a rise `since`.
+  // Maximum-likelihood estimate of the time of a change, within the blocks after `since` [s].
+  // The error's variance is the normal one (joints) before the change and the mean square after it
+  // (Hinkley 1970, Biometrika 57, 1), over all joints together; `since` if the errors do not rise.
   double onset(double since, const double* normal, double sample_period) const {
     long first = begin();
     while (first < end() && !(block(first).time > since)) ++first;
@@ -83,7 +83,7 @@ class RecentSamples {
 
  private:
   struct Sums {
-    double ratio = 0.0, count = 0.0;  // of squared errors over normal ones, of samples
+    double ratio = 0.0, count = 0.0;  // sums of squared errors over normal ones, and of samples
   };
 
   int width() const { return parameters_ + behind_regressor; }

@@ -1,9 +1,9 @@
 // Plugin `leglab.backlash`: play between the motor side and a joint with native actuators.
 //
-// The motor side is an inertia of its own, driven by the joint's actuators; a flank in contact is a
-// damped spring, solved implicitly together with both inertias, so that any stiffness is stable:
+// The motor side is a separate inertia, driven by the joint's actuators; a flank in contact is a damped
+// spring, solved implicitly together with both inertias, so that any stiffness is stable:
 //   J w' = tau - T,  phi = theta - q,  T = k (phi -+ width/2) + c phi' beyond the play, never pulling.
-// The part of J that MuJoCo holds as the joint's armature is taken off the joint while there is play.
+// With play, the part of J that MuJoCo includes as the joint's armature is removed from the joint.
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -47,7 +47,7 @@ class Backlash : public Instance<BacklashTable> {
       refuse(m, instance, "attribute 'motor_inertia' = 0 and joint '" + name +
                               "' has no armature; allowed: one of them above 0");
     }
-    // MuJoCo goes by the order of instances, and this one needs the forces behind the command paths.
+    // MuJoCo computes instances in order, but this one needs the forces after all command paths.
     for (int i = instance + 1; i < m->nplugin; ++i) {
       if (!is_instance<CommandPath>(m, i)) continue;
       const int actuator = element_named(m, i, mjOBJ_ACTUATOR, m->nactuator, text_attribute(m, i, "actuator"));
@@ -79,7 +79,7 @@ class Backlash : public Instance<BacklashTable> {
     collect_actuation(m, d);
     drive_ = actuation_[dof_];
 
-    // Acceleration of the joint without its motor, and per unit of force: row of M^-1 times forces.
+    // Joint acceleration without the motor (row of M^-1 times forces), and that per unit of force.
     mj_solveM(m, d, column_.data(), unit_.data(), 1);
     for (int i = 0; i < m->nv; ++i) {
       force_[i] = d->qfrc_passive[i] - d->qfrc_bias[i] + d->qfrc_applied[i];
@@ -94,7 +94,7 @@ class Backlash : public Instance<BacklashTable> {
     for (int j = 0; j < m->njnt; ++j) {  // hinges and slides; MuJoCo adds it to qfrc_actuator later
       if (m->jnt_actgravcomp[j] && m->jnt_type[j] >= mjJNT_SLIDE) force_[m->jnt_dofadr[j]] += d->qfrc_gravcomp[m->jnt_dofadr[j]];
     }
-    force_[dof_] += s.constraint_;  // the solver comes later: as over the step before
+    force_[dof_] += s.constraint_;  // of the previous step, as the solver runs later
     double free = 0;
     for (int i = 0; i < m->nv; ++i) free += column_[i] * force_[i];
     double compliance = column_[dof_];  // 1/(effective inertia)
@@ -103,8 +103,8 @@ class Backlash : public Instance<BacklashTable> {
       const double load = drive_ - inertia * (free + compliance * drive_);
       offset_ = load > 0 ? half : load < 0 ? -half : 0.0;
     }
-    // What MuJoCo's integrator adds to the joint's inertia: its damping, and the servo's slope, which
-    // belongs to the motor side.
+    // MuJoCo's integrator adds terms to the joint's inertia: the damping, and the servo's slope, which
+    // belongs to the motor side instead.
     const int integrator = m->opt.integrator;
     const bool implicit = integrator == mjINT_IMPLICIT || integrator == mjINT_IMPLICITFAST;
     const bool damped = implicit || !(m->opt.disableflags & mjDSBL_EULERDAMP);
@@ -144,7 +144,7 @@ class Backlash : public Instance<BacklashTable> {
   }
 
  private:
-  // Lets the servos see the motor side; returns -dtau/dw of the joint's actuators.
+  // Closes the servo loops on motor-side position and velocity; returns -dtau/dw of the actuators.
   double close_servo_loops(const mjModel* m, mjData* d, double offset,
                                      double velocity) const {
     double slope = 0;
@@ -165,7 +165,7 @@ class Backlash : public Instance<BacklashTable> {
     return std::max(slope, 0.0);
   }
 
-  // Generalised actuator forces within their limits, (nv,), into `actuation_`.
+  // Writes the generalised actuator forces within their limits, (nv,), to `actuation_`.
   void collect_actuation(const mjModel* m, const mjData* d) {
     std::fill(actuation_.begin(), actuation_.end(), 0.0);
     for (int id = 0; id < m->nactuator; ++id) {
@@ -189,10 +189,10 @@ class Backlash : public Instance<BacklashTable> {
 
   int joint_, dof_;
   std::vector<int> actuators_;    // on this joint
-  std::vector<int> later_paths_;  // leglab.command_path of those, computed after this instance
+  std::vector<int> later_paths_;  // their leglab.command_path instances computed after this one
 
   // Outputs of the latest `compute`.
-  double added_ = 0;  // to qfrc_passive since it was cleared
+  double added_ = 0;  // force added to qfrc_passive since that was cleared
   double offset_ = 0, velocity_ = 0, transmitted_ = 0, drive_ = 0, inertia_ = 1;
   std::vector<double> actuation_, column_, unit_, force_;  // scratch, (nv,)
 };

@@ -10,19 +10,19 @@ namespace {
 constexpr hydraulics::ParameterSpec kMaxDelay[] = {
     {"max_delay", "s", 0.05, 0.0, 1.0, true, "longest delay that may be set"}};
 
-// Commands of the past that interpolation at `max_delay` needs.
+// Number of past commands needed to interpolate at `max_delay`.
 int history_length(const mjModel* m, int instance) {
   double max_delay;
   read_parameters(m, instance, kMaxDelay, &max_delay);
   return static_cast<int>(std::ceil(max_delay / m->opt.timestep - 1e-9)) + 1;
 }
 
-// Play: follows the input at half a width behind it (Krasnosel'skii and Pokrovskii 1989).
+// Play operator: the output trails the input by half the width (Krasnosel'skii and Pokrovskii 1989).
 double play(double before, double input, double width) {
   return std::clamp(before, input - 0.5 * width, input + 0.5 * width);
 }
 
-// What a valve, or a stage, of another dead band and gain to either side passes on.
+// Dead band followed by a gain, with the half width and gain of the input's sign.
 double passed(double input, double half_width, double gain) {
   return gain * std::copysign(std::max(std::abs(input) - half_width, 0.0), input);
 }
@@ -47,10 +47,10 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
   const auto [p, s] = slots(m, d);
   const mjtNum* past = this->past(m, d);
   const double h = m->opt.timestep;
-  const bool started = s.started_ != 0.0;  // before, the first command has always been there
+  const bool started = s.started_ != 0.0;  // if not, all past commands equal the first one
 
-  // MuJoCo holds a command over a step; the mean over the step of what arrives `delay` later lies
-  // between two commands.
+  // MuJoCo holds a command over a step, so that the mean over a step of the delayed command is an
+  // interpolation of two commands.
   const double steps = p.delay_ / h;
   const int whole = static_cast<int>(steps);
   if (!(steps >= 0) || whole + 1 > history_) {
@@ -75,7 +75,7 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
 }
 
 void CommandPath::compute(const mjModel* m, mjData* d, int capability) {
-  if (capability == mjPLUGIN_PASSIVE) return;  // that it has so that a body may refer to it
+  if (capability == mjPLUGIN_PASSIVE) return;  // declared only so that a body may refer to it
   if (!applied_) apply(m, d);
   applied_ = false;
 }

@@ -1,4 +1,4 @@
-// Actuator plugin `leglab.command_path`: what a command meets on its way to a native actuator.
+// Actuator plugin `leglab.command_path`: delay, dead band, lag etc. of a native actuator's command.
 #pragma once
 
 #include "plugin/lifecycle.h"
@@ -12,7 +12,7 @@ class CommandPath : public Instance<CommandTable> {
   void reset(mjtNum* plugin_state) const;
   void compute(const mjModel* m, mjData* d, int capability);
   void advance(const mjModel* m, mjData* d);
-  // Does the work of the next `compute` now, for a plugin that needs its force.
+  // Applies the force in advance, for a plugin that needs it before this one's next `compute`.
   void apply_ahead(const mjModel* m, mjData* d);
 
   // Length of the plugin state: parameters, states and the commands of `max_delay`.
@@ -22,9 +22,9 @@ class CommandPath : public Instance<CommandTable> {
   struct Signal {
     double play, lag_input, output;
   };
-  // The command on its way through the elements; reads the state only.
+  // Passes a command through the elements of the path; does not change the state.
   Signal pass(const mjModel* m, const mjData* d, double command) const;
-  // The commands of the last steps, newest first: behind the named states.
+  // Commands of the last steps, newest first, stored after the named states.
   mjtNum* past(const mjModel* m, const mjData* d) const {
     return state_of(m, d, instance_) + kStateCount;
   }

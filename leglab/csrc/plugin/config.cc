@@ -58,7 +58,7 @@ std::string text_attribute(const mjModel* m, int instance, const char* key) {
 
 namespace {
 
-// Name of an instance; of one without a name that of its actuator or sensor.
+// Name of an instance; if it has none, the name of its actuator or sensor.
 std::string owner_name(const mjModel* m, int instance) {
   const auto text = [](const char* name) { return std::string(name ? name : ""); };
   const std::string own = text(mj_id2name(m, mjOBJ_PLUGIN, instance));
@@ -150,7 +150,7 @@ void require_single_stage_integrator(const mjModel* m, int instance) {
 
 }  // namespace leglab::plugin
 
-// For tools: `element_named` without its bound.
+// `element_named` for tools, over all elements of the kind.
 extern "C" __attribute__((visibility("default"))) int leglab_element_named(
     const mjModel* m, int instance, int kind, const char* text) {
   const auto object = static_cast<mjtObj>(kind);

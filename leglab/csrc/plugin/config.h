@@ -14,30 +14,30 @@ namespace leglab::plugin {
 
 using hydraulics::ParameterSpec;
 
-// Stops loading with a message that names plugin, instance and what is wrong; does not return.
+// Stops loading with a message that names plugin, instance and error; does not return.
 [[noreturn]] void refuse(const mjModel* m, int instance, const std::string& message);
 
-// A value as messages show it.
+// Formats a value for messages.
 std::string number(double value);
 
-// Text of an attribute, empty where it is absent.
+// Text of an attribute; empty if it is absent.
 std::string text_attribute(const mjModel* m, int instance, const char* key);
 
-// Unit of a parameter of a table at the joint that an instance acts on; that of the table elsewhere.
+// Converts a unit of a table for an instance on a slide joint; returns it unchanged for any other.
 std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 
-// Reads all attributes of a table into `values`; defaults where absent. Refuses what is missing
-// without a default, is not a finite number, or lies outside its bounds.
+// Reads all attributes of a table into `values`; absent ones get their defaults. Rejects an attribute
+// that is missing without a default, is not a finite number, or is out of bounds.
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Element of a kind, one of the first `count`, that an instance means by a name; -1 for none. That is the
-// element called so, else the one whose name has the prefix and suffix that the instance's own has:
-// attaching a model to another one (mjs_attach) changes names of elements, not those in attributes.
+// Resolves a name in an attribute of an instance to one of the first `count` elements of a kind; -1 for
+// none. It is the element of that name, else the one whose name adds the prefix and suffix of the
+// instance's name: attaching a model (mjs_attach) changes names of elements, not those in attributes.
 int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text);
 
-// Element of a kind that an attribute called like the kind names; refuses what names none of the
-// first `count`.
+// Element that the attribute `key` names, one of the first `count` of a kind; rejects a name of none of
+// them.
 int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count);
 
 // Joint that the attribute `joint` names; hinge or slide.

@@ -34,8 +34,8 @@ Cylinder::Cylinder(const mjModel* m, int instance)
   refresh(m, initial_);
 }
 
-// Symplectic coupling of the oil spring and the mechanism is accurate while w_h h <= 0.7 and
-// unstable beyond 2; more than 1 is refused. At qpos0, with the effective mass of the model.
+// The symplectic coupling of oil spring and mechanism is accurate for w_h h <= 0.7 and unstable
+// beyond 2; more than 1 is rejected. Evaluated at qpos0, with the effective mass of the model.
 void Cylinder::check_timestep(const mjModel* m) const {
   const int target = m->actuator_trnid[2 * actuator_];
   double inverse_mass = 0, length = 0;
@@ -73,7 +73,7 @@ void Cylinder::reset(mjtNum* plugin_state) const {
 void Cylinder::refresh(const mjModel* m, const CylinderParameters& p) {
   const double timestep = m->opt.timestep;
   if (std::memcmp(&p, &seen_, sizeof p) == 0 && timestep == seen_timestep_) return;
-  CylinderParameters same = p;  // but for the two that the machine itself changes
+  CylinderParameters same = p;  // except the two parameters that the plugin itself changes
   same.oil_temperature_ = seen_.oil_temperature_;
   same.seal_clearance_ = seen_.seal_clearance_;
   if (std::memcmp(&same, &seen_, sizeof p) != 0 || timestep != seen_timestep_) {
@@ -140,7 +140,7 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
     const double v_pin = v_;
     if (seated) v_ = s.piston_velocity_;
     const double offset = play_offset(p, coefficients_, s);
-    // A piston that presses its pin brakes with the mechanism's mass.
+    // A piston in contact with its pin decelerates together with the mechanism's mass.
     moved_ = p.piston_mass_ + (std::abs(offset) > 0.5 * p.play_ ? mass_ : 0.0);
     forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_, h / moved_);
     oil_spring_ = chambers_.stiffness(coefficients_);
@@ -151,7 +151,7 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
     forces_ = piston_forces(p, coefficients_, oil_, s, chambers_, x_, v_, mass_ > 0 ? h / mass_ : 0.0);
     d->actuator_force[actuator_] = forces_.total();
   }
-  // Delayed, where the actuator has a delay.
+  // The command, delayed if the actuator has a delay.
   command_ = d->ctrl[actuator_];
   if (m->actuator_historyadr[actuator_] >= 0) {
     mjtNum between = 0;
@@ -169,7 +169,7 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
 
 void Cylinder::advance(const mjModel* m, mjData* d) {
   const auto [p, s] = slots(m, d);
-  // qvel has moved, actuator_velocity has not: project the new qvel on the moment of the step.
+  // qvel is already updated, actuator_velocity is not: apply the step's moments to the new qvel.
   double v = 0;
   const int address = d->moment_rowadr[actuator_], count = d->moment_rownnz[actuator_];
   for (int i = address; i < address + count; ++i) {
@@ -192,7 +192,7 @@ void Cylinder::advance(const mjModel* m, mjData* d) {
                    supply_pressure(m, d, p), s);
 }
 
-// Barrel and rod along the tendon.
+// Draws barrel and rod along the tendon.
 void Cylinder::visualize(const mjModel* m, mjData* d, mjvScene* scene) {
   mjtNum base[3], end[3];
   if (m->actuator_trntype[actuator_] != mjTRN_TENDON ||

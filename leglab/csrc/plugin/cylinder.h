@@ -9,8 +9,8 @@
 
 namespace leglab::plugin {
 
-// Keeps, beside its state, ids, coefficients that follow from the parameters (refreshed whenever these
-// differ from `seen`), and the outputs of the latest `compute`.
+// Keeps, in addition to its state, ids, coefficients computed from the parameters (refreshed whenever
+// these differ from `seen_`), and the outputs of the latest `compute`.
 class Cylinder : public Instance<hydraulics::CylinderTable> {
  public:
   using Instance::slots;
@@ -22,7 +22,7 @@ class Cylinder : public Instance<hydraulics::CylinderTable> {
   void advance(const mjModel* m, mjData* d);
   void visualize(const mjModel* m, mjData* d, mjvScene* scene);
 
-  // Chambers at the present lengths and amounts of oil; solved anew only where these differ.
+  // Chambers at the present lengths and amounts of oil; solved again only if these have changed.
   const hydraulics::Chambers& observe(const mjModel* m, mjData* d);
   // Piston position [m] at the latest `observe`.
   double piston_position() const { return x_; }
@@ -47,12 +47,12 @@ class Cylinder : public Instance<hydraulics::CylinderTable> {
     double x, pressure_a, pressure_b, amount_a, amount_b;
   };
   static constexpr Observed kNothing{__builtin_nan(""), 0, 0, 0, 0};
-  Observed observed_ = kNothing;  // what `chambers_` were solved for
+  Observed observed_ = kNothing;  // inputs for which `chambers_` were solved
   hydraulics::Chambers chambers_{};
   hydraulics::PistonForces forces_{};
   hydraulics::PlayStep play_{};
-  double oil_spring_ = 0;  // N/m, of both chambers at the latest `compute`
-  double moved_ = 0;       // kg, of the piston, and of the mechanism that it presses
+  double oil_spring_ = 0;  // stiffness of both chambers at the latest `compute` [N/m]
+  double moved_ = 0;       // mass of the piston, plus the mechanism's if it is in contact [kg]
   double x_ = 0, v_ = 0, mass_ = 0, command_ = 0;
   std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };

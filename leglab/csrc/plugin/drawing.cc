@@ -15,7 +15,7 @@ constexpr Colour kCap{{0.14f, 0.15f, 0.17f, 1.0f}, 0.4f};
 constexpr Colour kChrome{{0.92f, 0.93f, 0.95f, 1.0f}, 1.0f};
 constexpr Colour kCoil{{0.93f, 0.38f, 0.10f, 1.0f}, 0.6f};
 
-// A line between two pins in its own coordinate [m].
+// A line between two pins, with the distance from the first one as coordinate [m].
 class Line {
  public:
   Line(mjvScene* scene, const mjtNum base[3], const mjtNum end[3]) : scene_(scene) {
@@ -30,7 +30,7 @@ class Line {
 
   double length() const { return length_; }
 
-  // Point at `at` along the line and `radius` away from it at `angle`.
+  // Computes the point at distance `at` along the line, `radius` away from it at `angle`.
   void point(double at, double radius, double angle, mjtNum out[3]) const {
     mju_addScl3(out, base_, axis_, at);
     mju_addToScl3(out, side_, radius * std::cos(angle));

@@ -1,11 +1,11 @@
-// Shapes that the plugins add to a scene: they follow the state, which model geometry cannot.
+// Shapes that the plugins add to a scene, because geoms of a model cannot follow the plugin state.
 #pragma once
 
 #include <mujoco/mujoco.h>
 
 namespace leglab::plugin {
 
-// First and last point of a spatial tendon; false where it has none.
+// Computes the first and last point of a spatial tendon; returns false for other tendons.
 bool tendon_ends(const mjModel* m, const mjData* d, int tendon, mjtNum base[3], mjtNum end[3]);
 
 // A hydraulic cylinder between its pins [m]: barrel of `length` from the base, rod to the end.

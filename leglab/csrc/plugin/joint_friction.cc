@@ -1,4 +1,4 @@
-// Passive plugin `leglab.joint_friction`: LuGre friction of a joint that grows with wear.
+// Passive plugin `leglab.joint_friction`: LuGre friction of a joint, which grows with wear.
 #include <cmath>
 
 #include "plugin/lifecycle.h"
@@ -23,8 +23,8 @@ class JointFriction : public Instance<hydraulics::FrictionTable> {
     const auto now = hydraulics::FrictionLevel::at(p, v, s.load_, d->time);
     double force = now.viscous * v;
     if (now.sliding > 0) {
-      // Mean of z' over the step: at speed a bristle relaxes within microseconds, and z' at one
-      // moment would stand for the whole step.
+      // Mean of z' over the step, not z' at its start: at speed a bristle relaxes within
+      // microseconds.
       const double h = m->opt.timestep;
       const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
       force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;
@@ -35,7 +35,7 @@ class JointFriction : public Instance<hydraulics::FrictionTable> {
   void advance(const mjModel* m, mjData* d) {
     const auto [p, s] = slots(m, d);
     const double v = d->qvel[dof_], h = m->opt.timestep;
-    // MuJoCo computes passive forces before the actuators': the load is that of the step before.
+    // MuJoCo computes passive forces before actuator forces: the load is that of the previous step.
     s.load_ = std::abs(p.actuator_load_coefficient_ * d->qfrc_actuator[dof_] +
                        p.bias_load_coefficient_ * d->qfrc_bias[dof_]);
     const double g = hydraulics::FrictionLevel::at(p, v, s.load_, d->time).sliding;

@@ -1,4 +1,4 @@
-// The state and the callbacks that every plugin class of this library shares.
+// State layout and callbacks shared by all plugin classes of this library.
 #pragma once
 
 #include <algorithm>
@@ -12,8 +12,8 @@
 
 namespace leglab::plugin {
 
-// A plugin instance by its table. Its plugin state begins with the parameters, the dynamic states
-// behind them.
+// Base of a plugin instance with a table. The plugin state holds the parameters, then the dynamic
+// states.
 template <class Table_>
 class Instance {
  public:
@@ -23,17 +23,17 @@ class Instance {
   static constexpr int kParameterCount = Table::parameter_count;
   static constexpr int kStateCount = Table::parameter_count + Table::state_count;
 
-  // Length of the plugin state; a plugin with more behind the named states has its own.
+  // Length of the plugin state; a plugin with data after the named states overrides it.
   static int state_count(const mjModel*, int) { return kStateCount; }
 
-  // Writes the parameters of MJCF; states are zero.
+  // Resets the parameters to those of MJCF and the states to zero.
   void reset(mjtNum* plugin_state) const {
     std::copy_n(reinterpret_cast<const double*>(&initial_), kParameterCount, plugin_state);
     std::fill_n(plugin_state + kParameterCount, Table::state_count, 0.0);
   }
 
  protected:
-  // Reads and checks the parameters of MJCF; refuses what is wrong.
+  // Reads and checks the parameters of MJCF; rejects invalid ones.
   Instance(const mjModel* m, int instance) : instance_(instance) {
     if (Table::state_count > 0) require_single_stage_integrator(m, instance);
     read_parameters(m, instance, Table::parameters, reinterpret_cast<double*>(&initial_));
@@ -58,14 +58,14 @@ T* instance_of(const mjData* d, int instance) {
   return reinterpret_cast<T*>(d->plugin_data[instance]);
 }
 
-// Whether a plugin instance of the model is one of T.
+// Tests whether a plugin instance of the model is of class T.
 template <class T>
 bool is_instance(const mjModel* m, int instance) {
   return std::strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, T::Table::plugin) == 0;
 }
 
-// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and,
-// where they exist, advance, visualize and, of a sensor, its number of values.
+// Registers an `Instance` T when the library is loaded: constructor (m, instance), compute, and, if T
+// has them, advance, visualize and a sensor's number of values.
 template <class T>
 void register_plugin(int capability) {
   static std::vector<const char*> names(T::Table::texts);
@@ -88,15 +88,15 @@ void register_plugin(int capability) {
   plugin.reset = +[](const mjModel*, mjtNum* state, void* data, int) {
     static_cast<T*>(data)->reset(state);
   };
-  // A copy of the data also holds the outputs of the latest `compute`, so that it may go on from
-  // between the stages of a step.
+  // A copy of the data includes the outputs of the latest `compute`, so that stepping can continue
+  // from it even between the stages of a step.
   plugin.copy = +[](mjData* to, const mjModel*, const mjData* from, int instance) {
     *instance_of<T>(to, instance) = *instance_of<T>(from, instance);
   };
   plugin.compute = +[](const mjModel* m, mjData* d, int instance, int capability) {
     T* plugin = instance_of<T>(d, instance);
     if constexpr (requires { plugin->compute(m, d, capability); }) {
-      plugin->compute(m, d, capability);  // of the several that it has
+      plugin->compute(m, d, capability);  // plugin with several capabilities
     } else {
       plugin->compute(m, d);
     }
@@ -111,7 +111,7 @@ void register_plugin(int capability) {
                            int instance) { instance_of<T>(d, instance)->visualize(m, d, scene); };
   }
   if constexpr (requires { &T::value_count; }) {
-    // Lengths are known by then; a later stage would make MuJoCo compute accelerations of bodies.
+    // Lengths are known at this stage; a later one would make MuJoCo compute body accelerations.
     plugin.needstage = mjSTAGE_VEL;
     plugin.nsensordata = T::value_count;
   }

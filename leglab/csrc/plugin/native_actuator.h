@@ -1,4 +1,4 @@
-// A native actuator as the plugins see it: force = gain(length, velocity) input + bias.
+// A native actuator: force = gain(length, velocity) input + bias.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -7,8 +7,8 @@ namespace leglab::plugin {
 
 struct NativeActuator {
   int id;      // actuator
-  int ctrl;    // its place in mjData.ctrl
-  int output;  // its place in mjData.actuator_force
+  int ctrl;    // index in mjData.ctrl
+  int output;  // index in mjData.actuator_force
 
   static NativeActuator at(const mjModel* m, int id) {
     return {id, m->actuator_ctrladr[id], m->actuator_outadr[id]};
@@ -19,13 +19,13 @@ struct NativeActuator {
     return group >= 0 && group < 31 && (m->opt.disableactuator & (1 << group));
   }
 
-  // The command within its range, 0 where it is no number, as MuJoCo takes it.
+  // The command as MuJoCo applies it: clamped to its range, 0 if it is not finite or too large.
   double command(const mjModel* m, const mjData* d) const;
 
-  // Whether force = gain (input - length) - damping x velocity.
+  // Tests whether force = gain (input - length) - damping x velocity.
   bool position_servo(const mjModel* m) const;
 
-  // The state of an actuator with dynamics.
+  // Activation of an actuator with dynamics.
   double activation(const mjModel* m, const mjData* d) const {
     return d->act[m->actuator_actadr[id] + m->actuator_actnum[id] - 1];
   }
@@ -34,10 +34,10 @@ struct NativeActuator {
   double gain(const mjModel* m, const mjData* d) const;
 };
 
-// The actuator that the attribute `actuator` names; refuses what the plugins cannot follow.
+// The actuator that the attribute `actuator` names; rejects those that `require_native` does.
 NativeActuator actuator_attribute(const mjModel* m, int instance);
 
-// Refuses an actuator that is a plugin itself, or has several inputs or a nonlinear gain or bias.
+// Rejects an actuator that is a plugin itself, or has several inputs or a nonlinear gain or bias.
 void require_native(const mjModel* m, int instance, int actuator);
 
 }  // namespace leglab::plugin

@@ -32,7 +32,7 @@ std::vector<double> numbers_attribute(const mjModel* m, int instance, const std:
   return out;
 }
 
-// De Boor's recursion (1978) on clamped knots; x lies within them.
+// Evaluates a spline by de Boor's recursion (1978) on clamped knots; x lies within them.
 double de_boor(const std::vector<double>& knots, const mjtNum* coefficients, double x) {
   const auto inner = std::upper_bound(knots.begin() + kDegree, knots.end() - kDegree - 1, x);
   const std::ptrdiff_t span =
@@ -134,7 +134,7 @@ double Residual::at(const mjModel* m, const mjData* d, const Inputs& inputs) con
     const std::vector<double>& knots = splines_[i].knots;
     if (knots.empty()) continue;
     const double x = std::clamp(inputs[i], knots.front(), knots.back());
-    if (x == x) sum += de_boor(knots, coefficients, x);  // a diverged input has no force
+    if (x == x) sum += de_boor(knots, coefficients, x);  // a NaN input gives no force
     coefficients += splines_[i].coefficients.size();
   }
   const Parameters& p = slots(m, d).parameters;
@@ -142,7 +142,7 @@ double Residual::at(const mjModel* m, const mjData* d, const Inputs& inputs) con
 }
 
 void Residual::compute(const mjModel* m, mjData* d) {
-  if (dof_ < 0) return;  // the cylinder asks
+  if (dof_ < 0) return;  // the cylinder calls `at`
   double command = 0;
   if (actuator_ >= 0) {
     const int ctrl = m->actuator_ctrladr[actuator_];
@@ -151,7 +151,7 @@ void Residual::compute(const mjModel* m, mjData* d) {
       command = std::clamp(command, m->actuator_ctrlrange[2 * ctrl], m->actuator_ctrlrange[2 * ctrl + 1]);
     }
   }
-  // MuJoCo computes passive forces before the actuators': the load is that of the step before.
+  // MuJoCo computes passive forces before actuator forces: the load is that of the previous step.
   d->qfrc_passive[dof_] += at(m, d, {d->qpos[qpos_], d->qvel[dof_], slots(m, d).state.load_, command});
 }
 

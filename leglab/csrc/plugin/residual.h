@@ -8,9 +8,9 @@
 
 namespace leglab::plugin {
 
-// bound(scale (s_1(position) + s_2(velocity) + s_3(load) + s_4(command))) with cubic B-splines s_i. Every
-// input is clamped to the range of its knots, so that beyond the data nothing is extrapolated. The
-// coefficients follow the named states in the plugin state, variable after variable.
+// bound(scale (s_1(position) + s_2(velocity) + s_3(load) + s_4(command))) with cubic B-splines s_i. Each
+// input is clamped to the range of its knots, so that the splines do not extrapolate. The plugin state
+// holds the coefficients after the named states, variable by variable.
 class Residual : public Instance<ResidualTable> {
  public:
   static constexpr std::size_t kInputs = 4;
@@ -22,24 +22,24 @@ class Residual : public Instance<ResidualTable> {
   void compute(const mjModel* m, mjData* d);
   void advance(const mjModel* m, mjData* d);
 
-  // The learned sum at some inputs.
+  // The scaled and bounded sum of the splines at given inputs.
   double at(const mjModel* m, const mjData* d, const Inputs& inputs) const;
 
-  // Instance that acts on a cylinder, -1 where there is none; refuses several.
+  // Instance that acts on a cylinder, -1 if there is none; rejects several.
   static int of_cylinder(const mjModel* m, int actuator);
   // Length of the plugin state: parameters, states and coefficients.
   static int state_count(const mjModel* m, int instance);
 
  private:
   struct Spline {
-    std::vector<double> knots;         // clamped: the outermost four times
-    std::vector<double> coefficients;  // of MJCF; those that count are in the plugin state
+    std::vector<double> knots;         // clamped: outermost knots with multiplicity four
+    std::vector<double> coefficients;  // of MJCF; those in use are in the plugin state
   };
   static Spline spline_attribute(const mjModel* m, int instance, const char* variable);
 
   std::array<Spline, kInputs> splines_;
   int qpos_ = -1, dof_ = -1;  // of the joint; -1 at a cylinder
-  int actuator_ = -1;         // whose command the joint's force depends on
+  int actuator_ = -1;         // actuator whose command is an input of the joint's force
 };
 
 }  // namespace leglab::plugin

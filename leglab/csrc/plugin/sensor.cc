@@ -1,4 +1,4 @@
-// Sensor plugin `leglab.sensor`: what a hydraulic test stand measures at one actuator.
+// Sensor plugin `leglab.sensor`: measured quantities of a hydraulic test stand at one actuator.
 #include <algorithm>
 #include <cstddef>
 #include <cstring>
@@ -14,7 +14,7 @@ using hydraulics::CylinderState;
 
 struct Quantity {
   const char* name;
-  int offset;  // in the state of the cylinder; negative: an output of the latest compute
+  int offset;  // in the plugin state of the cylinder; negative: an output of the latest `compute`
 };
 
 constexpr int state_offset(std::size_t bytes) {

@@ -1,4 +1,4 @@
-// Passive plugin `leglab.spring_damper`: nonlinear spring, damper and soft stops beside a joint.
+// Passive plugin `leglab.spring_damper`: nonlinear spring, damper and soft stops of a joint.
 #include <cmath>
 #include <numbers>
 
@@ -46,7 +46,7 @@ class SpringDamper : public Instance<SpringTable> {
   }
 
  private:
-  // Two harmonics of a force that repeats with the position.
+  // First two harmonics of a force that is periodic in the position.
   static double ripple(const Parameters& p, double q) {
     double force = 0.0;
     const double angle = 2.0 * std::numbers::pi * q / p.ripple_period_;

@@ -1,4 +1,4 @@
-// Plugin `leglab.supply`: the power unit that all cylinders of a leg share.
+// Plugin `leglab.supply`: hydraulic power unit shared by the cylinders of a leg.
 #pragma once
 
 #include <vector>
@@ -11,7 +11,7 @@ class Supply : public Instance<hydraulics::SupplyTable> {
  public:
   Supply(const mjModel* m, int instance);
   void reset(mjtNum* plugin_state) const;
-  void compute(const mjModel*, mjData*) {}  // acts through the cylinders alone
+  void compute(const mjModel*, mjData*) {}  // acts only through the cylinders
   void advance(const mjModel* m, mjData* d);
 
   // Gauge pressure [Pa] of an instance of this plugin.

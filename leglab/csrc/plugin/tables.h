@@ -1,5 +1,5 @@
-// Parameters and states of every plugin with a state, for the plugins themselves and for tools that
-// read them by name.
+// Tables of parameters and states of all plugins, for the plugins and for tools that read them by
+// name.
 #pragma once
 
 #include <span>
@@ -12,7 +12,7 @@
 
 namespace leglab::plugin {
 
-// Unit at a slide joint of what has this unit at a hinge: N m/rad becomes N/m, rad/s becomes m/s.
+// Converts a unit at a hinge to the unit at a slide joint: N m/rad to N/m, rad/s to m/s.
 inline std::string unit_at_slide(std::string unit) {
   for (const auto& [angular, linear] : {std::pair{"kg m^2", "kg"}, {"N m", "N"}, {"rad", "m"}}) {
     const std::size_t at = unit.find(angular);
@@ -57,7 +57,7 @@ LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NO
   X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
 LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BACKLASH_STATES, "joint")
 
-// In the order in which the command passes them. Commands count in the unit of the actuator's ctrl.
+// In the order in which the command passes them. Commands are in the unit of the actuator's ctrl.
 #define LEGLAB_COMMAND_PARAMETERS(X)                                                               \
   X(delay, "s", 0.0, 0.0, 1.0, true, "dead time, at most the attribute max_delay")                 \
   X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                                  \
@@ -73,7 +73,7 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
     "half width: position errors of a servo within it give no force, those beyond it less of it")   \
   X(actuator_gain, "1", 1.0, -100.0, 100.0, true, "factor on the force of the actuator")
 
-// The commands of the last steps follow these in the plugin state, newest first.
+// In the plugin state the commands of the last steps follow these states, newest first.
 #define LEGLAB_COMMAND_STATES(X)                \
   X(started, "1", "1 after the first step")                                                        \
   X(play_output, "ctrl", "behind the hysteresis")                                                  \
@@ -81,7 +81,7 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
 LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_COMMAND_STATES, "actuator",
              "max_delay")
 
-// The coefficients of the splines follow these in the plugin state: position, velocity, load, command.
+// In the plugin state the splines' coefficients follow the states: position, velocity, load, command.
 #define LEGLAB_RESIDUAL_PARAMETERS(X)                                                              \
   X(scale, "1", 1.0, -1e3, 1e3, true, "factor on the learned sum")                                 \
   X(bound, "N m", 1e9, 0.0, 1e9, true, "largest magnitude of the sum; of a cylinder in commands")

@@ -1,1 +1,1 @@
-"""Forces along the measured motion: what the model lacks, and where it lacks most."""
+"""Residual forces and flows along the measured motion, and the regions where they are largest."""

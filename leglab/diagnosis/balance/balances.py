@@ -1,7 +1,7 @@
-"""Balances of force and of oil along the measured motion: what the model lacks at every moment.
+"""Balances of force and of oil along the measured motion: the model's residual at every moment.
 
-In integral form: momentum or pressure gained over a window against the impulses of all modelled
-forces or flows, so that noise of sensors hardly counts.
+In integral form: momentum or pressure gained over a window minus the impulses of all modelled
+forces or flows, so that sensor noise has little influence.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,39 +23,39 @@ from leglab.machine.cylinder import Cylinder
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Balance:
-    """Imbalance of one joint's forces, or of one cylinder's oil, that the model leaves.
+    """Residual of one joint's forces, or of one cylinder's oil, by the model.
 
-    Samples lie in rows of windows, (windows, samples); whose sums are the balance.
+    Rows are windows, (windows, samples), whose sums are the balance.
     """
 
     element: str  #: Joint or cylinder
-    joint: str  #: Whose motion it is
-    actuator: str  #: Whose command the inputs have; empty where nothing drives the joint
+    joint: str  #: Joint of the motion
+    actuator: str  #: Actuator of the command among the inputs; empty if nothing drives the joint
     oil: bool  #: Whether it is an oil balance
     #: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
     lacking: np.ndarray
-    #: d(lacking)/d(what is learned), 1 for a force, (windows, samples); for oil a rate of pressure
-    #: by an opening of the valve.
+    #: d(lacking)/d(learned quantity), (windows, samples): 1 for a force; for oil, d(rate of
+    #: pressure)/d(opening of the valve).
     gain: np.ndarray
     inputs: dict[str, np.ndarray]  #: By variable, each (windows, samples)
-    moving: np.ndarray  #: Whether the joint moves all the while, (windows,)
+    moving: np.ndarray  #: Whether the joint moves at all samples, (windows,)
     recording: np.ndarray  #: Number of the recording, (windows,)
     time: np.ndarray  #: s, in the middle of windows, (windows,)
 
     @property
     def gained(self) -> np.ndarray:
-        """Mean of what is lacking over each window, (windows,)."""
+        """Mean residual of each window, (windows,)."""
         return np.asarray(self.lacking.mean(axis=1))
 
     def of(self, mask: np.ndarray) -> "Balance":
-        """Some of the windows."""
+        """Returns the balance of the windows of a mask."""
         return _combined([self], lambda own: own[0][mask])
 
 
 def _combined(
     parts: Sequence[Balance], combine: Callable[[list[np.ndarray]], np.ndarray]
 ) -> Balance:
-    """A balance whose arrays are made of those of others."""
+    """Returns a balance whose arrays are combined from those of others."""
     names = ("lacking", "gain", "moving", "recording", "time")
     made: dict[str, Any] = {name: combine([getattr(p, name) for p in parts]) for name in names}
     made["inputs"] = {k: combine([p.inputs[k] for p in parts]) for k in parts[0].inputs}
@@ -63,7 +63,7 @@ def _combined(
 
 
 def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
-    """Balances of all joints and cylinders whose actuators' forces can be known.
+    """Returns the balances of all joints and cylinders whose actuators' forces are known.
 
     Cylinders without measured pressures, and the joints that they move, have none.
     """
@@ -77,8 +77,8 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
 def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
     machine, limits, model = problem.machine, problem.thresholds, change.variant.model
-    # Samples lie half a stride to both sides of an odd number of periods apart, two of them in a
-    # bin. Noise of windows twice as long as the filter hardly depends on that of their neighbours.
+    # Samples are a stride apart, about two per bin. Windows are twice as long as the position
+    # filter, so that the noise of neighbouring windows is nearly independent.
     half = max(1, round(0.25 * limits.bin / cut.series.period))
     stride, per_window = 2 * half, round(2.0 * limits.position_filter[0] / (0.5 * limits.bin))
     margin = max(c.filter[0] for c in problem.channels) + half
@@ -150,7 +150,7 @@ def _oil(
     at: dict[str, np.ndarray],
     half: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rate of pressure A less B beyond the modelled one, and its gain by the spool, (samples,)."""
+    """Returns the residual rate of pressure A minus B, and its gain by the spool, (samples,)."""
     variant, joint, k = change.variant, change.machine.driven[cylinder][0], measured.samples
     table = variant.elements[cylinder][1].parameters
     values = {name: change.parameter(cylinder, name) for name in table}
@@ -158,7 +158,7 @@ def _oil(
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
     rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
     slot = plugin_offset(variant.model) + variant.slot(cylinder, "spool_position")
-    # A step of one per cent, for the gain: nothing but the curvature of an edge depends on it.
+    # Step of the difference for the gain: it matters only for the curvature of an edge.
     step = 0.01
     modelled = np.empty((3, k.size))
     for i, spool in enumerate(np.clip(states[:, slot], step - 1.0, 1.0 - step).tolist()):
@@ -176,9 +176,9 @@ def _oil(
 
 
 def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft]:
-    """Forces left over inside the fitted windows, by joint: M a + bias less all modelled forces.
+    """Returns residual forces in fitted windows, by joint: M a + bias minus all modelled forces.
 
-    Joints of cylinders whose pressures are not measured are left out: nobody knows their force.
+    Joints of cylinders without measured pressures are left out: their force is unknown.
     """
     replay, joints = problem.replay, problem.balanced
     if not joints:

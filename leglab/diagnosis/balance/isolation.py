@@ -1,4 +1,4 @@
-"""Structural isolation: does the mechanism disagree, or the hydraulics, and where."""
+"""Structural isolation of disagreements to mechanism or hydraulics, and to elements."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from leglab.diagnosis.result import Where
 
 
 def isolate(problem: Problem) -> tuple[Where, ...]:
-    """Where the model as it was disagrees with the measured motion, worst first.
+    """Returns where the original model disagrees with the measured motion, largest first.
 
-    Balances have measured inputs only: a valve fault does not light the mechanism, and a mechanical
-    one does not light the valve. Residuals are told in levels of their own noise. Without pressures
-    they are the errors of the replayed motion, joint by joint.
+    Balances have only measured inputs: a valve fault leaves the mechanical residual small, and a
+    mechanical fault the hydraulic one. Residuals are in multiples of their noise. Without pressures
+    they are the errors of the replayed motion by joint.
     """
     along = balances(problem, Hypothesis())
     if any(balance.oil for balance in along):
@@ -27,7 +27,7 @@ def isolate(problem: Problem) -> tuple[Where, ...]:
 
 
 def _of_balance(problem: Problem, balance: Balance) -> Where:
-    """The residual of one balance, against white noise by its second differences."""
+    """Returns the residual of one balance relative to white noise, by its second differences."""
     rest = balance.lacking
     noise = float(np.median(np.abs(np.diff(rest, 2, axis=1)))) / np.sqrt(6.0)
     length = "m" if balance.oil else problem.machine.unit(balance.joint)
@@ -43,7 +43,7 @@ def _of_balance(problem: Problem, balance: Balance) -> Where:
 
 
 def _motion(problem: Problem) -> list[Where]:
-    """Errors of the replayed motion of every joint, of the model as it was."""
+    """Returns the errors of the original model's replayed motion, by joint."""
     replay, limit = problem.replay, problem.thresholds.clip
     errors, every = problem.raw_errors(Hypothesis()), np.ones(replay.windows, dtype=bool)
     found = []
@@ -55,8 +55,7 @@ def _motion(problem: Problem) -> list[Where]:
         length = problem.machine.unit(channel.joint)
         states = {"position": (position, length), "velocity": (velocity, f"{length}/s")}
         region = worst_region(errors[:, k].ravel(), states)
-        # In the noise levels of the gap, with what the start states carry on, whatever the other
-        # joints do.
+        # Whitened as in the gap, with the errors of start states, but without the other joints.
         block = slice(k * replay.bins, (k + 1) * replay.bins)
         roots = inverse_roots(problem.noise.covariance(every, block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
@@ -68,9 +67,9 @@ def _motion(problem: Problem) -> list[Where]:
 def bin_motion(
     problem: Problem, recording: int, joint: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Motion of a joint in the middle of every bin of a recording's windows, each (bins,).
+    """Returns the motion of a joint in the middle of every bin of a recording's windows.
 
-    Number of the sample, position and velocity.
+    It consists of sample index, position and velocity, each (bins,).
     """
     replay, series = problem.replay, problem.series[recording]
     middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)

@@ -1,4 +1,4 @@
-"""Where errors are largest over a state, by the equally filled bins that the page draws."""
+"""Regions of a state in which errors are largest, by the equally filled bins of the page."""
 
 from collections.abc import Mapping
 
@@ -8,19 +8,19 @@ EVERYWHERE = "everywhere alike"
 
 
 def equally_filled(state: np.ndarray) -> list[np.ndarray]:
-    """Indices of the points of each of twenty bins along the state, fewer where points are few.
+    """Returns the indices of the points of each of at most twenty bins along the state.
 
-    A bin of fewer than eight points says nothing.
+    Each bin has at least eight points: fewer give no reliable mean.
     """
     count = min(20, state.size // 8)
     return np.array_split(np.argsort(state, kind="stable"), count) if count else []
 
 
 def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]) -> str:
-    """Where an error is largest, in words.
+    """Returns in words where an error, (samples,), is largest.
 
-    A region counts where the error, (samples,), exceeds the mean by a third, and reaches as far as
-    half of that. States by name are values, (samples,), and unit.
+    A region needs a peak that exceeds the mean absolute error by a third; it extends to bins with
+    more than half of the peak's excess. `states` holds values, (samples,), and unit by name.
     """
     finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
@@ -43,7 +43,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
         small = np.flatnonzero(size <= 0.5 * (1.0 + size[peak]))
         first = max(small[small < peak], default=-1) + 1
         last = min(small[small > peak], default=len(parts)) - 1
-        ends = np.quantile(values, [0.01, 0.99])  # Outliers set no ends.
+        ends = np.quantile(values, [0.01, 0.99])  # Outliers do not extend a region.
         low = max(float(values[parts[first]].min()), float(ends[0]))
         high = min(float(values[parts[last]].max()), float(ends[1]))
         told = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
@@ -55,9 +55,9 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
 
 
 def _period(error: np.ndarray, position: np.ndarray) -> float | None:
-    """Period over the position of what repeats in an error; None where nothing does.
+    """Returns the period over the position with which an error repeats; None if it does not.
 
-    It goes round two to eight times in the range and explains a third of the variance.
+    A wave needs two to eight cycles in the range, and must explain a third of the variance.
     """
     low, high = np.quantile(position, [0.01, 0.99])
     span = float(high - low)

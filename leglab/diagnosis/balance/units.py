@@ -1,8 +1,8 @@
 """Detection of wrong units and signs of signals by replays.
 
-Windows are replayed with the logged signal, and with each factor of `intake.units` on it. A
-machine that has changed is not taken for another unit: no factor near 1 is tried, and one counts
-only where it explains nearly all of the motion, of which the signal as it is explains little.
+Windows are replayed with the logged signal, and with each factor of `intake.units` on it. Faults
+are not mistaken for a wrong unit: no factor near 1 is tried, and a factor counts only if it
+explains nearly all of the motion while the logged signal explains little of it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,10 +22,10 @@ from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
 from leglab.diagnosis.thresholds import DEFAULT, FAR, FORCE_BLOCKS, SAME, SMALL, Thresholds
 
-# Windows of all recordings together, and of one at least and at most: each trial replays them all,
-# and fewer tell no mean from chance.
+# Number of windows of all recordings, and least and largest number for one recording: each trial
+# replays all of them, and with fewer a mean is not significant.
 _WINDOWS, _FEWEST, _MOST = 16, 4, 8
-# A drive may be weak or strong by these: an effect explains that, and no unit need.
+# Gains of a weak or strong drive: effects explain these, so a unit must explain the motion better.
 _GAINS = (0.3, 3.0)
 # Limit of squared errors relative to the motion's: beyond it the replay diverged.
 _BLOWN = 1e8
@@ -36,11 +36,11 @@ class Doubt:
     """Doubt about the unit or direction of columns of one recording."""
 
     recording: str
-    columns: tuple[str, ...]  #: That have the same unit
-    factor: float  #: Of these columns, that the model asks for
-    unit: str  #: That they have then, or `OPPOSITE`
+    columns: tuple[str, ...]  #: Columns with one unit
+    factor: float  #: Factor on these columns with which the model fits
+    unit: str  #: Unit that the factor implies, or `OPPOSITE`
     times_better: float  #: RMS replay error with the logged signal over that with the factor
-    alike: tuple[str, ...] = ()  #: Columns whose opposite direction says the same
+    alike: tuple[str, ...] = ()  #: Columns whose opposite direction fits equally well
 
     @property
     def words(self) -> str:
@@ -61,10 +61,10 @@ class Doubt:
 def unquestioned(
     machine: Machine, admitted: Admitted, thresholds: Thresholds = DEFAULT
 ) -> Admitted:
-    """The recordings without those whose units or directions are in doubt.
+    """Leaves out the recordings whose units or directions are in doubt.
 
     Raises:
-        RecordingError: At least half of them share a doubt, or none would be left to fit or judge.
+        RecordingError: At least half of them share a doubt, or none is left to fit or judge by.
     """
     found = doubts(machine, admitted.recordings, thresholds)
     asked = ((doubt.recording, (doubt.columns, doubt.unit), doubt.words) for doubt in found)
@@ -83,10 +83,10 @@ def unquestioned(
 def doubts(
     machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
 ) -> list[Doubt]:
-    """Doubts about units and directions, the clearest of each recording.
+    """Returns the clearest doubt about units and directions of each recording.
 
-    Recordings by name have all columns of the machine. One that is too short or does not move is in
-    no doubt.
+    The recordings, by name, must have all columns of the machine. A recording that is too short or
+    does not move raises no doubt.
     """
     try:
         trials = _Trials(machine, recordings, thresholds)
@@ -114,39 +114,39 @@ def doubts(
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Squares of a replay, each (windows, joints)."""
+    """Mean squares over the bins of a replay, each (windows, joints)."""
 
     recording: np.ndarray  #: Number of each window's recording, (windows,)
-    left: np.ndarray  #: Of measured less predicted positions
+    left: np.ndarray  #: Of measured minus predicted positions
     bent: np.ndarray  #: Of departures of the motion from a straight line in time
-    moved: np.ndarray  #: Of the motion, from where it starts
+    moved: np.ndarray  #: Of the motion relative to its start
 
     def shares(self, squares: np.ndarray, rows: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Squares of some windows as shares of all that bends their motion, (windows,)."""
+        """Returns squares of windows as shares of the total `bent`, summed by joint, (windows,)."""
         size = np.maximum(self.bent[rows].sum(axis=0), 1e-300)
         return np.minimum(squares[rows] / size, _BLOWN).sum(axis=1)
 
 
 def _times(factor: float, samples: np.ndarray, period: float) -> np.ndarray:
-    """A command path that multiplies."""
+    """Multiplies commands by a factor, as a command path."""
     return factor * samples
 
 
 class _Trials:
-    """Replays of the liveliest part of each recording, with factors on its columns."""
+    """Replays of the part of each recording with the most motion, with factors on its columns."""
 
     def __init__(
         self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
     ) -> None:
         self.recordings = recordings
-        #: Joints that each column shows or moves.
+        #: Joints that each column measures or moves.
         self.joints = {f"{joint}_position": (joint,) for joint in machine.joints}
         self.joints |= {f"{a}_command": machine.driven[a] for a in machine.actuators}
-        # Two samples a bin tell a unit as well as ten do, in a fifth of the time.
+        # Two samples per bin suffice for a unit, and take a fifth of the time of ten.
         period = max(common_period(recordings, limits), 0.5 * limits.bin)
         self.machine = at_replay_step(machine, period)
         shared = set.intersection(*(set(r.columns) for r in recordings.values()))
-        # The pose of a part of a window says well enough how commands push.
+        # One pose per part of a window is enough for the accelerations by commands.
         every = max(1, round(limits.window / FORCE_BLOCKS / period))
         limits = replace(limits, pose_every=every)
         windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
@@ -172,7 +172,7 @@ class _Trials:
         return Replay(self.machine, scaled, self.channels, self.limits, threads=1)
 
     def errors(self, factors: Mapping[str, float]) -> _Errors:
-        """Squares with factors on columns."""
+        """Returns the squares of a replay with factors on columns."""
         change, replay = Change(self.machine), self._as_logged
         for actuator in self.machine.actuators:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
@@ -195,20 +195,20 @@ class _Trials:
         return _Errors(replay.recording, left, bent, moved)
 
     def effects(self) -> Iterator[_Errors]:
-        """Errors with drives that are weak or strong by an effect."""
+        """Yields the errors with weak or strong drives, as an effect would make them."""
         commands = [column for column in self.joints if column.endswith("_command")]
         for group in dict.fromkeys([*((column,) for column in commands), tuple(commands)]):
             for gain in _GAINS:
                 yield self.errors(dict.fromkeys(group, gain))
 
     def candidates(self, as_it_is: _Errors) -> Iterator[tuple[tuple[str, ...], str, float]]:
-        """Columns, units and factors to try, of joints whose motion the model does not explain.
+        """Yields columns, units and factors to try for joints whose motion is not explained.
 
-        A log has angles of all hinges, or commands of all drives, in one unit more often than not.
-        Angles and commands of position servos in degrees nearly explain each other: they are tried
-        together where a hinge turns farther than most can.
+        A log usually has angles of all hinges, or commands of all drives, in one unit. If angles
+        and commands of position servos are both in degrees, the error hardly shows it: they are
+        tried together if a hinge turns farther than most can.
         """
-        # A straight line from the measured start explains as much, but for half of its errors.
+        # Limit: half the RMS error of a straight line in time.
         unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
         poor = {j for j, bad in zip(self.machine.joints, unexplained, strict=True) if bad}
         groups: dict[tuple[str, str, float], list[str]] = {}
@@ -229,7 +229,7 @@ class _Trials:
                 yield tuple(columns), unit, factor
 
     def _units(self, column: str) -> dict[str, float]:
-        """Factors to try on a column, by unit."""
+        """Returns the factors to try on a column, by unit."""
         hinge = all(self.machine.unit(joint) == "rad" for joint in self.joints[column])
         if column.endswith("_position"):
             found = (position_units(r[column], hinge=hinge) for r in self.recordings.values())
@@ -240,7 +240,7 @@ class _Trials:
     def clear(
         self, columns: tuple[str, ...], before: list[_Errors], after: _Errors
     ) -> Iterator[tuple[str, float]]:
-        """Recordings of which a factor on columns explains clearly more, and how much better."""
+        """Yields recordings that a factor on columns explains clearly better, with RMS ratios."""
         if any(errors.recording.shape != after.recording.shape for errors in before):
             return
         own = {self.machine.joints.index(j) for column in columns for j in self.joints[column]}
@@ -252,7 +252,7 @@ class _Trials:
             most = SMALL * min(left.sum(), moved.sum())
             if not left.size or not least.sum() < most:
                 continue
-            # Windows are samples: the gain must exceed their scatter.
+            # The mean gain must be significant, by its scatter over windows.
             gain = np.log(np.maximum(left, 1e-300) / np.maximum(least, 1e-300))
             if gain.mean() > self.limits.beyond_chance * gain.std() / np.sqrt(gain.size):
                 yield name, float(np.sqrt(as_it_is.sum() / least.sum()))

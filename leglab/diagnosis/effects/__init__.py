@@ -1,4 +1,4 @@
-"""Effects that a simulation may lack, one family a file; importing the package registers all."""
+"""Effects that a simulation may lack, one family per file; the import registers all of them."""
 
 from leglab.base.registry import import_modules
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects, register_effect

@@ -1,4 +1,4 @@
-"""Where cylinders are mounted: a tolerance of good machines, never named."""
+"""Mounting points of cylinders: a tolerance of good machines, never named."""
 
 import math
 
@@ -8,8 +8,8 @@ import numpy as np
 from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, register_effect
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Name of a site, its way from the axis of a joint and its path where that turns, [m, m/rad], in the
-# frame of its body.
+# Name of a site, its vector from the axis of a joint [m], and the derivative of its position by the
+# joint angle [m/rad], both in the frame of its body.
 Anchor = tuple[str, np.ndarray, np.ndarray]
 
 
@@ -45,11 +45,11 @@ class Anchors(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Cylinders between two points about one hinge."""
+        """Returns the cylinders between two points about one hinge."""
         return tuple(c for c in machine.cylinders if anchors(machine, c))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Moves the sites; the model is compiled anew for every value."""
+        """Moves the sites; each value needs a new compilation of the model."""
         fixed, moving, angle = values.values()
         if (fixed, moving, angle) == (1.0, 1.0, 0.0):
             return
@@ -65,7 +65,7 @@ class Anchors(TableEffect):
 
 
 def anchors(machine: Machine, cylinder: str) -> tuple[Anchor, ...]:
-    """A cylinder's fixed and moving anchor; () where it is not between two points about a hinge."""
+    """Returns a cylinder's fixed and moving anchor; () if it is not between two about a hinge."""
     model, driven = machine.base.model, machine.driven[cylinder]
     actuator, joint = model.actuator(cylinder), model.joint(driven[0])
     on_tendon = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_TENDON)

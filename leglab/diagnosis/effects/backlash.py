@@ -15,15 +15,15 @@ from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 _BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-# A flank in contact swings at this frequency with the motor alone: rigid against a recording.
+# Frequency at which the motor alone swings on a flank in contact: rigid for any recording.
 _FLANK_HZ = 500.0
-# Share of a joint's inertia that a motor has where the model says nothing about it.
+# Motor inertia as a share of the joint's, if the model has no armature.
 _MOTOR_SHARE = 0.1
-# The element of a flexibility is a play with flanks; so little of it is none.
+# A flexibility is a play with elastic flanks and this negligible width.
 _NO_PLAY = 1e-9
-# Of the joint on the spring with the motor held.
+# Natural frequencies of the joint on the spring with the motor fixed.
 _TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
-# The motor is followed through the play from this long before a window.
+# Time before a window from which the motor is followed through the play.
 _HISTORY = 0.4  # s
 
 
@@ -44,13 +44,13 @@ def _compliance(machine: Machine, joint: str) -> EffectParameter:
 
 
 class DriveEffect(TableEffect):
-    """Base of what a motor meets on its way to a joint."""
+    """Base of the effects between a motor and its joint."""
 
     gradual = False
     group = "mechanics"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints with native motor, position or velocity actuators."""
+        """Returns the joints with native motor, position or velocity actuators."""
         model = machine.base.model
         return tuple(
             joint
@@ -73,7 +73,7 @@ class Backlash(DriveEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts a play, and follows its motor through the measured motion to window starts."""
+        """Inserts a play whose states at window starts follow from the measured motion."""
         width, motor = values["width"], values["motor_inertia"]
         if width == 0.0:
             return
@@ -100,7 +100,7 @@ class JointFlexibility(DriveEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts the spring; at window starts it is twisted as the motor swings."""
+        """Inserts the spring; its twist at window starts follows from the motor's dynamics."""
         compliance, motor = values["compliance"], values["motor_inertia"]
         if compliance == 0.0:
             return
@@ -114,8 +114,8 @@ class JointFlexibility(DriveEffect):
             acceleration = np.gradient(velocity, h)
             every, zero = np.arange(velocity.size), np.zeros(velocity.size)
             torque = drive_torque(measured, variant.model, element)(every, zero, zero)
-            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. Filtered is
-            # the torque k o, whose gain is 1: that of o is as small as the compliance.
+            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. The filter
+            # gives the torque k o, whose gain is 1: that of o is as small as the compliance.
             excess = torque - motor * acceleration
             under = [motor * compliance, damping * compliance, 1.0]
             over, under = bilinear([1.0], under, 1.0 / h)
@@ -130,7 +130,7 @@ class JointFlexibility(DriveEffect):
         insert_play(change, f"{element}_flexibility", element, play, twist)
 
 
-# Where a motor is in its play, and its velocity, at window starts; both (windows,).
+# Position of a motor in its play, and its velocity, at window starts; both (windows,).
 MotorStates = Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]]
 
 
@@ -152,10 +152,10 @@ def insert_play(change: Change, name: str, joint: str, values: Values, states: M
 def motor_states(
     measured: Measured, model: mujoco.MjModel, joint: str, width: float, inertia: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the motor is in the play, and its velocity, at window starts; both (windows,).
+    """Returns the motor's position in the play and its velocity at window starts, (windows,).
 
-    The joint moves as measured, the motor as its torque drives it between rigid flanks; `inertia`
-    is the motor's.
+    The joint moves as measured; the motor, of inertia `inertia`, moves by its torque between rigid
+    flanks.
     """
     h, half = measured.period, 0.5 * width
     velocity = measured.velocity[joint]
@@ -163,7 +163,7 @@ def motor_states(
     index = (measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)).clip(0)
     torque = drive_torque(measured, model, joint)
     k, zero = index[:, 0], np.zeros(index.shape[0])
-    # At first on the flank that a rigid gear would load.
+    # Begins on the flank that a rigid gear would load.
     offset = half * np.sign(torque(k, zero, zero) - inertia * acceleration[k])
     slip = zero  # motor velocity less the joint's
     for column in range(index.shape[1] - 1):
@@ -171,7 +171,7 @@ def motor_states(
         pushed = torque(k, offset, slip) * (h / inertia) - (velocity[after] - velocity[k])
         moved = offset + h * (slip + 0.5 * pushed)
         offset = np.clip(moved, -half, half)
-        # A flank takes the motor along, at once.
+        # A motor at a flank moves with it without delay.
         slip = np.where(moved == offset, slip + pushed, 0.0)
     k = index[:, -1]
     # Velocities in MuJoCo lag half a step.
@@ -180,12 +180,12 @@ def motor_states(
     return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
 
 
-# Torque at samples, and where the motor is ahead of the joint there and how fast; all (k,).
+# Torque by samples, and by the motor's lead on the joint in position and velocity; all (k,).
 Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torque:
-    """Torque of a joint's actuators along a recording; activations as if they had settled."""
+    """Returns the torque of a joint's actuators along a recording, with settled activations."""
     q, v, drives = measured.position[joint], measured.velocity[joint], _drives(model, joint)
     command = np.stack([measured.command[model.actuator(i).name] for i in drives])
     # Each (drives, 1), for samples along the second axis.
@@ -203,13 +203,13 @@ def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torqu
 
 
 def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
-    """Actuators of a joint."""
+    """Returns the actuators of a joint."""
     on_joint = np.isin(model.actuator_trntype, _JOINT)
     return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == model.joint(joint).id)).tolist()
 
 
 def _followed(model: mujoco.MjModel, i: int) -> bool:
-    """Whether `drive_torque` gives the force of an actuator."""
+    """Tests whether `drive_torque` gives the force of an actuator."""
     return (
         model.actuator_plugin[i] < 0
         and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)

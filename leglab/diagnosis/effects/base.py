@@ -22,22 +22,22 @@ class EffectParameter:
     """One physical parameter of an effect on one element.
 
     Attributes:
-        name: As the report prints it.
+        name: Name in reports.
         unit: SI unit of all values.
         nominal: Value at which the effect changes nothing, or, of a shape, where fits start.
         lower: Smallest value that makes sense.
         upper: Largest value that makes sense.
         trials: Values to screen, a few from barely noticeable to severe on each possible side;
-            those of a shape are not tried, they say by what steps it matters.
-        tolerance: Standard deviation between good machines. Above zero the baseline refits the
-            parameter under this prior, and only a change beyond it is named.
-        role: A "strength" at its nominal value switches the effect off; a "shape" means nothing
+            those of a shape are not screened, they give the step that matters.
+        tolerance: Standard deviation between good machines. If positive, the baseline refits the
+            parameter under this prior, and only a larger change is named.
+        role: A "strength" at its nominal value switches the effect off; a "shape" has no influence
             while all strengths are nominal.
-        faults: On which side of the nominal value they lie; the other is a better part's.
-        limit_of: Of a limit, of the "command" or "force": its nominal value is the largest that the
-            recordings show, and trials are shares of that; "" of what is none.
+        faults: Side of the nominal value on which faults lie; the other is that of a better part.
+        limit_of: "command" or "force" for a limit of it: its nominal value is the largest one that
+            the recordings show, and trials are shares of that; "" for any other parameter.
         inverse: Whether motion departs in proportion to 1/value: a bandwidth acts by its lag, a
-            stiffness by how far it gives way.
+            stiffness by its compliance.
     """
 
     name: str
@@ -65,43 +65,43 @@ class EffectParameter:
     def shape(
         cls, name: str, unit: str, nominal: float, lower: float, upper: float
     ) -> "EffectParameter":
-        """A shape, of which no values are tried."""
+        """Returns a shape parameter without trials."""
         return cls(name, unit, nominal=nominal, lower=lower, upper=upper, role="shape")
 
     @property
     def scale(self) -> float:
-        """Smallest trial, by which differences and fits step; in 1/unit of an inverse."""
+        """Smallest trial, the step of differences and fits; in 1/unit if `inverse`."""
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 
     def from_nominal(self, value: float, nominal: float | None = None) -> float:
-        """How far a value stands above the nominal one, in what acts in proportion."""
+        """Returns value minus nominal, or 1/nominal - 1/value if `inverse`."""
         own = self.nominal if nominal is None else nominal
         return 1.0 / own - 1.0 / value if self.inverse else value - own
 
     def moved(self, value: float, by: float) -> float:
-        """A value moved up by so many smallest trials."""
+        """Returns a value increased by a number `by` of smallest trials."""
         if not self.inverse:
             return value + by * self.scale
         return 1.0 / min(max(1.0 / value - by * self.scale, 1.0 / self.upper), 1.0 / self.lower)
 
     def step(self, value: float) -> float:
-        """Change of the value by one smallest trial, at a value."""
+        """Returns the change of a value by one smallest trial."""
         return self.scale * value**2 if self.inverse else self.scale
 
     def usual(self, own: float) -> tuple[float, float]:
-        """Ends of the values of 19 of 20 good machines whose model has `own`."""
+        """Returns the 95 % range of good machines whose model has the value `own`."""
         return own - 1.96 * self.tolerance, own + 1.96 * self.tolerance
 
     @property
     def slowest(self) -> float:
-        """Longest delay or lag among the trials [s]; infinite for what is no time."""
+        """Longest delay or lag among the trials [s]; infinite if the parameter is no time."""
         if self.unit == "Hz":
             return float(1.0 / (2.0 * np.pi * min(self.trials)))
         return max(self.trials) if self.unit == "s" else np.inf
 
     def stretched(self, shortest: float) -> "EffectParameter":
-        """The same; trials and upper bound of a time are longer where some are below a time [s]."""
+        """Returns the parameter; trials and bound of a time scaled up to a shortest time [s]."""
         if self.unit != "s" or not self.trials or self.scale >= shortest:
             return self
         factor = shortest / self.scale
@@ -109,31 +109,31 @@ class EffectParameter:
         return replace(self, upper=factor * self.upper, trials=trials)
 
     def departure(self, value: float, nominal: float) -> float:
-        """How severe a value is, in smallest trials from `nominal`."""
+        """Returns the magnitude of a departure from `nominal`, in smallest trials."""
         return abs(self.from_nominal(value, nominal)) / self.scale
 
 
 class Effect(ABC):
     """A physical cause that a simulation may lack.
 
-    Subclasses keep no state. Those with a table of parameters start from `TableEffect`.
+    Subclasses keep no state. Those with a table of parameters derive from `TableEffect`.
 
     Attributes:
-        name: As reports print it; variants (on a cylinder, on a plain joint) may share it, as long
-            as no element of a machine is served by two of them.
+        name: Name in reports; variants (on a cylinder, on a plain joint) may share it if no element
+            of a machine has two of them.
         group: Heading under which it is listed.
-        physics: One sentence: what happens, with the equation.
-        source: Where equation and bounds come from.
+        physics: One sentence on the mechanism, with the equation.
+        source: Source of equation and bounds.
         excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name.
-        gradual: Whether a little of it changes little; not so where it inserts a moving part.
-        nameable: Whether a diagnosis looks for it. What is not, the shape of a law in which good
-            machines differ, is fitted on machines that differ from their model everywhere.
+        gradual: Whether small values change little; false if it inserts a moving part.
+        nameable: Whether a diagnosis searches for it. An effect that is not searched for, the shape
+            of a law in which good machines differ, is fitted on machines that differ everywhere.
         on_bodies: Whether its elements are bodies: their names may be those of joints.
-        contains: Simpler effects that are special cases of it: named instead of it where one at
-            the same joint does as well.
-        by_direction: Pairs of parameters, one a direction. On a machine whose laws are not the
-            model's it is named only where they depart differently.
+        contains: Simpler effects that are special cases of it: one of them at the same joint is
+            named instead if it fits equally well.
+        by_direction: Pairs of parameters, one per direction. On a machine whose laws are not the
+            model's the effect is named only if the two depart differently.
     """
 
     name: ClassVar[str]
@@ -150,25 +150,25 @@ class Effect(ABC):
 
     @abstractmethod
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Names of the joints, actuators, bodies or plugin instances it can sit on."""
+        """Returns the joints, actuators, bodies or plugin instances that can have the effect."""
 
     @abstractmethod
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Its parameters on an element, strengths first."""
+        """Returns the effect's parameters on an element, strengths first."""
 
     @abstractmethod
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Records in `change` what these values do; nominal values must change nothing."""
+        """Records the effect of the values in `change`; nominal values must change nothing."""
 
     def guess(self, left: ForceLeft) -> Values | None:
-        """Where to fit shapes from that few trials can find, by the force left on the joint."""
+        """Returns start values of shapes by the residual force on the joint; None: by trials."""
         return None
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Records the edits and parameters by which an improved model has these values.
+        """Records the edits and parameters that give an improved model these values.
 
-        Other than those of `apply` for command and sensor paths, which no replay needs, and where
-        MJCF has an attribute that does nearly the same.
+        They differ from those of `apply` for command and sensor paths, which replays apply to the
+        samples, and where an MJCF attribute has nearly the same effect.
         """
         self.apply(change, element, values)
 
@@ -180,11 +180,11 @@ Row = Callable[[Machine, str], EffectParameter]
 class TableEffect(Effect):
     """Base of effects with a table of parameters."""
 
-    #: Each the same on every element, or a function of machine and element.
+    #: Parameters: each is one for all elements, or a function of machine and element.
     rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The rows on an element."""
+        """Returns the parameters on an element."""
         return tuple(row(machine, element) if callable(row) else row for row in self.rows)
 
 
@@ -193,7 +193,7 @@ _plugins_loaded = False
 
 
 def register_effect(effect: type[Effect]) -> type[Effect]:
-    """Adds an effect to those that the diagnosis can name; a class decorator.
+    """Registers an effect that the diagnosis can name; a class decorator.
 
     Raises:
         LeglabError: A class attribute is missing.
@@ -208,7 +208,7 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
 
 
 def all_effects() -> tuple[Effect, ...]:
-    """All effects, ordered by name."""
+    """Returns all effects, ordered by name."""
     global _plugins_loaded
     if not _plugins_loaded:
         _plugins_loaded = True

@@ -11,17 +11,17 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
-# A force that goes round less often than this in the range of a recording is a spring.
+# Fewest cycles of the force in the range of a recording: with fewer it is a spring.
 _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
-# Frequencies of the search lie this share of a cycle in the range apart.
+# Step of the searched frequencies, in cycles over the range.
 _SPACING = 0.2
-# Forces count up to this many median deviations: stick-slip and impacts are no cogging.
+# Forces are clipped at this number of median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
 
 
 def _period(machine: Machine, joint: str) -> EffectParameter:
-    """The period; steps are a share of the distance from nominal, that is near the shortest."""
+    """Returns the period; fits step in proportion to its distance from nominal, a short period."""
     travel = joints.travel(machine, joint)
     return EffectParameter(
         "period",
@@ -55,11 +55,11 @@ class Cogging(JointEffect):
     )
 
     def guess(self, left: ForceLeft) -> Values | None:
-        """The highest peak in the spectrum of the force left over along the position."""
+        """Returns the highest peak in the spectrum of the residual force over the position."""
         return wave(left)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts a spring-damper that has nothing but the ripple."""
+        """Inserts a spring-damper with only the ripple."""
         if size := math.hypot(values["sine"], values["cosine"]):
             ripple = {
                 "ripple_period": values["period"],
@@ -72,14 +72,14 @@ class Cogging(JointEffect):
 
 
 def wave(left: ForceLeft) -> Values | None:
-    """Parameters of the wave at the highest peak of the spectrum, where there is one.
+    """Returns the parameters of the wave at the highest peak of the spectrum, None without one.
 
-    Least-squares spectrum over uneven positions (Lomb 1976) beside what other effects explain:
-    a cubic of the position, friction and inertia.
+    Least-squares spectrum over uneven positions (Lomb 1976), after projecting out other effects: a
+    cubic polynomial of the position, friction and inertia.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))
-    # Of fewer moments a wave has too few samples.
+    # At most one cycle per 50 moments: a shorter wave has too few samples.
     grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
     if not (reach > 0.0 and grid.size):
         return None
@@ -112,7 +112,7 @@ def wave(left: ForceLeft) -> Values | None:
     sine, cosine, *second = found.tolist()
     size = max(math.hypot(sine, cosine), 1e-300)
     second_sine, second_cosine = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
-    # Beside a cubic about one cycle has any size: as large as the forces show it.
+    # With a cubic in the fit, the amplitude of about one cycle is arbitrary: the force limits it.
     shown = min(1.0, math.sqrt(2.0 * max(gain, 0.0) / q.size) / size)
     return {
         "sine": shown * sine,

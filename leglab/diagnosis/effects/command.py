@@ -1,4 +1,4 @@
-"""Native actuators: their gain, and what happens to a command on its way to any."""
+"""Gain of native actuators, and effects on the command path of any actuator."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,10 +17,10 @@ from leglab.machine.parameters import plugin_tables
 _FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-# A command path keeps at least this much history.
+# Least history that a command path keeps.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
-# Of what a joint may travel: the smallest trials of a servo's hysteresis and dead band are 4 mrad.
+# Share of a joint's travel: a servo's smallest trials of hysteresis and dead band are 4 mrad.
 _SERVO_SHARE = 0.2
 
 
@@ -29,8 +29,7 @@ def write_command_path(
 ) -> None:
     """Adds to parameters of an actuator's `leglab.command_path`; inserts one if there is none.
 
-    Two delays, offsets, dead bands or plays in a row are one of their sum, two lags nearly, and two
-    gains one of their product.
+    In series, delays, offsets, dead bands and plays add, lags nearly so, and gains multiply.
     """
     path = next(
         (
@@ -57,13 +56,13 @@ def write_command_path(
 
 
 def natives(machine: Machine, wanted: Callable[[Any], bool]) -> tuple[str, ...]:
-    """Native actuators that something is true of, told by MuJoCo's view of each."""
+    """Returns the native actuators for whose MuJoCo view `wanted` holds."""
     model = machine.base.model
     return tuple(name for name in machine.native_actuators() if wanted(model.actuator(name)))
 
 
 def position_servos(machine: Machine) -> tuple[str, ...]:
-    """Native actuators whose force is a gain times the error of a position, and damping."""
+    """Returns the native actuators whose force is a gain times a position error, plus damping."""
 
     def serves(actuator: Any) -> bool:
         return (
@@ -79,10 +78,10 @@ def position_servos(machine: Machine) -> tuple[str, ...]:
 
 
 def command_size(machine: Machine, element: str) -> float:
-    """Command that matters at a native actuator: half its range; 1 where it has none.
+    """Returns a typical command of a native actuator: half its range; 1 where it has none.
 
-    Of a position servo a fifth of what its joint may travel: its range says where it can go, not
-    how well it gets there.
+    For a position servo it is a fifth of its joint's travel: the range says where the servo can go,
+    not how accurately.
     """
     actuator = machine.base.model.actuator(element)
     if element in position_servos(machine):
@@ -97,11 +96,11 @@ class CommandEffect(TableEffect):
     group = "valve and command"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators."""
+        """Returns the native actuators."""
         return machine.native_actuators()
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Passes the measured command through the path."""
+        """Applies the path to the measured command."""
         rows = plugin_tables()[COMMAND_PATH].parameters
         inside = {k: change.within(rows[k], v, rows[k].nominal) for k, v in values.items()}
         for function in command_path(inside):
@@ -135,11 +134,11 @@ class CommandDelay(CommandEffect):
     rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.012, 0.03)),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All actuators."""
+        """Returns all actuators."""
         return machine.actuators
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Writes the delay of a native actuator's command path, or MuJoCo's own for a valve."""
+        """Writes the delay to a native actuator's command path, or as MuJoCo's for a valve."""
         if element in change.machine.native_actuators():
             super().write(change, element, values)
         elif values["delay"]:
@@ -148,7 +147,7 @@ class CommandDelay(CommandEffect):
 
 @register_effect
 class CommandDeadband(CommandEffect):
-    """Small commands do nothing; of a position servo, small errors: see `ServoDeadband`."""
+    """Small commands have no effect; for position servos, see `ServoDeadband`."""
 
     name = "command_deadband"
     physics = (
@@ -159,14 +158,14 @@ class CommandDeadband(CommandEffect):
     rows = (SizedRow("dead_band", "ctrl", (0.01, 0.05, 0.2), upper=0.5, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators but position servos."""
+        """Returns the native actuators except position servos."""
         servos = position_servos(machine)
         return tuple(name for name in machine.native_actuators() if name not in servos)
 
 
 @register_effect
 class ServoDeadband(TableEffect):
-    """A position servo does nothing about small errors of its position."""
+    """A position servo does not react to small position errors."""
 
     name = "command_deadband"
     group = "valve and command"
@@ -177,7 +176,7 @@ class ServoDeadband(TableEffect):
     rows = (SizedRow("dead_band", "ctrl", (0.02, 0.08, 0.3), upper=2.0, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Position servos."""
+        """Returns the position servos."""
         return position_servos(machine)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
@@ -198,7 +197,7 @@ class ServoDeadband(TableEffect):
 
 @register_effect
 class CommandHysteresis(CommandEffect):
-    """The command drags behind by a play."""
+    """The command follows through a play."""
 
     name = "command_hysteresis"
     physics = "play of full width h between command and what arrives"
@@ -233,7 +232,7 @@ class CommandBias(CommandEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators whose bias is not a constant force."""
+        """Returns the native actuators whose bias is not a constant force."""
         return natives(machine, lambda a: a.dyntype[0] == _INTEGRATOR or a.gaintype[0] == _AFFINE)
 
 
@@ -259,7 +258,7 @@ class ActuatorGain(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators with fixed or affine gain and bias."""
+        """Returns the native actuators with fixed or affine gain and bias."""
         gains, biases = (_FIXED, _AFFINE), (_NO_BIAS, _AFFINE_BIAS)
         return natives(machine, lambda a: a.gaintype[0] in gains and a.biastype[0] in biases)
 

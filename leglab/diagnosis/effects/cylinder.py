@@ -1,4 +1,4 @@
-"""Effects on hydraulic cylinders, their oil, valves and supply: a table of their parameters."""
+"""Table of the effects on hydraulic cylinders, their oil, valves and supply."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ _added = partial(Trials, step=plus)
 
 
 def row(trials: Trials) -> Row:
-    """A parameter of `leglab.cylinder` as an effect's, within the bounds of the plugin's own."""
+    """Returns a `leglab.cylinder` parameter as that of an effect, within the plugin's bounds."""
 
     def parameter(machine: Machine, cylinder: str) -> EffectParameter:
         nominal = machine.parameter(cylinder, trials.parameter)
@@ -38,18 +38,18 @@ def row(trials: Trials) -> Row:
 
 
 class CylinderEffect(TableEffect):
-    """Base of effects on cylinders, mostly on plugin parameters; rows give which and how far."""
+    """Base of effects on cylinders; rows give the plugin parameters and their trials."""
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All cylinders."""
+        """Returns all cylinders."""
         return machine.cylinders
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Shifts the plugin parameters by the difference from nominal."""
+        """Shifts the plugin parameters by the values' differences from nominal."""
         for name, value in values.items():
             difference = value - change.machine.parameter(element, name)
             change.add_parameter(element, name, difference)
-            if name == "coulomb":  # breakaway friction moves along, to stay above it
+            if name == "coulomb":  # breakaway friction is shifted too, to stay above it
                 change.add_parameter(element, "static", difference)
 
 
@@ -96,7 +96,7 @@ class AsymmetricSealFriction(CylinderEffect):
     physics = "Seals: F_1 + b_1 v while the piston extends, F_2 + b_2 |v| while it retracts."
     source = "lip seals of one direction, a U-cup against a wiper; rod gland under pressure"
     excitation = "sliding in both directions at several speeds; reversals"
-    # Of a bearing of the joint as well: a lever that hardly changes tells them apart no more.
+    # Also those of the joint's bearing: under a nearly constant lever both act alike.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_extending", "viscous_retracting"),
@@ -104,7 +104,7 @@ class AsymmetricSealFriction(CylinderEffect):
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Friction of each direction; where the model has none, trials take 2 % of the stall."""
+        """Returns the friction by direction; if the model has none, trials by 2 % of the stall."""
         pressure, bore = (machine.parameter(element, n) for n in ("supply_pressure", "bore"))
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
@@ -193,7 +193,7 @@ class ValveGainAsymmetry(CylinderEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets rated flow and asymmetry, which give K (1 + a) and K (1 - a)."""
+        """Sets rated flow K and asymmetry a, so that the gains are K (1 + a) and K (1 - a)."""
         if values["gain_positive"] == values["gain_negative"] == 1.0:
             return
         asymmetry = change.parameter(element, "flow_asymmetry")
@@ -206,7 +206,7 @@ class ValveGainAsymmetry(CylinderEffect):
 
 @register_effect
 class ValveBandwidth(CylinderEffect):
-    """A slow spool, by its lag at low frequencies, whatever its damping."""
+    """A slow spool, described by its lag at low frequencies for any damping."""
 
     name = "valve_bandwidth"
     group = "valve and command"
@@ -243,7 +243,7 @@ class SupplyDroop(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """One for the machine, where no cylinder names a supply of its own."""
+        """Returns one element for the machine if no cylinder names its own supply unit."""
         named = any(machine.base.drawn_by.values())
         return ("supply",) if machine.cylinders and not named else ()
 
@@ -269,7 +269,7 @@ class SupplyDroop(TableEffect):
         change.set_parameter(name, "pump_flow", 0.1)  # the compensator limits, not the pump
 
 
-# Shapes of laws in which good machines differ, by a trial: calibrated, never named.
+# Shapes of laws in which good machines differ by about one trial: calibrated, never named.
 
 _valve(
     "metering_edges",
@@ -312,7 +312,7 @@ _friction(
     (
         Trials("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
         _added("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
-        # Twenty times as stiff is rigid, beside whatever is driven.
+        # Twenty times as stiff is rigid compared with any load.
         Trials("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
     ),
     physics=(

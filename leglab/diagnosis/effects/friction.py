@@ -1,4 +1,4 @@
-"""Friction of joints: viscous, Coulomb and stiction, with the load, by direction."""
+"""Friction of joints: viscous, Coulomb, stiction, load-dependent and asymmetric."""
 
 import math
 from dataclasses import replace
@@ -10,10 +10,10 @@ from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 
-# LuGre bristle that is stiff for a joint and stable at 1 ms: 100 Hz, half damped.
+# Frequency of a LuGre bristle that is stiff for a joint, yet stable at 1 ms: 100 Hz, half damped.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
 
-# Share of the friction by which MuJoCo's friction loss holds at rest; the rest creeps.
+# Impedance of MuJoCo's friction loss (solimp): it holds this share at rest, the remainder creeps.
 _HOLDS = 0.9999
 
 
@@ -23,13 +23,13 @@ class FrictionEffect(JointEffect):
     group = "friction"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints without a cylinder."""
+        """Returns the joints without a cylinder."""
         return tuple(joint for joint in machine.joints if joint not in machine.on_cylinders)
 
 
 @register_effect
 class JointViscousFriction(FrictionEffect):
-    """Another damping of a joint: MuJoCo's own."""
+    """Another viscous friction of a joint: MuJoCo's damping."""
 
     name = "viscous_friction"
     physics = "b v: lubricated bearings, grease, eddy currents."
@@ -39,7 +39,7 @@ class JointViscousFriction(FrictionEffect):
 
 
 def insert_friction(change: Change, joint: str, effect: str, values: Values) -> None:
-    """Inserts a `leglab.joint_friction` that has nothing but some parameters."""
+    """Inserts a `leglab.joint_friction` with only the given parameters."""
     inertia = joints.inertia(change.machine, joint)
     neutral = {"sigma_0": inertia * _BRISTLE**2, "sigma_1": inertia * _BRISTLE}
     joints.insert_on_joint(change, FRICTION, f"{joint}_{effect}", joint, neutral, values)
@@ -47,10 +47,10 @@ def insert_friction(change: Change, joint: str, effect: str, values: Values) -> 
 
 @register_effect
 class JointCoulombFriction(FrictionEffect):
-    """Another dry friction of a joint: less of MuJoCo's own, or a bristle beside it.
+    """Another dry friction of a joint: less of MuJoCo's friction loss, or an added bristle.
 
-    MuJoCo's friction loss gives way over its `solreffriction`, 20 ms where nobody says otherwise.
-    Beside a strong drive that is no dry friction: what there is more of it holds.
+    MuJoCo's friction loss yields over its `solreffriction`, 20 ms by default. Against a strong
+    drive that is no dry friction, so additional friction is a bristle, which holds.
     """
 
     name = "coulomb_friction"
@@ -60,14 +60,14 @@ class JointCoulombFriction(FrictionEffect):
     rows = (SizedRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's friction loss, and inserts joint friction for what is beyond it."""
+        """Sets MuJoCo's friction loss, and inserts joint friction for any additional part."""
         own = joints.native(change.machine, element, "frictionloss")
         super().apply(change, element, {"coulomb": min(own, values["coulomb"])})
         if (more := values["coulomb"] - own) > 0.0:
             insert_friction(change, element, self.name, {"coulomb": more, "static": more})
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's friction loss, and where there is more of it how soon it holds."""
+        """Sets MuJoCo's friction loss; if increased, also a fast and hard constraint for it."""
         super().apply(change, element, values)
         if values["coulomb"] > joints.native(change.machine, element, "frictionloss"):
 
@@ -99,7 +99,7 @@ class JointStiction(FrictionEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts joint friction that has a breakaway level only."""
+        """Inserts joint friction with only a breakaway level."""
         if values["breakaway"]:
             shape = {k: v for k, v in values.items() if k.startswith("stribeck")}
             insert_friction(change, element, self.name, {"static": values["breakaway"], **shape})
@@ -116,30 +116,30 @@ class LoadDependentFriction(JointEffect):
     excitation = "motion under loads of different size; a load without motion shows nothing"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints that an actuator or gravity loads."""
+        """Returns the joints that an actuator or gravity loads."""
         return tuple(joint for joint in machine.joints if _loads(machine, joint))
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
+        """Returns shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
         loads = _loads(machine, element)
         return tuple(EffectParameter(n, "1", upper=1.0, trials=(0.03, 0.15)) for n in loads)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts joint friction that has a load coefficient only."""
+        """Inserts joint friction with only load coefficients."""
         if any(values.values()):
             shares = {f"{load}_load_coefficient": share for load, share in values.items()}
             insert_friction(change, element, self.name, shares)
 
 
 def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
-    """Loads of a joint, "actuator" and "bias" (gravity), as far as it has them."""
+    """Returns the loads that a joint has: "actuator", "bias" (gravity), both or none."""
     driven = any(joint in moved for moved in machine.driven.values())
     heavy = joints.gravity(machine, joint) > 0.01 * joints.inertia(machine, joint)
     return ("actuator",) * driven + ("bias",) * heavy
 
 
 def _viscous(name: str) -> Row:
-    """Viscous friction that is added, or takes off most of the drive's."""
+    """Returns an added viscous friction; negative ones remove most of the drive's damping."""
     row = SizedRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
     return lambda machine, joint: replace(
         row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
@@ -155,7 +155,7 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
-    # Of a cylinder's seals as well: a lever that hardly changes tells them apart no more.
+    # Also those of a cylinder's seals: under a nearly constant lever both act alike.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_forward", "viscous_backward"),

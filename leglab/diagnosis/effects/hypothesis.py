@@ -1,4 +1,4 @@
-"""Hypotheses: which effects are there, with which values."""
+"""Hypotheses: the effects that a machine has, with their values."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
@@ -9,7 +9,7 @@ import numpy as np
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Of the search for a bound: to the last bit of a double.
+# Halvings in the search for a bound: to the last bit of a double.
 _HALVINGS = 60
 
 # Effect and element.
@@ -18,13 +18,13 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """An effect on one element of a machine, with its parameters there."""
+    """An effect on one element of a machine, with its parameters on that element."""
 
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
-    #: Values in the specimen at hand, where its calibration has found others than the model's,
-    #: shape (parameters,); None for the model's.
+    #: Values of the specimen, (parameters,), if its calibration differs from the model; None for
+    #: the model's.
     own: np.ndarray | None = None
 
     @property
@@ -34,47 +34,47 @@ class Site:
 
     @property
     def model(self) -> np.ndarray:
-        """Values of the model as it is, (parameters,)."""
+        """Values of the model, (parameters,)."""
         return np.array([p.nominal for p in self.parameters])
 
     def changes(self, values: np.ndarray) -> bool:
-        """Whether values, (parameters,), change the model: some strength is not the model's."""
+        """Tests whether values, (parameters,), change the model: a strength is not the model's."""
         each = zip(self.parameters, values.tolist(), strict=True)
         return any(p.role == "strength" and value != p.nominal for p, value in each)
 
     @property
     def lower(self) -> np.ndarray:
-        """Bounds, (parameters,)."""
+        """Lower bounds, (parameters,)."""
         return np.array([p.lower for p in self.parameters])
 
     @property
     def upper(self) -> np.ndarray:
-        """Bounds, (parameters,)."""
+        """Upper bounds, (parameters,)."""
         return np.array([p.upper for p in self.parameters])
 
     @property
     def slowest(self) -> float:
-        """Longest delay or lag among all trials [s]; infinite where one is no time."""
+        """Longest delay or lag among all trials [s]; infinite if any parameter is no time."""
         return max((p.slowest for p in self.parameters if p.trials), default=np.inf)
 
     @property
     def differences(self) -> np.ndarray:
-        """Weights of first less second direction, (pairs `by_direction`, parameters)."""
+        """Weights of first minus second direction, (pairs `by_direction`, parameters)."""
         names = [p.name for p in self.parameters]
         pairs = self.effect.by_direction
         rows = [[(n == first) - (n == second) for n in names] for first, second in pairs]
         return np.array(rows, dtype=float).reshape(len(pairs), len(names))
 
     def named(self, values: np.ndarray) -> dict[str, float]:
-        """Values, shape (parameters,), by the names of the parameters."""
+        """Returns values, (parameters,), by the names of the parameters."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
 
 class Hypothesis(Mapping[Key, np.ndarray]):
     """Values of effects by effect and element; every other effect is absent. Immutable.
 
-    An effect begins at its onset [s] in every recording, (recordings,), -inf where it is there from
-    the start, inf where it never is; those without one are there throughout.
+    `onsets` holds the times [s] at which effects begin, (recordings,): -inf if present from the
+    start, inf if never present. An effect without onsets is present throughout.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return len(self._values)
 
     def with_values(self, key: Key, values: np.ndarray) -> "Hypothesis":
-        """The same with an effect set."""
+        """Returns the hypothesis with an effect's values replaced or added."""
         return Hypothesis({**self._values, key: values}, self.onsets)
 
     def with_onset(self, key: Key, onset: np.ndarray) -> "Hypothesis":
-        """The same with an effect that begins at times."""
+        """Returns the hypothesis with an effect's onsets, (recordings,)."""
         return Hypothesis(self._values, {**self.onsets, key: onset})
 
     def only(self, keys: Iterable[Key]) -> "Hypothesis":
@@ -108,16 +108,16 @@ class Hypothesis(Mapping[Key, np.ndarray]):
         return Hypothesis({k: v for k, v in self.items() if k in wanted}, self.onsets)
 
     def without(self, *keys: Key) -> "Hypothesis":
-        """The same with effects absent."""
+        """Returns the hypothesis without some effects."""
         return self.only(set(self._values) - set(keys))
 
 
 def _taken(
     effect: Effect, machine: Machine, element: str, parameters: tuple[EffectParameter, ...]
 ) -> tuple[EffectParameter, ...]:
-    """Returns parameters with bounds and trials that the plugins take.
+    """Returns parameters with bounds and trials that the plugins accept.
 
-    Those of a large machine follow from its forces, and may go beyond.
+    On a large machine they scale with its forces and may exceed the plugins' bounds.
     """
     usual = {p.name: p.nominal for p in parameters}
 
@@ -147,11 +147,11 @@ def _taken(
 
 
 class Library:
-    """The effects that can sit on a machine.
+    """The effects that a machine can have.
 
-    By `names`, None for all, but those that are `excluded`. Values of the specimen at hand are the
-    model's where none are given. Delays and lags are tried from the `shortest` time [s] on that the
-    recordings can tell.
+    They are chosen by `names`, None for all, without those `excluded`. Where `specimen` has no
+    values the model's apply. Trials of delays and lags begin at the `shortest` time [s] that the
+    recordings resolve.
     """
 
     def __init__(
@@ -164,14 +164,14 @@ class Library:
         shortest: float = 0.0,
     ) -> None:
         self._driven = machine.driven
-        # Of cylinders on their joints [m, or 1 on a slide].
+        # Levers of cylinders on their joints [m, or 1 on a slide].
         self._levers = {
             cylinder: abs(machine.moment(cylinder, joint))
             for cylinder in machine.cylinders
             for joint in machine.driven[cylinder][:1]
         }
         self.specimen = dict(specimen or {})
-        #: Effects to use, those of the specimen and all that no diagnosis names.
+        #: Effects to search for, those of the specimen and all that are not nameable.
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
         for effect in all_effects():
@@ -187,26 +187,26 @@ class Library:
                         effect, machine, element, tuple(p.stretched(shortest) for p in given)
                     )
                     self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
-        #: Those that would be used, were they not over within a shorter time.
+        #: Effects that are not searched for because they last less than the shortest time.
         self.too_fast = frozenset(k for k in searched if self.sites[k].slowest < shortest)
-        self.searched = frozenset(searched) - self.too_fast  #: those to use
+        self.searched = frozenset(searched) - self.too_fast  #: effects to search for
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
+        """Names of the effects to search for."""
         return tuple(sorted({name for name, _ in self.searched}))
 
     def contains(self, larger: Key, simpler: Key) -> bool:
-        """Whether an effect has another, at the same joint, as a special case."""
+        """Tests whether an effect contains another at the same joint as a special case."""
         joints = {self._driven.get(element, (element,))[0] for _, element in (larger, simpler)}
         known = larger in self.sites and simpler[0] in self.sites[larger].effect.contains
         return known and len(joints) == 1
 
     def as_simpler(self, larger: tuple[Key, int], simpler: tuple[Key, int]) -> float:
-        """Factor by which a parameter of an effect is one of another that it contains.
+        """Returns the factor from a parameter of an effect to one of an effect that it contains.
 
-        Both as effect and number of the parameter; 0 where the one is not the other. What acts on
-        a joint acts on its cylinder by the lever, and what goes with the speed by its square.
+        Both are given as effect and parameter number; 0 if they do not correspond. Between a joint
+        and its cylinder forces scale with the lever, coefficients of speed with its square.
         """
         if not self.contains(larger[0], simpler[0]) or larger[0] == simpler[0]:
             return 0.0
@@ -218,26 +218,26 @@ class Library:
         return float(lever ** -(2.0 if "s/" in first else 1.0))
 
     def with_sites(self, sites: Mapping[Key, Site]) -> "Library":
-        """The same effects with other parameters, and other values of the specimen."""
+        """Returns the library with other parameters and other values of the specimen."""
         other = copy(self)
         other.sites = dict(sites)
         other.specimen = {key: site.own for key, site in sites.items() if site.own is not None}
         return other
 
     def neutral(self) -> Hypothesis:
-        """The hypothesis that the machine is as its model, whatever the specimen."""
+        """Returns the hypothesis that the machine equals its model, whatever the specimen."""
         return Hypothesis({key: self.sites[key].model for key in self.specimen})
 
     def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
-        """Values of a hypothesis, and of the specimen where it says nothing."""
+        """Returns the values of a hypothesis, completed by those of the specimen."""
         return {**self.specimen, **hypothesis}
 
     def change(
         self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
     ) -> Change:
-        """The change that a hypothesis makes, in replays or as an improved model has it `written`.
+        """Returns the change of a machine by a hypothesis: for replays, or `written` for a model.
 
-        Effects apply by their order, then by name.
+        Effects are applied by their order, then by name.
         """
         change = Change(machine)
         whole = self.whole(hypothesis)

@@ -1,4 +1,4 @@
-"""Effects on joints: their base, sizes by which to try values, and plugin instances to insert."""
+"""Effects on joints: base class, scales of trial values, and insertion of plugin instances."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -13,34 +13,34 @@ from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, V
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.machine.parameters import plugin_tables
 
-# Standard deviation of a native field between good machines, a share of its value.
+# Standard deviation of a native field between good machines, as a share of its value.
 _TOLERANCE = 0.1
 
-# Of a joint or actuator.
+# Scale of a joint or actuator.
 Size = Callable[[Machine, str], float]
 
 
 def joint_unit(machine: Machine, joint: str, pattern: str) -> str:
-    """Unit with "{force}", "{inertia}" and "{length}" replaced by those of a hinge or slide."""
+    """Replaces "{force}", "{inertia}" and "{length}" by the units of a hinge or slide."""
     if machine.unit(joint) == "rad":
         return pattern.format(force="N m", inertia="kg m^2", length="rad")
     return pattern.format(force="N", inertia="kg", length="m")
 
 
 def inertia(machine: Machine, joint: str) -> float:
-    """Effective inertia of a joint at qpos0 [kg m^2 or kg]: 1/(M^-1)_ii."""
+    """Returns the effective inertia of a joint at qpos0 [kg m^2 or kg]: 1/(M^-1)_ii."""
     model = machine.base.model
     return 1.0 / float(model.dof_invweight0[model.joint(joint).dofadr[0]])
 
 
 def force_scale(machine: Machine, joint: str) -> float:
-    """Force that matters at a joint [N m or N]: gravity at its worst, and 10 /s^2 of inertia."""
+    """Returns a typical force at a joint [N m or N]: largest gravity, plus inertia x 10 /s^2."""
     return gravity(machine, joint) + 10.0 * inertia(machine, joint)
 
 
 @lru_cache(maxsize=256)
 def gravity(machine: Machine, joint: str) -> float:
-    """Largest force of gravity on a joint over its positions [N m or N]."""
+    """Returns the largest force of gravity on a joint over its positions [N m or N]."""
     model = machine.base.model
     data = mujoco.MjData(model)
     reach = 2.0 * math.pi if machine.unit(joint) == "rad" else 1.0
@@ -54,7 +54,7 @@ def gravity(machine: Machine, joint: str) -> float:
 
 
 def drive_damping(machine: Machine, joint: str) -> float:
-    """Viscous friction that acts on a joint [N m s/rad or N s/m]: its own and its cylinders'."""
+    """Returns the viscous friction of a joint and its cylinders [N m s/rad or N s/m]."""
     total = native(machine, joint, "damping")
     for cylinder in machine.cylinders:
         total += machine.parameter(cylinder, "viscous") * machine.moment(cylinder, joint) ** 2
@@ -62,21 +62,21 @@ def drive_damping(machine: Machine, joint: str) -> float:
 
 
 def on_slide(value: float) -> Size:
-    """A size that is 1 of a hinge, and another of a slide."""
+    """Returns a scale that is 1 for a hinge and `value` for a slide."""
     return lambda machine, joint: 1.0 if machine.unit(joint) == "rad" else value
 
 
-# Displacement that matters at a joint [rad or m].
+# Typical displacement of a joint [rad or m].
 travel = on_slide(0.2)
 
 
 def native(machine: Machine, joint: str, field: str) -> float:
-    """MuJoCo's own "damping", "frictionloss", "armature" or "stiffness" of a joint."""
+    """Returns MuJoCo's "damping", "frictionloss", "armature" or "stiffness" of a joint."""
     return float(getattr(machine.base.model.joint(joint), field)[0])
 
 
 def set_native(change: Change, joint: str, field: str, value: float) -> None:
-    """Lets a change set a field of `native`, unless it has the value already."""
+    """Adds an edit to a change that sets a field of `native`, unless it has the value already."""
 
     def edit(spec: mujoco.MjSpec) -> None:
         if field in ("damping", "stiffness"):  # coefficients of a polynomial
@@ -98,9 +98,9 @@ def insert(spec: mujoco.MjSpec, plugin: str, name: str, config: Mapping[str, flo
 def insert_on_joint(
     change: Change, plugin: str, name: str, joint: str, config: Mapping[str, float], values: Values
 ) -> None:
-    """Lets a change insert a plugin instance with `config` on a joint, then set `values`.
+    """Adds to a change a plugin instance with `config` on a joint, and sets its `values`.
 
-    It has the given name, or one like it that is free.
+    A number is appended to the name if an element has it already.
     """
     name = change.machine.free_name(name)
     rows = plugin_tables()[plugin].parameters
@@ -114,7 +114,7 @@ def insert_on_joint(
 
 
 def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> dict[str, float]:
-    """Viscous and Coulomb friction as plugins take it, from pairs by direction, `by_direction`."""
+    """Converts pairs `by_direction` to the plugins' mean and difference of the friction."""
     found = {}
     for kind, (one, other) in zip(("viscous", "coulomb"), pairs, strict=True):
         found[kind] = 0.5 * (values[one] + values[other])
@@ -124,22 +124,22 @@ def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> d
 
 @dataclass(frozen=True)
 class SizedRow:
-    """One parameter of an effect on joints or actuators; their size decides how far it goes."""
+    """A parameter of an effect on joints or actuators, with trials and bounds by their scale."""
 
     name: str  #: As in `EffectParameter`
     unit: str  #: As in `EffectParameter`; of a joint a pattern of `joint_unit`
-    trials: tuple[float, ...]  #: To screen; shares of the size, added to the own value
+    trials: tuple[float, ...]  #: To screen, as multiples of `size` above the model's value
     _: KW_ONLY
-    lower: float = 0.0  #: Smallest value in sizes, absolute
-    upper: float  #: Largest value in sizes, added to the own value
-    size: Size = force_scale  #: Of a joint or actuator
-    #: MuJoCo's field of a joint that holds its own value, see `native`. Half is tried too.
+    lower: float = 0.0  #: Smallest value, as a multiple of `size`
+    upper: float  #: Largest value, as a multiple of `size` above the model's value
+    size: Size = force_scale  #: Scale of a joint or actuator
+    #: MuJoCo's field that holds a joint's value, see `native`; half of that is tried too.
     field: str = ""
-    half_above: float = 0.0  #: Only where the value is above so many sizes
-    own: Size = lambda machine, element: 0.0  #: The own value where there is no field
+    half_above: float = 0.0  #: Half is tried only if the value exceeds this multiple of `size`
+    own: Size = lambda machine, element: 0.0  #: The model's value if there is no field
 
     def __call__(self, machine: Machine, element: str) -> EffectParameter:
-        """The parameter on a joint or actuator."""
+        """Returns the parameter on a joint or actuator."""
         size = self.size(machine, element)
         own = native(machine, element, self.field) if self.field else self.own(machine, element)
         half = (0.5 * own,) if self.field and own > self.half_above * size else ()
@@ -160,11 +160,11 @@ class JointEffect(TableEffect):
     group: ClassVar[Group] = "mechanics"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All joints."""
+        """Returns all joints."""
         return machine.joints
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's own fields that rows name."""
+        """Sets the MuJoCo fields that the rows name."""
         for row in self.rows:
             if isinstance(row, SizedRow) and row.field:
                 set_native(change, element, row.field, values[row.name])

@@ -52,7 +52,7 @@ class Payload(Effect):
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Bodies with mass that a joint moves; one without a name goes by its first joint's."""
+        """Returns the bodies with mass that have a joint; its name stands in for a missing one."""
         model = machine.base.model
         found = []
         for i in range(1, model.nbody):
@@ -61,10 +61,10 @@ class Payload(Effect):
         return tuple(dict.fromkeys(found))
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Mass and distance."""
+        """Returns mass and distance."""
         body = moved_body(machine, element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        # Links are lighter than drawn as often as heavier; a fault is a load.
+        # Links are lighter than drawn as often as heavier, but a fault is a load.
         mass = EffectParameter(
             "mass",
             "kg",
@@ -73,13 +73,13 @@ class Payload(Effect):
             trials=(0.05 * own, 0.4 * own),
             faults="above",
         )
-        if reach == 0.0:  # nowhere along the line: at the centre itself
+        if reach == 0.0:  # the line has no length: the mass is at the centre
             return (mass,)
         limits = 1.5 * reach, 0.1 * reach, 3.0 * reach
         return mass, EffectParameter.shape("distance", "m", *limits)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Adds a body with the mass, or takes it from the body; compiled anew for every value."""
+        """Adds a body with the mass, or reduces the body's; each value needs a new compilation."""
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
@@ -100,15 +100,15 @@ class Payload(Effect):
                 return
             load = body.add_body(name=name, pos=position)
             load.mass = mass
-            load.ipos = [0.0, 0.0, 0.0]  # left alone, MuJoCo puts the body's position here again
-            load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo wants a positive one; a point has none
+            load.ipos = [0.0, 0.0, 0.0]  # otherwise MuJoCo adds the body's position a second time
+            load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo needs a positive one; a point has none
             load.explicitinertial = True
 
         change.edit(("payload", element, mass, distance), add)
 
 
 def moved_body(machine: Machine, element: str) -> Any:
-    """MuJoCo's view of a body by its name, or by that of its first joint."""
+    """Returns MuJoCo's view of a body by its name, or by that of its first joint."""
     model = machine.base.model
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element) < 0:
         return model.body(int(model.joint(element).bodyid[0]))
@@ -126,11 +126,11 @@ class BaseTilt(Effect):
     excitation = "positions over a range in which gravity changes"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """The world, if a tilt changes the force on a joint."""
+        """Returns the world if a tilt changes the force on a joint."""
         return ("world",) if self._axes(machine) else ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Angles about the axes that matter."""
+        """Returns the angles about the axes that change a joint force."""
         return tuple(
             EffectParameter(axis, "rad", lower=-0.6, upper=0.6, trials=(-0.15, -0.03, 0.03, 0.15))
             for axis in self._axes(machine)
@@ -153,14 +153,14 @@ class BaseTilt(Effect):
         change.edit(("gravity", *turned.tolist()), edit)
 
     def _axes(self, machine: Machine) -> list[str]:
-        """Axes about which a small tilt changes a joint force, differently at different positions.
+        """Returns the axes about which a small tilt changes a joint force by a varying amount.
 
-        Where it changes it by a constant, as on a level slide, that is a force offset.
+        A change that is equal at all positions, as on a level slide, is a force offset.
         """
         model = machine.base.model
         data, lever = mujoco.MjData(model), np.zeros((3, model.nv))
         scale = np.array([joints.force_scale(machine, joint) for joint in machine.joints])
-        # Per rad of a small tilt, by axis; linear in gravity.
+        # Change of gravity per rad of a small tilt, by axis.
         turns = np.cross(list(_AXES.values()), model.opt.gravity)
         forces = []
         for shift in (0.0, 0.4, -0.7):

@@ -1,4 +1,4 @@
-"""Limits of a drive: of its command, and of the force that it puts on its joint."""
+"""Limits of a drive: of its command, and of its force on the joint."""
 
 from typing import Any, Literal
 
@@ -16,19 +16,19 @@ from leglab.diagnosis.effects.base import (
 from leglab.diagnosis.effects.command import command_size
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Trials before recordings show how large commands and forces are, as shares of the model's limit:
-# from a limit that clips peaks alone to one that clips most of a motion.
+# Trials, as shares of the model's limit, until recordings show the magnitudes of commands and
+# forces: from a limit that clips only peaks to one that clips most of a motion.
 _SHARES = (0.98, 0.9, 0.5, 0.2)
-# Limit of a model that has none, in usual commands or forces: beyond all that is recorded.
+# Limit of a model without one, in usual commands or forces: beyond all recorded ones.
 _UNLIMITED = 1e6
-# Lowest limit, in usual commands or forces: a drive with less moves nothing.
+# Lowest limit, in usual commands or forces: a drive with a lower one moves nothing.
 _LEAST = 0.01
 
 
 def _limit(
     unit: str, of: Literal["command", "force"], size: float, most: float, inner: float = 0.0
 ) -> EffectParameter:
-    """A limit from `inner` to `most`, at which it changes nothing.
+    """Returns a limit between `inner` and `most`; at `most` it changes nothing.
 
     `size` is the usual command or force.
     """
@@ -47,7 +47,7 @@ def _limit(
 
 @register_effect
 class CommandSaturation(TableEffect):
-    """A spool at its stop, or a current at its limit: larger commands do no more."""
+    """A spool at its stop, or a current at its limit: larger commands have no further effect."""
 
     name = "command_saturation"
     group = "valve and command"
@@ -57,18 +57,18 @@ class CommandSaturation(TableEffect):
     excitation = "commands beyond the limit"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """All actuators."""
+        """Returns all actuators."""
         return machine.actuators
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The limit: within the range of the model's commands."""
+        """Returns the limit, within the range of the model's commands."""
         actuator = machine.base.model.actuator(element)
         low, high = actuator.ctrlrange.tolist() if actuator.ctrllimited[0] else (-np.inf, np.inf)
         size, inner = command_size(machine, element), max(low, -high, 0.0)
         return (_limit("ctrl", "command", size, max(-low, high), inner),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Clips the measured command before all else that it meets, as `ctrlrange` does."""
+        """Clips the measured command before the rest of its path, as `ctrlrange` does."""
         limit = values["limit"]
         path = change.commands.setdefault(element, [])
         path.insert(0, lambda samples, _: np.clip(samples, -limit, limit))
@@ -98,12 +98,12 @@ class ForceSaturation(Effect):
     excitation = "forces beyond the limit"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints that native actuators drive."""
+        """Returns the joints that only native actuators drive."""
         native = {j for a in machine.native_actuators() for j in machine.driven[a]}
         return tuple(j for j in machine.joints if j in native - machine.on_cylinders)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The limit: within those of the model."""
+        """Returns the limit, within those of the model."""
         joint = machine.base.model.joint(element)
         most = np.inf
         if machine.base.model.jnt_actfrclimited[joint.id]:
@@ -136,7 +136,7 @@ class ForceSaturation(Effect):
 
 
 def _alone(machine: Machine, joint: str) -> Any:
-    """MuJoCo's view of the only actuator of a joint, where that is its transmission; else None."""
+    """Returns MuJoCo's view of a joint's only actuator if it acts on the joint; else None."""
     driving = [a for a in machine.actuators if joint in machine.driven[a]]
     actuator = machine.base.model.actuator(driving[0])
     on_joint = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_JOINT)

@@ -1,4 +1,4 @@
-"""Faults of encoders and pressure sensors, put beside the model as `machine.sensors` reads them."""
+"""Faults of encoders and pressure sensors, written as numerics that `machine.sensors` reads."""
 
 from collections.abc import Iterator
 
@@ -12,26 +12,26 @@ from leglab.diagnosis.plant import paths
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.machine.sensors import delayed_sensor
 
-# Good pressure sensors differ by so much [Pa]. Their gains get no tolerance: two more tangents in
-# every linearisation cost a diagnosis 8 % of its time, and 0.5 % of 80 bar is less than this.
+# Standard deviation between good pressure sensors [Pa]. Gains have no tolerance: two more tangents
+# per linearisation cost a diagnosis 8 % of its time, and 0.5 % of 80 bar is less than this.
 _TOLERANCE = 5e4
 
 
 class SensorFault(TableEffect):
     """Base of faults with a parameter for each sensor, an offset (nominally 0) or a scale (1).
 
-    Those of a joint sit on its encoder, those of a cylinder on the sensors of both chambers, which
-    are called after the first joint that it drives.
+    A joint has one sensor, its encoder; a cylinder has those of both chambers, which are named
+    after the first joint that it drives.
     """
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Subtracts offsets from what was measured, or divides it by scales."""
+        """Subtracts offsets from measured values, or divides these by scales."""
         for joint, sensor, offset, scale in self._faults(change.machine, element, values):
             for undo, gain in paths.undo(offset, scale):
                 change.correct(f"{joint}_{sensor}", undo, noise_gain=gain)
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Adds numerics to those that are there: s (scale x true + offset) + o, s and o the old."""
+        """Combines numerics with the old s and o: measured = s (scale x true + offset) + o."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             for joint, sensor, offset, scale in self._faults(change.machine, element, values):
@@ -47,7 +47,7 @@ class SensorFault(TableEffect):
     def _faults(
         self, machine: Machine, element: str, values: Values
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Joint, sensor ("position" or a chamber), offset and scale."""
+        """Yields joint, sensor ("position" or a chamber), offset and scale."""
         on_cylinder = isinstance(self, CylinderEffect)
         joint = machine.driven[element][0] if on_cylinder else element
         sensors = CHAMBERS if on_cylinder else ("position",)
@@ -91,7 +91,7 @@ class EncoderScale(SensorFault, JointEffect):
 
 @register_effect
 class SensorDelay(JointEffect):
-    """Positions are shown late."""
+    """Measured positions are late."""
 
     name = "sensor_delay"
     group = "sensing"
@@ -101,12 +101,12 @@ class SensorDelay(JointEffect):
     rows = (EffectParameter("delay", "s", upper=0.06, trials=(0.001, 0.004, 0.016)),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Brings the measured positions forward, interpolating between samples."""
+        """Shifts measured positions forward in time, interpolating between samples."""
         if values["delay"]:
             change.correct(f"{element}_position", paths.undo_delay(values["delay"]))
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Adds a `jointpos` sensor with MuJoCo's own delay, or to that of one that is there."""
+        """Adds the delay to the `jointpos` sensor of the joint; inserts one if there is none."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             sensor = spec.sensor(delayed_sensor(element))

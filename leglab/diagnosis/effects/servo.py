@@ -10,10 +10,10 @@ from leglab.diagnosis.plant.model import Change, Machine
 
 @register_effect
 class ServoStiffness(TableEffect):
-    """A position servo is stiffer or softer than the model says, and damped in another way.
+    """A position servo is stiffer or softer than in the model, with another damping.
 
-    Damping alone is the `viscous_friction` of its joint, and stiffness without any damping the
-    `actuator_gain`: both are the same motion, and have those names.
+    A change of damping alone is `viscous_friction` of its joint, and of the stiffness of a servo
+    without damping `actuator_gain`: both give the same motion, and have those names.
     """
 
     name = "servo_stiffness"
@@ -26,7 +26,7 @@ class ServoStiffness(TableEffect):
     excitation = "position errors under load, and motion that decays"
     contains = ("actuator_gain",)
     rows = (
-        # Under a load a servo gives way by 1/s.
+        # The deflection of a servo under a load is proportional to 1/s.
         EffectParameter(
             "stiffness",
             "1",
@@ -40,7 +40,7 @@ class ServoStiffness(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Position servos with damping."""
+        """Returns the position servos with damping."""
         servos = position_servos(machine)
         return natives(machine, lambda a: a.name in servos and a.biasprm[2] != 0.0)
 

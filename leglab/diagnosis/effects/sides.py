@@ -1,4 +1,4 @@
-"""Native valves and stages that pass commands of either sign in another way."""
+"""Native valves and stages whose gain or dead band depends on the sign of the command."""
 
 import mujoco
 import numpy as np
@@ -20,7 +20,7 @@ _GAINS = ("gain_positive", "gain_negative")
 
 
 def _by_speed(machine: Machine) -> tuple[str, ...]:
-    """Native actuators whose command is a speed: its gain is none of their force."""
+    """Returns the native actuators whose command is a speed: its gain is not that of a force."""
     return natives(machine, lambda a: a.dyntype[0] == _INTEGRATOR or a.biasprm[2] != 0.0)
 
 
@@ -33,14 +33,14 @@ def _gain(name: str) -> EffectParameter:
 class _Gain(CommandEffect):
     """Base of gains behind the dead band."""
 
-    order = 1  # the dead band counts in commands as they are sent
+    order = 1  # the dead band refers to commands as they are sent
     excitation = "commands of different size"
     source = "gains of valves: within 10 % (type 30 data sheets), and of their amplifiers"
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Writes both gains into the actuator's command path, and ends `ctrlrange` where they do.
+        """Writes both gains into the actuator's command path, and narrows `ctrlrange` accordingly.
 
-        A replay holds what reaches the actuator within its range, MuJoCo what is sent.
+        A replay clips the command that reaches the actuator, MuJoCo the one that is sent.
         """
         super().write(change, element, values)
         model = change.machine.base.model.actuator(element)
@@ -59,7 +59,7 @@ class _Gain(CommandEffect):
 
 
 def _path_of(spec: mujoco.MjSpec, actuator: str) -> dict[str, str]:
-    """Parameters of an actuator's command path."""
+    """Returns the parameters of an actuator's command path."""
     paths = (dict(p.config) for p in spec.plugins if p.plugin_name == COMMAND_PATH)
     return next((config for config in paths if config.get("actuator") == actuator), {})
 
@@ -73,16 +73,16 @@ class CommandGain(_Gain):
     rows = (_gain("gain"),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators whose command is a speed."""
+        """Returns the native actuators whose command is a speed."""
         servos = position_servos(machine)
         return tuple(name for name in _by_speed(machine) if name not in servos)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Passes the measured command through the path, the same to both sides."""
+        """Applies one gain to measured commands of either sign."""
         super().apply(change, element, dict.fromkeys(_GAINS, values["gain"]))
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Writes the gain to both sides."""
+        """Writes the gain for both signs."""
         super().write(change, element, dict.fromkeys(_GAINS, values["gain"]))
 
 
@@ -97,7 +97,7 @@ class CommandGainAsymmetry(_Gain):
     rows = tuple(_gain(name) for name in _GAINS)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators whose command is a force."""
+        """Returns the native actuators whose command is a force."""
         speeds = (*_by_speed(machine), *position_servos(machine))
         return tuple(name for name in machine.native_actuators() if name not in speeds)
 
@@ -109,7 +109,7 @@ class SpeedGainAsymmetry(CommandGainAsymmetry):
     contains = ("command_gain",)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators whose command is a speed."""
+        """Returns the native actuators whose command is a speed."""
         return CommandGain().elements(machine)
 
 
@@ -129,5 +129,5 @@ class CommandDeadbandAsymmetry(CommandEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Native actuators but position servos."""
+        """Returns the native actuators except position servos."""
         return CommandDeadband().elements(machine)

@@ -1,4 +1,4 @@
-"""Springs, dampers and forces beside a joint: a spring-damper element, or MuJoCo's own."""
+"""Springs, dampers and forces on a joint, by a spring-damper element or MuJoCo's attributes."""
 
 import math
 
@@ -14,13 +14,13 @@ _TOLERANCE = 0.025
 
 
 def _of_spring(machine: Machine, joint: str, parameter: str) -> float:
-    """Parameter of the spring-damper element of a joint; 0 where there is none."""
+    """Returns a parameter of a joint's spring-damper element; 0 where there is none."""
     spring = machine.spring_of(joint)
     return machine.parameter(spring, parameter) if spring else 0.0
 
 
 def rest_position(machine: Machine, joint: str) -> float:
-    """Where the spring of a joint rests, or one that it lacks would [rad or m]."""
+    """Returns the rest position of a joint's spring, or of one to be added [rad or m]."""
     if spring := machine.spring_of(joint):
         return machine.parameter(spring, "rest_position")
     model = machine.base.model
@@ -28,7 +28,7 @@ def rest_position(machine: Machine, joint: str) -> float:
 
 
 def _size(machine: Machine, joint: str, slide: float) -> float:
-    """Force that matters, times a factor for slides: they move decimetres instead of radians."""
+    """Returns the force scale, times `slide` for slides: they move decimetres, not radians."""
     return joints.force_scale(machine, joint) * joints.on_slide(slide)(machine, joint)
 
 
@@ -42,14 +42,14 @@ def set_spring(change: Change, joint: str, effect: str, parameter: str, value: f
 
 
 def insert_spring(change: Change, joint: str, effect: str, values: Values) -> None:
-    """Inserts a spring-damper that has nothing but some parameters."""
+    """Inserts a spring-damper with only the given parameters."""
     reference = {"rest_position": rest_position(change.machine, joint)}
     joints.insert_on_joint(change, SPRING, f"{joint}_{effect}", joint, reference, values)
 
 
 @register_effect
 class SpringStiffness(JointEffect):
-    """A spring that has tired or was exchanged, or one that the model lacks."""
+    """A weakened or exchanged spring, or one that the model lacks."""
 
     name = "spring_stiffness"
     physics = "-k (q - q_0); with a spring-damper element its k1."
@@ -57,7 +57,7 @@ class SpringStiffness(JointEffect):
     excitation = "positions over a range"
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The stiffness."""
+        """Returns the stiffness."""
         spring = machine.spring_of(element)
         native = joints.native(machine, element, "stiffness")
         own = machine.parameter(spring, "k1") if spring else native
@@ -74,7 +74,7 @@ class SpringStiffness(JointEffect):
         )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets k1, or the joint's own stiffness."""
+        """Sets k1 of the joint's spring-damper, or MuJoCo's stiffness of the joint."""
         if change.machine.spring_of(element):
             set_spring(change, element, self.name, "k1", values["stiffness"])
         else:
@@ -91,7 +91,7 @@ class SpringHardening(JointEffect):
     excitation = "large positions on both sides of the rest position"
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """The coefficient of the cubic part: k2 of the element that is there, else a new k3."""
+        """Returns the cubic coefficient: k2 of an existing element, or k3 of a new one."""
         own = _of_spring(machine, element, "k2")
         size = _size(machine, element, 100.0)
         return (
@@ -107,7 +107,7 @@ class SpringHardening(JointEffect):
         )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets k2 of the element that is there, or k3 of a new one."""
+        """Sets k2 of an existing element, or k3 of a new one."""
         ((parameter, value),) = values.items()
         set_spring(change, element, "hardening", parameter, value)
 
@@ -127,7 +127,7 @@ class SpringOffset(JointEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Joints with a spring."""
+        """Returns the joints with a spring."""
         return tuple(
             joint
             for joint in machine.joints
@@ -172,7 +172,7 @@ class QuadraticDamping(JointEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets the coefficient of the element that is there, or of a new one."""
+        """Sets the coefficient of an existing element, or of a new one."""
         set_spring(change, element, "quadratic_damper", "quadratic_damping", values["damping"])
 
 
@@ -188,6 +188,6 @@ class ForceOffset(JointEffect):
     rows = (SizedRow("force", "{force}", (-0.1, -0.02, 0.02, 0.1), lower=-2.0, upper=2.0),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts a spring-damper that has nothing but the constant force."""
+        """Inserts a spring-damper with only the constant force."""
         if values["force"]:
             insert_spring(change, element, "force", {"force_offset": values["force"]})

@@ -1,1 +1,1 @@
-"""Recordings come in: what is admitted, one grid for all, encoders unwrapped, remarks."""
+"""Intake of recordings: admission, a common time grid, unwrapped encoders, remarks."""

@@ -1,4 +1,4 @@
-"""The gate of a diagnosis: which recordings and columns can be used, and what is said of them."""
+"""Admission to a diagnosis: the recordings and columns that can be used, and remarks on them."""
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ class Admitted:
 
     #: By name, with the columns that the diagnosis needs and positions unwrapped.
     recordings: Mapping[str, Recording]
-    held_out: tuple[str, ...]  #: Names of those on which it is judged
-    notes: tuple[str, ...]  #: What was left out, repaired or doubted, each said once
+    held_out: tuple[str, ...]  #: Names of those by which the diagnosis is judged
+    notes: tuple[str, ...]  #: Remarks on what was left out, repaired or doubted, without repeats
 
 
 def admit(
@@ -36,14 +36,14 @@ def admit(
 ) -> Admitted:
     """Chooses the recordings and columns that can be used; admitting twice changes nothing.
 
-    Columns that the model does not need are ignored, whatever they hold. A recording whose position
-    or command cannot be used is left out if others remain. Pressures that some recordings lack are
-    used from the others alone where those hold at least half of the recorded time, one of them to
-    fit and one of them to judge; else the diagnosis goes without these pressures.
+    Columns that the model does not need are ignored. A recording whose position or command cannot
+    be used is left out if others remain. If some recordings lack pressures, these recordings are
+    left out if the others hold at least half of the recorded time, with one to fit and one to
+    judge; otherwise the diagnosis does without these pressures.
 
     Raises:
-        RecordingError: No recording can be used, or none of those that are to be held out, or to be
-            fitted; names recording, column, what was found and what is allowed.
+        RecordingError: No recording can be used, or none of those to be held out, or to be fitted;
+            the message names recording, column, the values in it and the allowed ones.
     """
     held = tuple(name for name in held_out if name in recordings)
     entries = {name: _Entry(machine, r, thresholds) for name, r in recordings.items()}
@@ -57,7 +57,7 @@ def admit(
     refuse_shared(doubted, len(entries))
     fastest = min(entry.clock.period for entry in usable.values())
     for name, period in [(name, entry.clock.period) for name, entry in usable.items()]:
-        # Where others have two samples in a bin, all have one in two bins at least.
+        # If others have two samples per bin, each needs at least one in two bins.
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
             del usable[name]
@@ -84,9 +84,9 @@ def admit(
 
 
 def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> None:
-    """Refuses a doubt that at least half of `count` recordings share: the column map can mend it.
+    """Refuses a doubt that at least half of `count` recordings share: a column map can resolve it.
 
-    Each doubt is a recording's name, what others may have as well, and the question.
+    Each doubt is a recording's name, a key that is equal for equal doubts, and the question.
     """
     shared: dict[Hashable, list[tuple[str, str]]] = {}
     for name, alike, question in doubts:
@@ -98,7 +98,7 @@ def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> No
 
 
 def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[str, ...]) -> None:
-    """Refuses what leaves nothing to judge by, or nothing to fit."""
+    """Raises an error if no recording is left to judge by, or none to fit."""
     if held and not set(held) & set(usable):
         told = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
         raise RecordingError(told, given=held[0], allowed="another recording held out")
@@ -111,7 +111,7 @@ def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[s
 
 
 def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozenset[str]:
-    """Pressure columns to use: the more, the better, yet not at the price of most recordings."""
+    """Returns the pressure columns to use: as many as possible without losing most recordings."""
     total = sum(e.recording.duration for e in usable.values())
 
     def serve(columns: frozenset[str]) -> bool:
@@ -125,7 +125,7 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 
 
 class _Entry:
-    """One recording at the gate: its `recording` has columns that may be used, unwrapped."""
+    """One recording under admission: `recording` holds its usable columns, repaired."""
 
     def __init__(self, machine: Machine, recording: Recording, limits: Thresholds):
         self.columns = {one.name: one for one in usable_columns(machine)}
@@ -135,15 +135,15 @@ class _Entry:
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.logged = self.recording = own
         time = recording.metadata.get("time")
-        #: Text and place of remarks on what was read and repaired.
+        #: Text and place of remarks on reading and repairs.
         self.said = [(f"time: {time}", "")] if isinstance(time, str) else []
-        self.doubted: dict[str, str] = {}  # columns whose unit is doubted, and why
+        self.doubted: dict[str, str] = {}  # question about the unit, by doubted column
         mixed = self._leave_out()
         faults = {c: self._pressure_fault(c) if c in own else reasons.get(c) for c in known}
-        #: Why pressures cannot be used, by column.
+        #: Reasons why pressures cannot be used, by column.
         self.lost = {column: why for column, why in faults.items() if why}
         self.pressures = frozenset(c for c in known if c in own and c not in self.lost)
-        # Why the recording cannot be used at all.
+        # Reason why the recording cannot be used at all.
         self.fault = self._missing(recording, reasons) or mixed
         for column in (f"{joint}_position" for joint in machine.joints):
             self.fault = self.fault or self._unwrap(column) or self._position_fault(column)
@@ -152,12 +152,12 @@ class _Entry:
             self.clock = Clock.of(own.time)
 
     def _repair(self, column: str, samples: np.ndarray, text: str, place: str) -> None:
-        """Puts other samples in the place of a column's, and notes it."""
+        """Replaces the samples of a column, and adds a remark."""
         self.recording = self.recording.with_columns({column: samples})
         self.said.append((text, place))
 
     def _missing(self, recording: Recording, reasons: Mapping[str, str]) -> str | None:
-        """Why positions and commands are not there, None if all are."""
+        """Returns why positions or commands are missing, None if none is."""
         needed = self.machine.columns
         absent = [column for column in needed if column not in recording]
         if why := next((reasons[column] for column in absent if column in reasons), None):
@@ -177,9 +177,9 @@ class _Entry:
         return None
 
     def _leave_out(self) -> str | None:
-        """Leaves out samples that no motion supports; says which position is two signals in one.
+        """Removes samples that no motion supports; returns a fault if a position mixes two signals.
 
-        Commands may jump.
+        Commands are not checked: they may jump.
         """
         for column, samples in self.recording.columns.items():
             if column.endswith("_command"):
@@ -198,9 +198,9 @@ class _Entry:
         return None
 
     def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
-        """Leaves out the windows across changes of states: another machine goes on after them."""
+        """Removes samples near changes of states: no window spans one, it changes the machine."""
         column, time = self.machine.columns[0], self.recording.time
-        # No window bridges this.
+        # No gap of this length is bridged.
         reach = max(NEIGHBOURS * float(np.median(np.diff(time))), self.limits.bin)
         for state, rows in changes.items():
             samples = self.recording[column].copy()
@@ -211,7 +211,7 @@ class _Entry:
                 self._repair(column, samples, text, f"{state!r} {rows.size} times")
 
     def _unwrap(self, column: str) -> str | None:
-        """Takes the jumps of an encoder out of positions; says why it cannot."""
+        """Removes the jumps of an encoder from positions; returns why it cannot, else None."""
         unit, allowed = self.columns[column].unit, self.columns[column].limits
         found = unwrapped(self.recording.time, self.recording[column], hinge=unit == "rad")
         if found is None:
@@ -221,14 +221,14 @@ class _Entry:
             if unit == "rad" and abs(turn * factor / (2.0 * np.pi) - 1.0) < SAME:
                 why = f"column {column!r} jumps by {turn:.4g}, a turn has 6.283 rad"
                 return self._doubt(column, why, f"in {other}", factor)
-        if np.isfinite(allowed).all():  # The turn in which the joint can be.
+        if np.isfinite(allowed).all():  # Shifts by whole turns into the joint's range.
             samples += turn * np.rint((np.mean(allowed) - np.nanmedian(samples)) / turn)
         text = f"the encoder begins anew after {turn:.4g} {unit}; unwrapped"
         self._repair(column, samples, text, f"{column!r} {jumps} times")
         return None
 
     def _position_fault(self, column: str) -> str | None:
-        """Why positions cannot be in the joint's unit, None if they can."""
+        """Returns why positions cannot be in the joint's unit, None if they can."""
         values, one, beyond = self.recording[column], self.columns[column], self.limits.beyond_range
         if fits(values, one, beyond):
             return None
@@ -238,12 +238,12 @@ class _Entry:
         return self._doubt(column, why, *found) if found else why
 
     def _doubt(self, column: str, why: str, unit: str, factor: float) -> str:
-        """Notes that a column's unit is doubted, and returns the question."""
+        """Records a doubt about a column's unit, and returns it as a question."""
         self.doubted[column] = f"{why}; is it {unit}? {in_map(repr(column), factor)}"
         return self.doubted[column]
 
     def _pressure_fault(self, column: str) -> str | None:
-        """Why a pressure cannot be used, None if it can."""
+        """Returns why a pressure cannot be used, None if it can."""
         one, columns = self.columns[column], self.recording.columns
         values = columns[column]
         finite = values[np.isfinite(values)]
@@ -263,7 +263,7 @@ class _Entry:
         return None
 
     def doubts(self, recording: Recording) -> Iterator[tuple[str, str]]:
-        """Text and place of remarks on stamps and columns that are used, those of `recording`."""
+        """Yields text and place of remarks on the stamps and the columns of `recording`."""
         rounding, jitter, lost = self.clock.rounding, self.clock.jitter, self.clock.lost
         if rounding:
             yield f"stamps are rounded to {rounding:.3g} s; taken for a uniform clock's", ""
@@ -282,7 +282,7 @@ class _Entry:
             if low == high:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield text, f"{column!r} {low:.6g}"
-            # What rests elsewhere as long is no saturated sensor.
+            # A signal that also rests as long at other values is not saturated.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
             for limit, word in ((low, "smallest"), (high, "largest")):
@@ -305,7 +305,7 @@ def _longest_run(mask: np.ndarray) -> int:
 
 
 def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
-    """Notes on recordings whose period is not that of all."""
+    """Returns notes on recordings whose period is not the common one."""
     period = common_period({name: e.recording for name, e in usable.items()}, limits)
     faster, drifting, notes = [], [], []
     for name, entry in usable.items():
@@ -313,7 +313,7 @@ def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
         if clock.clear and off < -SAME:
             faster.append(f"{name} from {1.0 / clock.period:.4g} Hz")
         elif clock.clear and abs(off) * len(entry.recording) > 1.0:
-            # Worth a note is what comes to a sample over the recording.
+            # Clocks that differ by more than one sample over the recording are noted.
             drifting.append(f"{name} {100.0 * off:+.2g} %")
     if faster:
         told = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "

@@ -1,4 +1,4 @@
-"""Samples that no motion supports: drop-outs to zero, spikes, rows from before the log began."""
+"""Samples that no motion supports: drop-outs to zero, spikes, rows before the log began."""
 
 import numpy as np
 from scipy.ndimage import percentile_filter
@@ -6,17 +6,17 @@ from scipy.ndimage import percentile_filter
 from leglab.diagnosis.intake.series import quantum
 from leglab.diagnosis.thresholds import CERTAIN
 
-# Neighbours whose steps say what is usual: a spike makes two of them, a few do not show in most.
+# Window and percentile of steps for a usual step: a few spikes (two steps each) do not change it.
 _NEAR, _MOST = 41, 80
 
 
 def unsupported(samples: np.ndarray) -> np.ndarray:
-    """Mask of the samples of a signal with inertia, (n,), NaN where missing, that cannot be.
+    """Masks impossible samples of a signal with inertia, (n,), NaN where missing.
 
-    One sample of any value, or a run of zeros, to which the signal jumps and from which it comes
-    back, and a first value from which it jumps away: by steps that are many times the usual ones
-    nearby and a quantised signal's least. An impact turns a motion round by steps like those before
-    it, a command may jump: neither is meant.
+    These are single samples, or runs of zeros, to which the signal jumps and from which it returns,
+    and first values from which it jumps away, by many times the usual steps nearby and the
+    quantisation step. Impacts, which reverse a motion by steps like those before, are kept;
+    commands, which may jump, must not be passed.
     """
     good = np.flatnonzero(np.isfinite(samples))
     found = np.zeros(samples.size, dtype=bool)
@@ -44,10 +44,10 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
 
 
 def alternates(samples: np.ndarray) -> bool:
-    """Whether every other sample of a signal, (n,), belongs to another signal.
+    """Tests whether every other sample of a signal, (n,), belongs to another signal.
 
-    Each differs from its neighbours, most of the time in turn, by many times of what the next but
-    one differs, and a quantised signal's least step.
+    Steps between neighbours then mostly alternate in sign and are many times the differences over
+    two samples and the quantisation step.
     """
     values = samples[np.isfinite(samples)]
     if values.size < _NEAR:

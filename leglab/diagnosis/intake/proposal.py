@@ -1,4 +1,4 @@
-"""A column map for a recording of somebody else, proposed by likeness of names and by values."""
+"""Proposal of a column map for a foreign recording, by similarity of names and by values."""
 
 import json
 from collections import Counter, defaultdict
@@ -42,13 +42,13 @@ _CHAMBER_WORDS = {
     **dict.fromkeys(("a", "cap", "head", "bottom", "piston"), CHAMBERS[0]),
     **dict.fromkeys(("b", "rod", "ring", "top", "annulus"), CHAMBERS[1]),
 }
-# Words that most elements or columns have: others say which joint is meant.
+# Words that many elements or columns have; only other words identify a joint.
 _PLAIN = {
     "joint", "joints", "jnt", "motor", "axis", "actuator", "act", "servo", "drive", "valve",
     "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
     "values", "data", "filtered", "sensor", "robot", "observation",
 }  # fmt: skip
-# Likeness from which a line holds; below it is a guess, and from the second on nothing.
+# Similarity from which a line is applied; down to the second it is a guess, below it no line.
 _SURE, _NEAR = 0.6, 0.3
 _TIME = UsableColumn("time", "", "time", "s")
 
@@ -57,9 +57,9 @@ _TIME = UsableColumn("time", "", "time", "s")
 class Line:
     """One line of the map: a column of the recording and its proposed name and factor."""
 
-    theirs: str  #: The column
-    ours: str  #: Its name here; "" where nothing is like it
-    sure: bool  #: Whether the line holds until somebody says otherwise
+    theirs: str  #: Name of the column in the recording
+    ours: str  #: Name for the model; "" if none is similar
+    sure: bool  #: Whether the line is applied without confirmation
     factor: float = 1.0  #: Ours per theirs
     offset: float = 0.0  #: Added after the factor
     why: str = ""  #: Reason for name and unit, and other columns with a similar score
@@ -74,22 +74,22 @@ class Line:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A column map as it may be."""
+    """A proposed column map."""
 
-    lines: tuple[Line, ...]  #: One a column of the recording
-    missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line gives
+    lines: tuple[Line, ...]  #: One per column of the recording
+    missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line provides
     settings: Mapping[str, Any]  #: How the file is read, as a column map has it
     doubt: str = ""  #: Why a diagnosis would refuse the recording with this map
 
     @property
     def column_map(self) -> ColumnMap:
-        """The lines that hold."""
+        """The column map of the lines that are sure."""
         sure = [o for o in self.lines if o.sure]
         rules = {o.theirs: ColumnRule(name=o.ours, factor=o.factor, offset=o.offset) for o in sure}
         return ColumnMap(rules=rules)
 
     def asked(self, column: str, factor: float, why: str) -> "Proposal":
-        """Returns the proposal with another factor on one of our columns, and why."""
+        """Returns the proposal with another factor on a column, marked as doubtful for a reason."""
         lines = list(self.lines)
         for k, one in enumerate(lines):
             if one.sure and one.ours == column:
@@ -99,11 +99,11 @@ class Proposal:
 
     @property
     def doubtful(self) -> list[str]:
-        """Lines that somebody should check."""
+        """Lines that the user should check."""
         return [line for line in str(self).split("\n") if "# ? " in line]
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the map as JSON can hold it."""
+        """Returns the map as JSON values."""
         lines = [asdict(line) for line in self.lines if line.ours]
         return {"columns": lines, "missing": list(self.missing), "doubt": self.doubt}
 
@@ -125,14 +125,14 @@ def propose(
     needed: Sequence[str] = (),
     given: ColumnMap | None = None,
 ) -> Proposal:
-    """Proposes a column map: the assignment that is likeliest as a whole.
+    """Proposes a column map: the assignment with the largest total similarity.
 
     Args:
         table: Arrays of shape (n,) by the recording's column names.
-        units: What the recording says of units, by column.
-        wanted: Columns of a model. Without, names are made of the words of the column, "JOINT"
-            where there is none.
-        needed: Of these, those that a diagnosis needs.
+        units: Units according to the recording, by column.
+        wanted: Columns of a model. Without any, names are made of the words of the column, "JOINT"
+            if there are none.
+        needed: Columns of the model that a diagnosis needs.
         given: A map that has been applied; its rules stay, the proposal is for the other columns.
     """
     given = given or ColumnMap()
@@ -160,7 +160,7 @@ class _Column:
             self.unit = split(f"{name} [{unit}]")._replace(stem=name)
         ours = {word for one in wanted for word in words_of(one.element)}
         self.words = words_of(self.unit.stem, ours | set(_KINDS) | _PLAIN)
-        #: Kinds that it may be.
+        #: Kinds of quantity that the column may have.
         self.kinds = {_KINDS[word] for word in self.words if word in _KINDS}
         if "position" in self.kinds and {"d", "dot"} & set(self.words):
             self.kinds = self.kinds - {"position"} | {"velocity"}
@@ -168,11 +168,11 @@ class _Column:
             self.kinds = {_KIND_OF_UNIT[self.unit.si]}
         if not self.kinds and "observation" in self.words:  # beside an action
             self.kinds = {"position"}
-        #: Words that say which element is meant.
+        #: Words that identify the element.
         self.rest = [word for word in self.words if word not in _KINDS or word in ours]
 
     def kind_likeness(self, one: UsableColumn) -> float:
-        """From 0 to 1, by the kind of quantity."""
+        """Returns the similarity of kinds of quantity, from 0 to 1."""
         kinds, sent = self.kinds, self.kinds & {"command", "reference"}
         if "other" in kinds:
             return 0.0
@@ -180,7 +180,7 @@ class _Column:
             sides = {_CHAMBER_WORDS[word] for word in self.words if word in _CHAMBER_WORDS}
             return float("pressure" in kinds and sides == {one.kind})
         if one.kind != "command":
-            # A joint's bare name is its position more often than not.
+            # A column with only a joint's name is usually its position.
             bare = 0.8 if self.words == words_of(one.element) else 0.5
             return (kinds == {one.kind}) + bare * (not kinds and one.kind == "position")
         if not kinds:
@@ -205,7 +205,7 @@ class _Column:
 def _assigned(
     columns: Sequence[_Column], wanted: Sequence[UsableColumn], table: Mapping[str, np.ndarray]
 ) -> dict[str, Line]:
-    """Gives every column a line, so that the sum of all likenesses is the largest."""
+    """Assigns a line to every column so that the sum of similarities is largest."""
     lines = {column.name: Line(column.name, "", sure=False) for column in columns}
     if not columns or not wanted:
         return lines
@@ -216,7 +216,7 @@ def _assigned(
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
         name, score = columns[k].name, float(scores[i, k])
-        # Others that are as like to this one and not liker to another.
+        # Other columns that are nearly as similar to this one and not more similar to another.
         order = np.argsort(-scores[i], kind="stable").tolist()
         near = [j for j in order if j != k and scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9
@@ -230,7 +230,7 @@ def _assigned(
 
 
 def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> np.ndarray:
-    """From 0 to 1 by kind and element, 2 for the same name, (wanted, columns)."""
+    """Returns similarities, (wanted, columns): 0 to 1 by kind and element, 2 for equal names."""
     scores = np.array([[column.kind_likeness(one) for column in columns] for one in wanted])
     numbers = numbered(column.name for column in columns)
     for kind in {one.kind for one in wanted}:
@@ -251,10 +251,10 @@ def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> n
 def _units(
     pairs: Sequence[tuple[UsableColumn, _Column]], table: Mapping[str, np.ndarray]
 ) -> dict[str, tuple[float, str, bool]]:
-    """Returns factor to our unit (0: unknown), reason, and whether it is certain, by column.
+    """Returns factor to the model's unit (0: unknown), reason and certainty, by column.
 
-    The name says the unit, else the range of the joint, control or supply; what was logged of all
-    elements has one unit.
+    The unit is taken from the name, otherwise from the range of joint, control or supply, with one
+    unit for all columns of a kind.
     """
     found = {column.name: (1.0, "", True) for _, column in pairs}
     groups: dict[str, list[tuple[UsableColumn, str, np.ndarray]]] = defaultdict(list)
@@ -269,7 +269,7 @@ def _units(
             groups[kind].append((one, column.name, samples))
     for group in groups.values():
         guesses = [other_unit(samples, one) or ("", 1.0) for one, _, samples in group]
-        # Ranges may be too narrow for a joint or two, units are wrong of all.
+        # The most common factor applies: a wrong unit affects all, a narrow range one or two.
         size = Counter(abs(factor) for _, factor in guesses).most_common(1)[0][0]
         usual = next(guess for guess in guesses if abs(guess[1]) == size)
         for (one, name, samples), guess in zip(group, guesses, strict=True):

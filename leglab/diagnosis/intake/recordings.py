@@ -1,4 +1,4 @@
-"""Recordings for a diagnosis: read, and one of them held out."""
+"""Reading of recordings for a diagnosis, and choice of those to hold out."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,7 +15,7 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
 def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """Lists recordings, those below folders too; a bag or a dataset is no folder of recordings.
+    """Lists recordings, also those in folders; a bag or a dataset counts as one recording.
 
     Returns:
         The recordings, and a line for each folder that holds other files as well.
@@ -39,7 +39,7 @@ def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
 
 
 def _below(path: Path) -> list[Path]:
-    """All files below a path, in the order of their names; a bag or a dataset is one."""
+    """Returns all files below a path in the order of their names; a bag or a dataset is one."""
     if not path.is_dir() or data.form_of_folder(path):
         return [path]
     entries = sorted(e for e in path.iterdir() if not e.name.startswith("."))
@@ -58,18 +58,18 @@ def read_recordings(
     salvage: bool = False,
     tell: Callable[[str], object] = lambda line: None,
 ) -> dict[str, Recording]:
-    """Reads recordings by file name, or by as many folders before it as make names differ.
+    """Reads recordings, named by file and as many folders before it as make the names differ.
 
-    Each one of a file with several has its name there after that of the file.
+    A recording of a file with several has its name in the file appended.
 
-    Columns that cannot be read are left out: only the model says whether they are needed.
+    Columns that cannot be read are left out: only the model decides whether they are needed.
 
     Args:
-        paths: Files, or folders of them, of which those that cannot be read are left out.
+        paths: Files, or folders, whose files are left out if they cannot be read.
         columns: File of a column map for all of them, see `leglab.data.read_column_map`.
-        span: First and last second that is used, of each recording's time; None: all.
-        salvage: Whether what is whole of broken files is read.
-        tell: Gets a line for what a folder holds beside recordings.
+        span: First and last second of each recording's time that is used; None: all.
+        salvage: Whether the intact part of broken files is read.
+        tell: Called with a line of text on other files of a folder, and on files left out.
 
     Raises:
         LeglabError: A file cannot be read, is given twice or has no sample in the span, or the map
@@ -103,7 +103,7 @@ def read_recordings(
 
 
 def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """The shortest ends of paths that differ: every `leglab run` calls its recording the same."""
+    """Returns the shortest distinct ends of paths: every `leglab run` uses the same file name."""
     parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = {}
     for path, own in zip(paths, parts, strict=True):
@@ -122,9 +122,9 @@ def split_held_out(
     wanted: Sequence[str],
     thresholds: Thresholds = DEFAULT,
 ) -> tuple[dict[str, Recording], tuple[str, ...]]:
-    """Says which recordings are held out; cuts the end off a single one.
+    """Returns the recordings and the names of held-out ones; cuts off the end of a single one.
 
-    Those `wanted` go by names, with or without suffix; the tool chooses where there are none.
+    `wanted` are names to hold out, with or without suffix; without any, `held_out_choice` decides.
 
     Raises:
         LeglabError: A name does not exist, or nothing is left to fit.
@@ -153,7 +153,7 @@ def split_held_out(
 
 
 def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) -> Machine:
-    """Returns a model's machine, whose followers are those that a recording does not measure.
+    """Returns a model's machine; joints that some recording does not measure may be followers.
 
     Raises:
         LeglabError: The model cannot be loaded or replayed.
@@ -163,7 +163,7 @@ def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) ->
 
 
 def _fit(entry: str, name: str) -> int:
-    """How much of a recording's name a user wrote: its path or the end of it, or its folder."""
+    """Returns the number of parts by which `entry` names a recording: path, its end or folder."""
     parts, wanted = Path(name).parts, Path(entry).parts
     ends = {parts, (*parts[:-1], Path(name).stem), *([parts[:1]] if len(parts) > 1 else [])}
     ends.add(parts[-1:])
@@ -171,10 +171,10 @@ def _fit(entry: str, name: str) -> int:
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
-    """Of two recordings or more, that to hold out: most within the ranges of the others.
+    """Returns the one of at least two recordings to hold out: most within the others' ranges.
 
-    A model is judged by another excitation than it was fitted to, yet not by extrapolation. Among
-    equals the one with the fastest motion says most.
+    A model is judged by another excitation than the fitted one, but not by extrapolation. Of equal
+    ones the recording with the fastest motion is the most informative.
     """
     tables = {}
     for name, recording in recordings.items():

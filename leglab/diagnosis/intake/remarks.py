@@ -1,13 +1,13 @@
-"""Remarks on recordings, each said once for all columns and recordings that it is true of."""
+"""Remarks on recordings, merged over the columns and recordings to which each applies."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """One remark on a recording by its name, its text the same for all places.
+    """One remark on a recording; its text does not depend on the place.
 
-    A place is a column in quotes, with what is special about it; "" for the recording as a whole.
+    A place is a column in quotes, with details of that column; "" for the recording as a whole.
     """
 
     text: str
@@ -16,9 +16,9 @@ class Remark(NamedTuple):
 
 
 def merged(remarks: Iterable[Remark], recordings: Iterable[str]) -> tuple[str, ...]:
-    """One line for each text, with the recordings and their columns, in order of first mention.
+    """Returns one line per text with its recordings and columns, in order of first mention.
 
-    What is the same for each of all the `recordings` is said once.
+    A remark that is equal for all the `recordings` does not list them.
     """
     found: dict[str, dict[str, list[str]]] = {}
     for text, recording, place in remarks:

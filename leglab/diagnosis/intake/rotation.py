@@ -1,4 +1,4 @@
-"""Encoders that begin anew after a turn: their jumps are found and taken out."""
+"""Unwrapping of encoders that restart after a turn."""
 
 import numpy as np
 
@@ -10,17 +10,17 @@ _TURN = 2.0 * np.pi
 def unwrapped(
     time: np.ndarray, samples: np.ndarray, *, hinge: bool
 ) -> tuple[np.ndarray, float, int] | None:
-    """Takes out the jumps of an encoder that begins anew after a full turn.
+    """Removes the jumps of an encoder that restarts after a full turn.
 
-    A jump is a step of more than half of all that the encoder shows, after which the motion goes on
-    as before. It is a turn of 2 pi or its parts on a `hinge`, or whatever all jumps agree on (an
-    encoder before a gear, a counter that overflows) if every angle in between is seen. The joint
-    must move less than half a turn between two samples, (n,), NaN where missing, at a time [s],
+    A jump is a step of more than half of the encoder's range, after which the motion continues. Its
+    size is 2 pi, a multiple or a fraction of it on a `hinge`, or any size on which all jumps agree
+    (an encoder before a gear, a counter that overflows), if all angles of a turn occur. The joint
+    must move less than half a turn between two samples, (n,), NaN where missing, at times [s],
     (n,).
 
     Returns:
-        The samples without jumps, (n,), the size of a turn in their unit, and how many jumps there
-        were; None where nothing jumps.
+        The samples without jumps, (n,), the size of a turn in their unit, and the number of jumps;
+        None where nothing jumps.
     """
     good = np.flatnonzero(np.isfinite(samples))
     if good.size < 10:
@@ -28,7 +28,7 @@ def unwrapped(
     steps, intervals = np.diff(samples[good]), np.diff(time[good])
     unit, spare = np.median(intervals), int(np.ceil(1e-3 * (good.size - 1)))
     shown = np.sort(samples[good])[spare : good.size - spare]
-    # Across a longer interval a jump is not told from motion, across a gap only by the speed.
+    # Across a longer interval a jump is not distinguished from motion, across a gap only by speed.
     jumps = (intervals <= NEIGHBOURS * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
     usual = intervals <= 1.5 * unit
     still = np.flatnonzero(~jumps & usual)
@@ -49,7 +49,7 @@ def unwrapped(
 
 
 def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
-    """Size of a turn by the sorted values and the sizes of jumps, None where none looks like it."""
+    """Returns the size of a turn by sorted values and jump sizes, None if these are no turns."""
     turn, span = float(np.median(sizes)), float(np.ptp(shown))
     same, part = SAME, 0.25
     if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or span > (1.0 + same) * turn:
@@ -59,9 +59,9 @@ def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
             return _TURN
         known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
         nearest = float(known[np.argmin(np.abs(known - turn))])
-        if abs(turn - nearest) < part * same * nearest:  # They lie that close.
+        if abs(turn - nearest) < part * same * nearest:  # Known sizes lie close to each other.
             turn = nearest
     agree = np.median(np.abs(sizes - turn)) < same * turn
-    # Where it turns, an encoder shows every angle: no large part of a turn is never seen.
+    # An encoder that turns shows every angle: no large part of a turn may be missing.
     unseen = max(np.diff(shown).max(initial=0.0), turn - span)
     return turn if agree and unseen < part * turn else None

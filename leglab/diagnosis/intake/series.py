@@ -1,8 +1,8 @@
-"""Recordings on one uniform grid, by the times at which their rows were measured.
+"""Resampling of recordings to one uniform grid, by the time stamps of their rows.
 
-A measured value on the grid is the mean of the samples nearest to it, moved there along a parabola
-through their neighbours: noise stays white, motion keeps its phase. A command is held between its
-stamps; on the grid it is its mean over the period that it acts in: no impulse is lost.
+A measured value on the grid is the mean of the nearest samples, each shifted to the grid along a
+parabola through its neighbours: noise stays white, motion keeps its phase. A command is held
+between its stamps; on the grid it is the mean over the following period: no impulse is lost.
 """
 
 from collections.abc import Mapping
@@ -17,11 +17,11 @@ from leglab.base.scale import deviation, rms
 from leglab.data.clock import straight_line, usual_step
 from leglab.diagnosis.thresholds import CERTAIN, DEFAULT, NEGLIGIBLE, NEIGHBOURS, SAME, Thresholds
 
-# Stamps this near to the grid, in periods, are on it.
+# Stamps are on the grid up to this distance in periods.
 _ON_GRID = NEGLIGIBLE
 # Differences below this share of the largest value are rounding of floats.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
-# Where jitter and lost rows hide the beat of a clock, its period is known to this share only.
+# Relative uncertainty of a clock's period if jitter and lost rows hide its ticks.
 _UNCLEAR = CERTAIN * SAME
 
 
@@ -33,13 +33,13 @@ class UniformSeries:
     period: float  #: s
     time: np.ndarray  #: Shape (n,), s
     columns: dict[str, np.ndarray]  #: Samples on the grid by column, each (n,), gaps bridged
-    valid: np.ndarray  #: Where every channel was measured, shape (n,)
-    #: Least step of quantised columns as they were logged; 0 where there is none.
+    valid: np.ndarray  #: Mask of samples at which every channel was measured, (n,)
+    #: Quantisation step of the logged columns; 0 where there is none.
     steps: dict[str, float]
-    #: Standard deviation of white noise on the grid that averages as the logged samples do, by
-    #: column, 0 where none shows; empty where the log is on the grid as it is.
+    #: Standard deviation of the white noise on the grid that is equivalent to that of the logged
+    #: samples, by column, 0 where none shows; empty if the log already lies on the grid.
     noise: dict[str, float]
-    #: By how much commands reach native actuators before their time [s]; None for unknown.
+    #: Lead of commands at native actuators on their stamps [s]; None if unknown.
     command_lead: float | None
 
     @classmethod
@@ -52,7 +52,7 @@ class UniformSeries:
         *,
         period: float | None = None,
     ) -> "UniformSeries":
-        """Puts the needed columns of a recording on a uniform grid of a period [s], or of its own.
+        """Resamples the needed columns of a recording to a grid of a period [s], or its usual one.
 
         Columns that end with "_command" are held between samples; NaN are missing samples.
         """
@@ -72,7 +72,7 @@ class UniformSeries:
                 columns[column], known = log.held(lossy=clock.lost > 0 or not good.all())
             else:
                 columns[column], known, white = log.averaged()
-                # Lost rows cost noise of their own.
+                # Lost rows change the noise on the grid.
                 if off_grid or good.sum() <= (1.0 - SAME) * grid.size:
                     noise[column] = white
             valid &= known
@@ -82,20 +82,20 @@ class UniformSeries:
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The stamps of a recording, as its logger's clock meant them."""
+    """Time stamps of a recording, corrected for rounding, with the period of the logger's clock."""
 
     period: float  #: Usual time between two rows [s], free of jitter and lost rows
-    stamps: np.ndarray  #: Shape (n,), s; those of a uniform clock that rounds are straightened
-    rounding: float  #: Step to which stamps were rounded [s]; 0 where they were not, or evenly
-    #: RMS of the stamps' departures from whole periods between neighbours, in periods.
+    stamps: np.ndarray  #: Shape (n,), s; on a straight line if a uniform clock was rounded
+    rounding: float  #: Step to which stamps were rounded [s]; 0 if they are not or need no repair
+    #: RMS departure of the intervals from whole periods, in periods.
     jitter: float
-    lost: int  #: Rows that are missing between others
-    #: Whether the period is known well; it is not where jitter and lost rows hide the beat.
+    lost: int  #: Number of rows that are missing between others
+    #: Whether the period is well known; it is not if jitter and lost rows hide the ticks.
     clear: bool
 
     @classmethod
     def of(cls, time: np.ndarray) -> "Clock":
-        """Finds period, rounding and jitter of three time stamps or more [s]."""
+        """Estimates period, rounding and jitter of at least three time stamps [s]."""
         stamps, rounding = time, 0.0
         line, step = straight_line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
@@ -117,7 +117,7 @@ class Clock:
 
 
 def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
-    """Jitter of stamps as that of a `Clock`, the number of each one's tick, and lost rows."""
+    """Returns the jitter as in `Clock`, the tick number of each stamp, and lost rows."""
     passed = np.diff(stamps) / period
     whole = np.maximum(np.rint(passed), 1.0)
     close = whole < 5
@@ -127,7 +127,7 @@ def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
 
 
 def _beat(time: np.ndarray, guess: float) -> float:
-    """Period of the strongest beat of stamps near a guess [s], 0 where none stands out."""
+    """Returns the period of the strongest spectral peak of stamps near a guess [s]; 0 if none."""
     some = time[:4000] - time[0]
     place = guess / 16.0
     count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
@@ -141,10 +141,10 @@ def _beat(time: np.ndarray, guess: float) -> float:
 
 
 def usual_interval(time: np.ndarray) -> float:
-    """Time that one row takes: jitter averages out, and lost rows do not count.
+    """Returns the usual interval of rows: jitter averages out, and lost rows do not count.
 
-    The mean of intervals within half of itself, found from the median on. Where it accounts for all
-    rows from the first to the last, their number is the better measure.
+    It is the mean of the intervals within 50 % of it, iterated from the median. If no row is lost,
+    the whole duration over the number of intervals is more accurate.
     """
     intervals = np.diff(time)
     period = float(np.median(intervals))
@@ -161,9 +161,9 @@ def usual_interval(time: np.ndarray) -> float:
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
-    """Period of the grid for all recordings [s]: that of the slowest.
+    """Returns the period of the grid for all recordings [s]: that of the slowest.
 
-    Of recordings whose periods are the same up to their clocks, the one in the middle counts.
+    Of recordings whose periods differ only by their clocks' errors it is the median.
     """
     clocks = [Clock.of(recording.time) for recording in recordings.values()]
     clear = [c.period for c in clocks if c.clear] or [c.period for c in clocks]
@@ -174,20 +174,20 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
 
 
 def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
-    """Mask of the samples around which a signal, (n,), has more than one value within so many.
+    """Masks samples around which a signal, (n,), takes more than one value within `length` samples.
 
-    Elsewhere it rests on one reading: noise is below the converter's step and does not show,
-    however long that lasts, on a machine of any size.
+    Elsewhere it rests on one reading: the noise is below the converter's step and does not show,
+    however long this lasts.
     """
     apart = maximum_filter1d(samples, length) - minimum_filter1d(samples, length)
     return apart > _FLOAT * np.abs(samples).max()
 
 
 def quantum(samples: np.ndarray) -> float:
-    """Least step of a quantised signal, (n,), 0 where it is not quantised or never moves.
+    """Returns the step of a quantised signal, (n,); 0 if it is not quantised or never moves.
 
     It is the largest step of which nearly all differences of neighbours are multiples: single
-    values between two counts, or the rounding of floats, do not make it smaller.
+    values between two counts, or rounding of floats, do not reduce it.
     """
     largest = float(np.abs(samples).max(initial=0.0))
     moves = np.abs(np.diff(samples))
@@ -205,19 +205,19 @@ def quantum(samples: np.ndarray) -> float:
 
 
 def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
-    """The step of which moves are multiples, near a first guess; 0 where there is none."""
+    """Returns the step near a first guess of which moves are multiples; 0 if there is none."""
     for most in (3, 10, 30, 100):
         count = np.rint(moves / step)
         some = (count > 0) & (count <= most)
         if not some.any():
             return 0.0
-        # The median is deaf to the few moves that are no multiples.
+        # The median is insensitive to the few moves that are no multiples.
         step = float(np.median(moves[some] / count[some]))
     share = moves[moves <= 100.5 * step] / step
     count = np.rint(share)
     rounding = 2.0 * np.finfo(np.float32).eps * largest / step
     multiple = (count > 0) & (np.abs(share - count) < SAME + rounding)
-    # A steady motion moves by one amount as well, yet neither less nor more.
+    # A steady motion also has equal moves, but without rests and other multiples.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
     return step if whole and varied else 0.0
@@ -225,9 +225,9 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
 
 @dataclass(eq=False)
 class _Log:
-    """One column as it was logged, without its missing samples, and the grid that it is put on.
+    """One logged column without its missing samples, and the grid to which it is resampled.
 
-    Times are told from the recording's first stamp on [s].
+    Times are relative to the recording's first stamp [s].
     """
 
     times: np.ndarray  # (n,)
@@ -241,12 +241,12 @@ class _Log:
         self.step, self.spacing = quantum(self.samples), self.own
         if self.times.size >= 3:  # Some columns are logged less often than the rows.
             self.spacing = min(max(usual_interval(self.times), self.own), 5.0 * self.own)
-        # Sample after each place of the grid, (count,).
+        # Index of the sample after each grid point, (count,).
         near = self.grid - _ON_GRID * self.period
         self.after = np.searchsorted(self.times, near).clip(1, self.times.size - 1)
 
     def _known(self, smooth: np.ndarray) -> np.ndarray:
-        """Where values of the grid are known, (count,); `smooth` where their neighbours agree."""
+        """Masks known values of the grid, (count,); `smooth` masks those whose neighbours agree."""
         before, after = self.times[self.after - 1], self.times[self.after]
         outside = (self.grid < self.times[0]) | (self.grid > self.times[-1])
         width = np.where(outside, np.inf, after - before)
@@ -257,9 +257,9 @@ class _Log:
         return on_stamp | (width <= near) | (smooth & (width <= far))
 
     def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Samples averaged about each place of the grid, where they are known, and their noise.
+        """Returns samples averaged about each grid point, a mask of known ones, and their noise.
 
-        One that lies on the grid alone stays as it is.
+        If every grid point has one sample, exactly on it, the samples are unchanged.
         """
         grid, period, count = self.grid, self.period, self.grid.size
         place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
@@ -269,7 +269,7 @@ class _Log:
         held = np.maximum(number, 1)
         away = times - grid[place]
         away[np.abs(away) <= _ON_GRID * period] = 0.0
-        if (number == 1).all() and not away.any():  # Long logs take no time and memory then.
+        if (number == 1).all() and not away.any():  # Saves time and memory for long logs.
             return samples, np.ones(count, dtype=bool), 0.0
         fit = _Parabolas(self)
         early, spread, value = (
@@ -283,9 +283,9 @@ class _Log:
         least = max(scatter, self.step / np.sqrt(12.0), NEGLIGIBLE * float(np.std(samples)))
         smooth = fit.misfit <= CERTAIN * least
         known = (number > 0) | self._known(smooth)
-        # Filters reach into gaps: what stands there must be tame.
+        # Filters reach into gaps, so these are bridged by straight lines.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
-        # A mean over many places weighs each sample by what it gave to all of them.
+        # Weight of each sample in the sum over all known grid points.
         share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
         given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
         weight = np.bincount(fit.neighbours.ravel(), given.ravel(), minlength=self.times.size)
@@ -294,10 +294,10 @@ class _Log:
         return value, known, noise
 
     def held(self, *, lossy: bool) -> tuple[np.ndarray, np.ndarray]:
-        """A held command's mean from each place of the grid to the next, and where it is known.
+        """Returns a held command's mean from each grid point to the next, and a mask of known ones.
 
-        Where ticks were lost it may have changed at each of them: they take what lies between. A
-        long interval of a log that is not `lossy` is jitter.
+        At lost ticks the command may have changed: they are interpolated. In a log that is not
+        `lossy` a long interval is jitter.
         """
         grid, period, near = self.grid, self.period, _ON_GRID * self.period
         intervals, change = np.diff(self.times), np.diff(self.samples)
@@ -312,7 +312,7 @@ class _Log:
         times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
         impulse = np.append(0.0, np.cumsum(values * np.diff(times)))
         mean = np.diff(np.interp(period * np.arange(grid.size + 1), times, impulse)) / period
-        # Differences of a long integral: a command on the grid keeps its value to the last bit.
+        # Differences of the long integral round: a command on the grid keeps its exact value.
         at = np.searchsorted(times, grid + near, side="right") - 1
         stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
         whole = stays & (np.abs(times[at] - grid) <= near)
@@ -322,17 +322,17 @@ class _Log:
 
 
 class _Parabolas:
-    """Parabolas through the `size` neighbours of each of `count` places of a log's grid."""
+    """Parabolas through the `size` neighbours of each of the `count` points of a log's grid."""
 
     def __init__(self, log: _Log) -> None:
         reach = max(1.5 * log.period, 0.5 * NEIGHBOURS * log.spacing)
         size = max(NEIGHBOURS, 2 * int(np.ceil(1.5 * log.period / log.spacing)) + 1)
         size = min(size, log.times.size)
-        # The nearest samples on both sides, as many as there are, (count, size).
+        # Indices of the nearest samples on both sides, (count, size).
         first = np.searchsorted(log.times, log.grid) - size // 2
         self.neighbours = first.clip(0, log.times.size - size)[:, None] + np.arange(size)
         away = (log.times[self.neighbours] - log.grid[:, None]) / reach
-        # Beyond a gap lies another motion.
+        # Samples beyond a gap hardly count: they belong to another motion.
         trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
         design = np.stack([np.ones_like(away), away, away**2], axis=2)
         weighted = design * trust[:, :, None]
@@ -345,8 +345,8 @@ class _Parabolas:
         # Standard deviation of the neighbours about the parabola, (count,).
         freedom = np.maximum(trust.sum(axis=1) - 3.0, 1.0)
         self.misfit = np.sqrt((rest**2 * trust).sum(axis=1) / freedom)
-        # Value, slope and half the second derivative at the place, each (count,), and how much each
-        # neighbour gives to them, (count, 3, size).
+        # Value, slope and half the second derivative at the grid point, each (count,), and the
+        # weights of the neighbours in them, (count, 3, size).
         self.value, self.slope, self.bend = a + level, b / reach, c / reach**2
         self.weights = rows / np.array([1.0, reach, reach**2])[:, None]
         # Share of a sample's noise that the parabola follows near its centre.

@@ -7,18 +7,18 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 
-# A signal in counts has more values than this.
+# Largest number of values of a state; a signal in counts has more.
 _VALUES = 8
 
 
 def state_changes(
     recording: Recording, signals: Collection[str], window: float
 ) -> dict[str, np.ndarray]:
-    """Rows at which the states of a recording change, by column.
+    """Returns the rows at which the states of a recording change, by column.
 
-    Neither `signals` nor what has a unit is one. A state has few whole values and rests: what
-    changes so often that half of the windows, whose length is `window` [s], would see it is a
-    counter or a clock.
+    A state is a column with few integer values and rare changes that has no unit and is not one of
+    the `signals`. With a change in more than half of the windows of length `window` [s] a column is
+    a counter or a clock.
     """
     found = {}
     most = 0.5 * recording.duration / window

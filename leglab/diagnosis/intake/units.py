@@ -1,4 +1,4 @@
-"""Units and directions in which loggers write signals, as factors that turn them into ours."""
+"""Units and directions in which loggers write signals, as factors that convert to the model's."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
 
-# Factors differ from 1 by ten times or more: smaller ones are effects (gain, encoder scale).
+# Factors of ten or more, or a tenth or less: those nearer to 1 are effects (gain, encoder scale).
 ANGLES, _LENGTHS, _PRESSURES = (
     {unit: split(f"x [{unit}]").factor for unit in units.split()}
     for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
@@ -16,30 +16,30 @@ _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
 DEGREES = ("degrees", ANGLES["degrees"])
-# Counts of encoders in a turn: others lie near enough to ask.
+# Encoder counts per turn: other resolutions are near enough to one of these to raise the question.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
 
 def position_units(samples: np.ndarray, *, hinge: bool) -> dict[str, float]:
-    """Factors that may turn a position, (n,), into rad of a `hinge` or m, by unit."""
+    """Returns factors that may convert a position, (n,), to rad (of a `hinge`) or m, by unit."""
     known = samples[np.isfinite(samples)]
     found = dict(ANGLES if hinge else _LENGTHS)
     if hinge and known.size and np.all(known == np.rint(known)):
         turns = {f"counts, some {n:.0f} a turn": 2.0 * np.pi / n for n in _COUNTS}
-        # Other resolutions would make the motion smaller than a degree or longer than eight turns.
+        # With other resolutions the motion would be below a degree or above eight turns.
         found |= {unit: f for unit, f in turns.items() if 0.02 < f * np.ptp(known) < 50.0}
     return found
 
 
 def command_units(*, angle: bool) -> dict[str, float]:
-    """Factors that may turn a command into the model's, by unit; `angle` of servos of hinges."""
+    """Returns factors that may convert a command to the model's, by unit; `angle`: hinge servo."""
     return {**_SHARES, **_LARGE, **({"degrees": ANGLES["degrees"]} if angle else {})}
 
 
 def fits(samples: np.ndarray, column: UsableColumn, beyond: float = DEFAULT.beyond_range) -> bool:
-    """Whether samples, (n,), NaN where missing, lie within a column's limits.
+    """Tests whether samples, (n,), NaN where missing, lie within a column's limits.
 
-    They may pass them by a share of their width `beyond`.
+    They may exceed the limits by the share `beyond` of the limits' range.
     """
     room = beyond * (column.limits[1] - column.limits[0])
     below = np.nanmin(samples) < column.limits[0] - room
@@ -49,12 +49,12 @@ def fits(samples: np.ndarray, column: UsableColumn, beyond: float = DEFAULT.beyo
 def other_unit(
     samples: np.ndarray, column: UsableColumn, beyond: float = DEFAULT.beyond_range
 ) -> tuple[str, float] | None:
-    """In which unit or direction samples, (n,), fit the limits of a column, in words; its factor.
+    """Returns a unit or direction in which samples, (n,), fit a column's limits, and its factor.
 
-    A chamber that moves something reaches more than a hundredth of the supply [Pa], and kPa are a
-    thousandth of Pa. Of units the one counts that comes nearest to the supply without passing it by
-    more than a third, as shocks do. Of others the first that fits: the other direction, another
-    unit, both. None where the samples fit as they are, or nothing does.
+    Pressures are doubted if none reaches a hundredth of the supply [Pa], since a chamber that moves
+    something exceeds this; their unit is the one that comes nearest to the supply without exceeding
+    it by more than a third, as shocks do. For other columns it is the first that fits of: the other
+    direction, another unit, both. None if the samples fit unchanged, or nothing fits.
     """
     if column.kind in CHAMBERS:
         highest, supply = float(np.nanmax(samples)), column.limits[1]

@@ -1,4 +1,4 @@
-"""Errors about a hypothesis and what moves them: tangents of all unknowns, and finite jumps."""
+"""Linearisation of errors at a hypothesis: tangents of all unknowns, and finite jumps."""
 
 import gc
 import signal
@@ -21,38 +21,38 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, LOUDER, NEGLIGIBLE
 
-# Effect that scales what a drive pushes with.
+# Effect that scales a drive's force.
 DRIVE_GAIN = "actuator_gain"
 # Effects that limit a drive's command, and its force on a joint.
 COMMAND_LIMIT, FORCE_LIMIT = "command_saturation", "force_saturation"
-# An unknown, and by how much it moves at once, in trials.
+# An unknown, and the finite step that it takes, in trials.
 Jump = tuple[int, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Errors in SI units at a hypothesis, and what moves them.
+    """Errors in SI units at a hypothesis, and their changes by unknowns.
 
-    Rows of a window are channels x bins of its replay, then joints x blocks of the forces that its
-    measured motion leaves over.
+    Rows of a window are channels x bins of its replay, then joints x blocks of the residual forces
+    along its measured motion.
     """
 
     base: Hypothesis  #: The hypothesis
     x: np.ndarray  #: Its departures, (unknowns,)
     errors: np.ndarray  #: (windows, rows)
     tangents: np.ndarray  #: Change of the errors by one trial, (windows, rows, unknowns)
-    jumps: tuple[Jump, ...]  #: What was jumped
+    jumps: tuple[Jump, ...]  #: Jumps that were replayed
     changes: np.ndarray  #: Change of the errors by each jump, (windows, rows, jumps)
-    #: Whether tangents of all of which the data tell are differences over small steps.
+    #: Whether tangents of all unknowns that the data show are differences over small steps.
     fine: bool = False
 
 
 class Errors:
-    """Errors of hypotheses in the `chosen` windows of a problem, by a mask of all.
+    """Errors of hypotheses in the windows of a problem that the mask `chosen` selects.
 
     Attributes:
-        recording: Of each chosen window, (windows,).
-        size: Rows of a window that are replays'; the others are forces'.
+        recording: Recording of each chosen window, (windows,).
+        size: Number of replay errors in a window's rows; residual forces follow them.
     """
 
     def __init__(self, problem: Problem, unknowns: Unknowns, chosen: np.ndarray) -> None:
@@ -60,34 +60,34 @@ class Errors:
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
         self._workers: ProcessPoolExecutor | None = None
-        # Of the patterns of errors that were used last; a fit takes one again and again.
+        # Whitenings of the last two model-error covariances: a fit uses one many times.
         self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
     def about(self, hypothesis: Hypothesis) -> "Errors":
-        """The same with the noise model about a hypothesis."""
+        """Returns these errors with the noise model linearised at a hypothesis."""
         other = Errors(self.problem.about(hypothesis), self.unknowns, self.chosen)
-        other.__dict__["_own"] = self._own  # of the model as it is
+        other.__dict__["_own"] = self._own  # of the unchanged model
         return other
 
     def some(self, own: np.ndarray) -> "Errors":
-        """The same of some of the windows, by a mask of those that are chosen."""
+        """Returns errors in a subset of the windows, by a mask over the chosen ones."""
         chosen = np.zeros_like(self.chosen)
         chosen[np.flatnonzero(self.chosen)[own]] = True
         return Errors(self.problem, self.unknowns, chosen)
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
-        """Errors of several hypotheses, in several processes: half of a replay is Python."""
+        """Computes errors of several hypotheses in processes: half of a replay is Python."""
         count = min(self.problem.threads, len(hypotheses))
         if count < 2 or current_process().daemon:  # a worker of Dask may have no children
             return [self.at(h) for h in hypotheses]
         if self._workers is None:
-            # Each begins with all that is known here: nothing is sent, and memory is shared.
+            # Forked processes share this object's memory: nothing is sent to them.
             _ = self._own
             self._workers = ProcessPoolExecutor(
                 self.problem.threads, get_context("fork"), _begin, (self,)
             )
-            # What the processes inherit they never free: threads of an earlier diagnosis are not
-            # theirs to end.
+            # Workers never free inherited objects: they must not end threads of an earlier
+            # diagnosis, which belong to the parent.
             gc.freeze()
             self._workers.submit(bool)  # starts them all
             gc.unfreeze()
@@ -107,10 +107,10 @@ class Errors:
         return [errors for errors, _ in made]
 
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
-        """Errors of a hypothesis, (windows, rows).
+        """Computes errors of a hypothesis, (windows, rows).
 
-        `louder` is an actuator whose force is `LOUDER` times what it is, where its gain is known to
-        scale it (a servo's motion does not grow with that), else its command; None for no one.
+        `louder` is an actuator whose force is scaled by `LOUDER`: by its gain if the library has it
+        (a servo's motion does not grow with its gain), else by its command; None for none.
         """
         problem = self.problem
         gain = (DRIVE_GAIN, louder or "")
@@ -137,12 +137,12 @@ class Errors:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the sensors, start states and time step, (windows, size, size)."""
+        """Noise covariance of sensors, start states and time step, (windows, size, size)."""
         return self.problem.noise.covariance(self.chosen)
 
     @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the model as it is, forces left over and influence of the commands, each (joints,)."""
+        """RMS residual forces, and commands' influence, of the unchanged model, each (joints,)."""
         problem = self.problem
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
@@ -152,14 +152,14 @@ class Errors:
 
     @property
     def unit(self) -> np.ndarray:
-        """Size of the forces that the model as it is leaves over [N m or N], shape (joints,)."""
+        """RMS residual forces of the unchanged model [N m or N], shape (joints,)."""
         return np.maximum(self._own[0], 1e-300)
 
     def _influence(self, pushed: np.ndarray) -> np.ndarray:
-        """Influence of the commands on the forces of each joint, over the model's own, (joints,).
+        """Computes the commands' influence on joint forces over the unchanged model's, (joints,).
 
-        Forces left over along a measured motion count in units of the drive: they say what drive
-        the motion takes. A gain of 0, or a friction that eats the drive's force, leaves none over.
+        Residual forces are divided by it and so count in units of the drive. Otherwise a gain of 0,
+        or friction that absorbs the drive's force, would leave no residual force.
         """
         own = self._own[1]
         influence = np.maximum(_size(pushed), NEGLIGIBLE * own)
@@ -181,15 +181,15 @@ class Errors:
         known: np.ndarray,
         most: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Tangents by differences over a step, (windows, rows, unknowns).
+        """Computes tangents by finite differences, (windows, rows, unknowns).
 
         Args:
-            base: Where.
-            errors: There.
-            which: Single unknowns to take; tied ones are sums of these.
-            step: In trials, and as a share of a large departure.
-            known: Of the others.
-            most: Largest steps, (single,), but of moving parts; None for any.
+            base: Hypothesis at which errors are differentiated.
+            errors: Errors of `base`.
+            which: Single unknowns to differentiate by; tied ones are sums of these.
+            step: Least step in trials, and step as a share of a large departure.
+            known: Tangents of the other unknowns.
+            most: Largest steps, (single,), which moving parts ignore; None for no limit.
         """
         u = self.unknowns
         out, x = known.copy(), u.departures(base)
@@ -211,9 +211,9 @@ class Errors:
         return out
 
     def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
-        """Columns with jumps; in windows in which a replay blows up they change nothing.
+        """Returns columns with jumps, whose changes are 0 in windows where a replay blows up.
 
-        Where `near`, tangents stand for jumps of all that a machine may have a little of.
+        If `near`, tangents replace the jumps of `gradual` unknowns.
         """
         u = self.unknowns
         replayed = [k for k, (q, _) in enumerate(jumps) if not (near and u.gradual[q])]
@@ -224,9 +224,9 @@ class Errors:
         return replace(columns, jumps=tuple(jumps), changes=changes)
 
     def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
-        """A linearisation with one effect of a set taken out; None where its replay blows up.
+        """Returns columns with one effect of a set removed; None if its replay blows up.
 
-        Tangents stay as they are.
+        Tangents are not computed anew.
         """
         u, x = self.unknowns, columns.x
         gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
@@ -237,7 +237,7 @@ class Errors:
         return replace(columns, base=base, x=u.departures(base), errors=errors)
 
     def columns(self, step: tuple[float, float]) -> Columns:
-        """Errors and tangents of the model as it is, without jumps; tangents of shapes are 0."""
+        """Computes errors and tangents of the unchanged model; tangents of shapes are 0."""
         base, u = Hypothesis(), self.unknowns
         errors = self.at(base)
         which = np.flatnonzero(~u.shape[: u.single]).tolist()
@@ -246,7 +246,7 @@ class Errors:
         return Columns(base, u.departures(base), errors, tangents, (), none)
 
 
-# In a process of `Errors.each`, that for which it works.
+# In a process of `Errors.each`, the object whose errors it computes.
 _served: list[Errors] = []
 
 
@@ -257,14 +257,14 @@ def _begin(at: Errors) -> None:
 
 
 def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
-    """Errors in a process of `Errors.each`, and how many replays they took."""
+    """Computes errors in a process of `Errors.each`, and the number of replays they took."""
     replay = _served[0].problem.replay
     before = replay.rollouts
     return _served[0].at(hypothesis), replay.rollouts - before
 
 
 def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
-    """A hypothesis whose limits of a louder drive are `LOUDER` times what they are, too."""
+    """Returns a hypothesis whose given limits are scaled by `LOUDER`."""
     for key in limits:
         if key in hypothesis:
             hypothesis = hypothesis.with_values(key, LOUDER * hypothesis[key])
@@ -272,22 +272,22 @@ def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
 
 
 def _size(pushed: np.ndarray) -> np.ndarray:
-    """Root mean square over windows and blocks, (joints,)."""
+    """Computes the root mean square over windows and blocks, (joints,)."""
     return np.asarray(rms(np.clip(pushed, -BLOWN, BLOWN), axis=(0, 2)))
 
 
 def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Change of the errors, (windows, rows); 0 in windows in which a replay blows up."""
+    """Computes the change of errors, (windows, rows); 0 in windows where a replay blows up."""
     out = moved - errors
     out[np.abs(moved).max(axis=1) > BLOWN] = 0.0
     return out
 
 
 def trials(unknowns: Unknowns) -> list[Jump]:
-    """Jumps to the trials beyond the smallest, which tangents know, of all that can be faults."""
+    """Returns jumps of possible faults to all trials beyond the smallest, which tangents cover."""
     found: list[Jump] = []
     for u in np.flatnonzero(unknowns.nameable).tolist():
-        # What like parts share goes by the first one's trials.
+        # A tied unknown has the trials of its first part.
         key, i = unknowns.places[u][0]
         p = unknowns.library.sites[key].parameters[i]
         found += [

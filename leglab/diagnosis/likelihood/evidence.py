@@ -1,9 +1,9 @@
 """Marginal likelihood of sets of effects by the normal equations of one linearisation.
 
-Errors have the covariance N + s^2 D: sensors, start states and time step, and the model's own error
-of an unknown size s. Parameters outside of a set depart as machines are made (a normal prior of an
-unknown spread: "spike"), those of the set as faults do ("slab"; George and McCulloch 1993). All log
-likelihoods count by 1/design effect (Pauli, Racugno and Ventura 2011).
+Errors have the covariance N + s^2 D: N of sensors, start states and time step, D of the model error
+with an unknown scale s. Parameters outside of a set have the prior of good machines, normal with an
+unknown deviation ("spike"), those of the set the prior of faults ("slab"; George and McCulloch
+1993). Log likelihoods are divided by the design effect (Pauli, Racugno and Ventura 2011).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,18 +29,18 @@ from leglab.diagnosis.thresholds import (
     SMALL,
 )
 
-# An unknown, and the place of its jump among the columns' jumps; None for its tangent.
+# An unknown, and the index of its jump in `Columns.jumps`; None for its tangent.
 Member = tuple[int, int | None]
 
 # Share of a sum of squares that rounding may take.
 ROUNDING = 1e-14
-# What must not move is held by so many times its own curvature: half of the digits are left to all
-# that moves.
+# Fixed unknowns are pinned by this multiple of their curvature, which leaves half of the digits to
+# the free ones.
 HELD = ROUNDING**-0.5
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:
-    """Part of each window: recordings, or where these are few, runs of their windows."""
+    """Returns each window's part: its recording, or where these are few, a run of windows in it."""
     every = np.unique(recording)
     pieces = 1 if every.size >= FEW_RECORDINGS else int(np.ceil(2 * FEW_RECORDINGS / every.size))
     out, count = np.zeros(recording.size, dtype=int), 0
@@ -58,13 +58,13 @@ class Score:
 
     members: tuple[Member, ...]  #: The set
     log: float  #: Log evidence
-    fit: float  #: The same but for what members cost, their priors and how well they are known
-    size: int  #: Place of the most probable size of the model's own error
-    spread: int  #: Place of the most probable spread of machines
+    fit: float  #: Log evidence without the members' odds, priors and determinant
+    size: int  #: Index of the most probable scale of the model error
+    spread: int  #: Index of the most probable standard deviation between machines
     values: np.ndarray  #: Departures of the members, (members,)
     deviations: np.ndarray  #: Their standard deviations
-    shift: np.ndarray  #: Change of all single unknowns beside the members, (single,)
-    coefficients: np.ndarray  #: Of the members' columns
+    shift: np.ndarray  #: Change of all single unknowns in addition to the members, (single,)
+    coefficients: np.ndarray  #: Coefficients of the members' columns
 
     @property
     def unknowns(self) -> tuple[int, ...]:
@@ -75,9 +75,9 @@ class Score:
 class _Reduced:
     """Inner products of columns with the single unknowns integrated out.
 
-    Made of those of all columns, (sizes, columns, columns), and log determinants of the windows,
-    (sizes,). `base` is the log evidence of no member, but for the errors' square, (sizes, spreads),
-    and `stays` says which single unknowns are held, by size and spread: here or as it is given.
+    They are computed from products of all columns, `gram`, (sizes, columns, columns), and log
+    determinants of the windows, `log`, (sizes,). `base` is the log evidence of the empty set less
+    its quadratic term, (sizes, spreads). `stays` masks single unknowns fixed at a bound.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class _Reduced:
                 hold = HELD * self.stays[k, o] * np.diag(matrix)
                 if hold.any():
                     prior = np.linalg.slogdet(precision + np.diag(hold))[1]
-                # Rounding alone: more would hold a spike where it stands.
+                # Only rounding is added: more would keep unknowns from small deviations.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix + np.diag(hold))
                 self._roots[k, o] = root
@@ -119,7 +119,7 @@ class _Reduced:
                 )
 
     def _beside_priors(self, k: int, o: int, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Products of some columns, (held, held), and with single unknowns, (single, held)."""
+        """Computes products with priors of columns, (held, held), and singles, (single, held)."""
         gram, n = self._kappa * self.gram[k][:, held], self._now.size
         whole, cross = gram[held], gram[1 : 1 + n]
         if held.size and held[0] == 0:
@@ -129,24 +129,24 @@ class _Reduced:
         return whole, cross
 
     def inner(self, k: int, o: int, held: np.ndarray) -> np.ndarray:
-        """Of some columns, in order, at a size and spread, (held, held)."""
+        """Computes reduced products of sorted columns at a size and spread, (held, held)."""
         whole, cross = self._beside_priors(k, o, held)
         half = dtrtrs(self._roots[k, o].T, cross, lower=0, trans=1)[0]
         return np.asarray(whole - half.T @ half)
 
     def several(self, held: np.ndarray) -> np.ndarray:
-        """Of some columns, (sizes, spreads, held, held)."""
+        """Computes reduced products of sorted columns, (sizes, spreads, held, held)."""
         sizes, spreads = self.base.shape
         return np.array([[self.inner(k, o, held) for o in range(spreads)] for k in range(sizes)])
 
     def every(self, k: int, o: int) -> np.ndarray:
-        """Of all columns at a size and spread, (columns, columns)."""
+        """Computes reduced products of all columns at a size and spread, (columns, columns)."""
         if (k, o) not in self._every:
             self._every[k, o] = self.inner(k, o, np.arange(self.gram.shape[1]))
         return self._every[k, o]
 
     def follow(self, k: int, o: int, along: np.ndarray) -> np.ndarray:
-        """How single unknowns follow a step along the columns, at a size and spread, (single,)."""
+        """Computes the response of single unknowns to a step along the columns, (single,)."""
         used = np.flatnonzero(along)
         _, cross = self._beside_priors(k, o, used)
         return np.asarray(-cho_solve((self._roots[k, o], True), cross @ along[used]))
@@ -156,13 +156,13 @@ class Evidence:
     """Evidence of any set at one linearisation.
 
     Args:
-        at: Windows.
+        at: Errors in the windows of the fit.
         columns: The linearisation.
-        spread: Of the model's own error.
-        weight: Of windows, (windows,).
+        spread: Covariance of the model error.
+        weight: Weights of windows, (windows,).
         kappa: Share of the log likelihood that counts, 1/design effect.
-        priors: Of all else.
-        places: Of the sizes in the priors that are looked at; None for all.
+        priors: Priors of parameters and of the model error's scale.
+        places: Indices of the scales in the priors to use; None for all.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class Evidence:
     def _white(
         self, sizes: Iterable[int], own: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Columns of some windows whitened at sizes, and log determinants of the windows."""
+        """Yields whitened columns of some windows at each size, and log determinants."""
         columns, whitening = self.columns, self.spread.whitening(self.at)
         stacked = [columns.errors[own][:, :, None], columns.tangents[own], columns.changes[own]]
         turned = whitening.basis[own] @ np.concatenate(stacked, axis=2)
@@ -196,7 +196,7 @@ class Evidence:
             yield factors[:, :, None] * turned, weight * log[own]
 
     def _products(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of some windows: inner products of columns, (sizes, columns, columns), determinants."""
+        """Computes products of columns, (sizes, columns, columns), and determinants of windows."""
         gram, logs = [], []
         for white, log in self._white(range(len(self.places)), own):
             flat = white.reshape(-1, white.shape[2])
@@ -205,12 +205,12 @@ class Evidence:
         return np.stack(gram), np.array(logs)
 
     def white(self, errors: np.ndarray, score: Score) -> np.ndarray:
-        """Errors as independent numbers at the size of a score, (windows, rows)."""
+        """Whitens errors at the model-error scale of a score, (windows, rows)."""
         size, forces = self.priors.sizes[score.size], self.priors.force_size(score.size)
         return self.spread.whitening(self.at).white(errors, size, forces)
 
     def _against(self, errors: np.ndarray, score: Score) -> np.ndarray:
-        """Inner products of all tangents with errors, (unknowns,)."""
+        """Computes weighted inner products of all tangents with errors, (unknowns,)."""
         size, forces = self.priors.sizes[score.size], self.priors.force_size(score.size)
         whitening = self.spread.whitening(self.at)
         factors, _ = whitening.at(size, forces)
@@ -219,35 +219,35 @@ class Evidence:
         return np.asarray(np.einsum("wr,wru->u", back, self.columns.tangents, optimize=True))
 
     def with_kappa(self, kappa: float) -> "Evidence":
-        """The same where another share of the log likelihood counts; nothing else is kept."""
+        """Returns a copy with another `kappa` and without cached products."""
         other = copy(self)
         other.kappa = kappa
         other.__dict__.pop("whole", None)
         return other
 
     def apart(self, members: Sequence[Member], spread: int | None = None) -> list[Score]:
-        """Evidence of a set without each part of the recordings in turn; `spread` as of `score`."""
+        """Scores a set without each part of the recordings in turn; `spread` is as in `score`."""
         parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
         found = []
         for r in range(len(parts)):
-            # Sums of the others: a difference of large numbers need not be a covariance.
+            # Sums of the other parts: a difference from the total may lose definiteness.
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
-            # What is held is a matter of the machine: all parts tell it.
+            # Unknowns are fixed at bounds once, by all parts of the recordings.
             reduced = _Reduced(self, gram, log, self.whole.stays)
             found.append(self.score(members, reduced, spread))
         return found
 
     @cached_property
     def whole(self) -> _Reduced:
-        """With all parts."""
+        """Reduced products of all parts."""
         return _Reduced(self, self.gram, self.log_covariance)
 
     def _columns_of(
         self, members: Sequence[Member]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Places, trials a unit, lower and upper coefficients of the members' columns."""
+        """Returns members' columns: indices, trials per unit, lower and upper coefficients."""
         u, rows = self.unknowns, []
         for unknown, jump in members:
             low = max(u.lower[unknown], -np.inf if u.below[unknown] else 0.0)
@@ -263,7 +263,7 @@ class Evidence:
         return index.astype(int), unit, lower, upper
 
     def odds(self, members: Sequence[int]) -> float:
-        """Log prior odds of a set over none; none of two names of the same motion."""
+        """Computes log prior odds of a set over the empty set; -inf if it holds two twins."""
         u = self.unknowns
         keys = u.names(members)
         if any(pair <= keys for pair in self.at.twins):
@@ -278,10 +278,10 @@ class Evidence:
         spread: int | None = None,
         most: tuple[int, int] | None = None,
     ) -> Score:
-        """Evidence of a set, by `reduced` products, else those of all parts.
+        """Computes the evidence of a set, by `reduced` products or else those of all parts.
 
-        `spread` is the place of the only spread of machines that counts; None for all of them.
-        `most` has the largest places of size and spread; None for no limit.
+        `spread` is the index of the only deviation between machines to use, `most` the largest
+        indices of the model-error scale and of that deviation; None for no restriction.
         """
         members = tuple(members)
         own = reduced or self.whole
@@ -305,7 +305,7 @@ class Evidence:
             square = square + 2.0 * (gradient * steps).sum(axis=2)
             square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
             values = steps * unit
-            # Members that make up for each other are held by what faults are like alone.
+            # Members that compensate each other are bounded by the fault prior alone.
             held = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
             inverse = np.linalg.inv(held)
             deviations = np.sqrt(np.einsum("koii->koi", inverse)) * np.abs(unit)
@@ -343,10 +343,10 @@ class Evidence:
         )
 
     def additions(self, score: Score) -> list[tuple[float, Member]]:
-        """Members to add to a set by the log evidence they gain to first order, best first.
+        """Ranks members to add to a set by their first-order gain of log evidence, best first.
 
-        At the best size and spread of the score, and at each smaller size: the model's own error,
-        estimated while something is missing, has that one's shape and hides it.
+        The gain is the largest over the score's model-error scale and all smaller ones: a model
+        error that is estimated while an effect is missing has that effect's shape and hides it.
         """
         u = self.unknowns
         on = set(score.unknowns)
@@ -389,16 +389,16 @@ class Evidence:
         return sorted(((g, m) for m, g in best.items() if np.isfinite(g)), key=lambda e: -e[0])
 
     def likeness(self, score: Score) -> np.ndarray:
-        """Inner products of jumps beside all that machines differ in, (jumps, jumps).
+        """Computes inner products of jumps with single unknowns integrated out, (jumps, jumps).
 
-        At the size and spread of a score.
+        They are taken at the size and spread of a score.
         """
         inner = self.whole.every(self.places.index(score.size), score.spread)
         first = 1 + len(self.unknowns)
         return inner[first:, first:]
 
     def left(self, score: Score) -> np.ndarray:
-        """Errors that the fit of a score leaves, to first order, (windows, rows)."""
+        """Computes the errors that the fit of a score leaves, to first order, (windows, rows)."""
         columns, n = self.columns, self.unknowns.single
         errors = columns.errors + columns.tangents[:, :, :n] @ score.shift
         for (q, jump), step in zip(score.members, score.coefficients, strict=True):
@@ -407,9 +407,9 @@ class Evidence:
         return errors
 
     def telling(self, score: Score) -> np.ndarray:
-        """Mask of the single unknowns of which the data tell more than a tenth of the prior.
+        """Returns a mask of single unknowns with data information over a tenth of the prior's.
 
-        Whatever share of the data counts: it grows as explanations get better.
+        The information is not scaled by `kappa`, which grows as explanations improve.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
@@ -417,22 +417,22 @@ class Evidence:
         return np.asarray(data * np.diag(np.linalg.inv(precision)) > SMALL)
 
     def visible(self, score: Score) -> np.ndarray:
-        """By how much single unknowns change errors by as much as they scatter, (single,).
+        """Computes steps of single unknowns that change errors by their own scatter, (single,).
 
-        Over longer steps a tangent may miss more than scatter hides.
+        Over longer steps the error of a tangent may exceed this scatter.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         rows = float(self.weight.sum()) * self.columns.errors.shape[1]
         return np.sqrt(rows / np.maximum(np.diag(self.gram[k])[1 : 1 + n], ROUNDING))
 
     def _free(self, score: Score) -> np.ndarray:
-        """Mask of the single unknowns that move: those that tell, and the members' own."""
+        """Returns a mask of the single unknowns that move: those of `telling` and of members."""
         free = self.telling(score)
         free[[i for q in score.unknowns for i in self.unknowns.singles(q)]] = True
         return free
 
     def posterior(self, score: Score) -> np.ndarray:
-        """Posterior covariance of the single unknowns, members free, (single, single)."""
+        """Computes the single unknowns' posterior covariance, members free, (single, single)."""
         u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         free = [i for q in score.unknowns for i in u.singles(q)]
@@ -444,20 +444,20 @@ class Evidence:
     def step(
         self, score: Score, values: np.ndarray, damping: float, beyond: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Most probable values of members and spikes within their bounds.
+        """Computes the most probable members and other single unknowns within their bounds.
 
-        At the size and spread of a score; members by their tangents. What the data tell nothing of
-        stays where it is: it would gain less than half a nat, and what is built takes time.
+        Size and spread are those of a score; members move along tangents. Unknowns that the data do
+        not show stay: they gain less than half a nat, and models with more effects take time.
 
         Args:
             score: The set.
-            values: Departures of the members where the linearisation is, (members,).
-            damping: By this share each unknown's own curvature is larger: where errors bend,
-                unknowns that make up for each other stay (Marquardt 1963).
-            beyond: What a replay showed beyond the tangents, (windows, rows); None for nothing.
+            values: Departures of the members at the linearisation, (members,).
+            damping: Share added to each unknown's curvature, so that unknowns that compensate each
+                other hardly move where errors are nonlinear (Marquardt 1963).
+            beyond: Errors of a replay less those of the tangents, (windows, rows); None for 0.
 
         Returns:
-            Departures of the members, (members,), and of single unknowns beside them, (single,).
+            Departures of the members, (members,), and of the single unknowns, (single,).
         """
         u, n = self.unknowns, self.unknowns.single
         k = self.places.index(score.size)
@@ -467,7 +467,7 @@ class Evidence:
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         matrix, gradient = gram[np.ix_(use, use)], gram[use, 0].copy()
         matrix[:n, :n] += precision
-        # The Cauchy prior of a fault's size, by its weight at the present one.
+        # The Cauchy prior of a fault's magnitude, by its weight at the present one.
         now = self.columns.x[:n]
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
         matrix[range(n, n + index.size), range(n, n + index.size)] += slab_curvature(size)
@@ -490,7 +490,7 @@ class Evidence:
         return begin[n:], now + begin[:n]
 
     def departures(self, score: Score) -> dict[int, float]:
-        """By how much all unknowns move from the linearisation, to the fit of a score."""
+        """Returns the moves of unknowns from the linearisation to the fit of a score."""
         shift = np.where(self._free(score), score.shift, 0.0)
         moved = {i: float(d) for i, d in enumerate(shift) if d != 0.0}
         for (q, _), value in zip(score.members, score.values, strict=True):
@@ -498,11 +498,11 @@ class Evidence:
         return moved
 
     def design_effect(self, score: Score) -> float:
-        """By how much less the errors say than as many independent numbers.
+        """Computes the design effect: number of errors over the number of independent ones.
 
-        Scatter of the scores of parts over that of independent errors, in the directions that the
-        data decide (Ribatet, Cooley and Davison 2012): eigenvectors v of H = J'C^-1 J, of
-        R/(R-1) sum_r (v'(g_r - mean g))^2/(v'Hv), over their mean.
+        It is the variance of the gradients g_r of R parts over that of independent errors: the mean
+        of R/(R-1) sum_r (v'(g_r - mean g))^2/(v'Hv) over the eigenvectors v of H = J'C^-1 J that
+        the data determine (Ribatet, Cooley and Davison 2012).
         """
         k, n = self.places.index(score.size), self.unknowns.single
         index, _, _, _ = self._columns_of(score.members)
@@ -529,10 +529,10 @@ class Evidence:
 def _held(
     data: np.ndarray, precision: np.ndarray, now: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Mask of the single unknowns that stand at a bound and would pass it: no friction is negative.
+    """Returns a mask of single unknowns at a bound that would pass it, as friction at zero.
 
-    What is far from its prior is a member of the set that was fitted there, and free. `data` are
-    inner products of errors and tangents, `lower` and `upper` how far each may go from `now`.
+    An unknown far from its prior is a member of the set fitted at this point, and stays free.
+    `data` are inner products of errors and tangents, `lower` and `upper` bounds relative to `now`.
     """
     near = np.minimum(-lower, upper) < FINE[0]
     if not near.any():
@@ -549,7 +549,7 @@ def _held(
 def _bounded(
     matrix: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Minimum of x'Mx/2 + g'x within bounds, over a grid, (..., m); what leaves them is held."""
+    """Minimises x'Mx/2 + g'x within bounds, (..., m), by fixing coordinates that pass a bound."""
     m = gradient.shape[-1]
     x = -np.linalg.solve(matrix, gradient[..., None])[..., 0]
     held = np.zeros(x.shape, dtype=bool)

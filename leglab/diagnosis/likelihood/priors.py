@@ -1,4 +1,4 @@
-"""Priors: how machines are made, how large faults are, how many there are."""
+"""Priors of good machines' deviations, and of faults' magnitude and number."""
 
 from dataclasses import dataclass, field
 
@@ -23,41 +23,41 @@ class Priors:
     """Priors of everything but the errors."""
 
     #: Standard deviations of good machines about the specimen, in smallest trials, all as probable;
-    #: of parameters with a tolerance, that tolerance, and more on machines that depart more. Those
-    #: beyond the roughest machines' hold beside a large fault alone, and without healthy recordings
-    #: there are none, since a rough machine would buy its own departures by any large fault.
+    #: a parameter with a tolerance has that tolerance, widened with the larger deviations. Those
+    #: beyond `SPREADS` apply beside a large fault only, and only with healthy recordings: otherwise
+    #: naming any large fault would allow a rough machine its large deviations.
     spreads: tuple[float, ...] = SPREADS
-    tolerances: float = 1.0  #: Share of the tolerances that counts
-    #: Of all single unknowns, by healthy recordings, (single, single); None without.
+    tolerances: float = 1.0  #: Factor on the tolerances
+    #: Covariance of all single unknowns by healthy recordings, (single, single); None without.
     covariance: np.ndarray | None = None
-    #: Of the model's own error in its unit size; 0 is an exact model.
+    #: Scales of the model error; 0 is an exact model.
     sizes: tuple[float, ...] = SIZES
     #: Log probabilities of these, (sizes,).
     log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(len(SIZES)))
 
     @property
     def calibrated(self) -> bool:
-        """Whether healthy recordings say how the specimen was and how far the model misses it."""
+        """Tests whether healthy recordings determine the specimen and the model error's scale."""
         return self.covariance is not None
 
     def force_size(self, place: int) -> float:
-        """Size of the model's own error in forces, by place of that in replays."""
+        """Returns the model-error scale of forces, by the index of that of replays."""
         return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Mask of the spreads beside a fault of `largest` trials, (..., spreads)."""
+        """Returns a mask of spreads to use beside a fault of `largest` trials, (..., spreads)."""
         most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
-        """Prior precision of the single unknowns, (single, single), and its log determinant."""
+        """Computes the single unknowns' precision, (single, single), and its log determinant."""
         n = unknowns.single
         known = self.tolerances * unknowns.tolerance[:n]
         wider = max(1.0, spread / self.spreads[0] * USUAL)
         widest = np.minimum(known * wider, np.maximum(known, spread))
         deviation = np.where(known > 0.0, widest, spread)
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
-        # A moving part is there or is not.
+        # A moving part is present or absent, without small deviations.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
         deviation = np.where(unknowns.shape[:n], SHAPE_SPREAD * ranges, deviation)
         if self.covariance is None:
@@ -67,10 +67,10 @@ class Priors:
 
 
 def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Log density of faults' departures x in trials; both of one shape.
+    """Computes the log density of faults' departures x in trials, of the same shape.
 
-    Cauchy, on the sides on which faults lie, and none near 0: a prior that allows no fault of no
-    size lets evidence grow for "nothing" as well (non-local prior; Johnson and Rossell 2010).
+    It is a Cauchy density on the sides on which faults lie, times a factor that vanishes at 0. By
+    this non-local prior, evidence for "no fault" grows as well (Johnson and Rossell 2010).
     """
     sides = unknowns.above[which].astype(int) + unknowns.below[which]
     square = x**2
@@ -80,5 +80,5 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
 
 
 def slab_curvature(x: np.ndarray) -> np.ndarray:
-    """Curvature of the Cauchy density of faults' sizes x, by its weight there: never negative."""
+    """Computes the curvature of the negative log Cauchy density at x by its weight, positive."""
     return np.asarray(2.0 / (FAULT_SIZE**2 + x**2))

@@ -1,6 +1,6 @@
-"""Sizes of parameters from what the recordings show, by the dimension of their units.
+"""Scales of parameters from recorded motions and forces, by the dimension of their units.
 
-A machine of a hundred times the inertia has faults of a hundred times the size.
+A machine of a hundred times the inertia has faults of a hundred times the magnitude.
 """
 
 import math
@@ -22,16 +22,16 @@ from leglab.diagnosis.thresholds import KINDS_OF_FORCE, LONGEST_DELAY, TOP_QUANT
 
 @dataclass(frozen=True)
 class Motion:
-    """Largest values of a joint."""
+    """Largest recorded values of a joint."""
 
-    position: float  #: Half its range [rad or m]
-    deflection: float  #: From where its spring rests, or a spring that it lacks would [rad or m]
+    position: float  #: Half the range of its positions [rad or m]
+    deflection: float  #: From the rest position of its spring, present or missing [rad or m]
     velocity: float  #: Per second
     acceleration: float  #: Per second squared
     force: float  #: Of the drive, of gravity and the like, or of inertia [N m or N]
 
     def of_unit(self, unit: str) -> float:
-        """Size of a quantity in a unit; 0 where its dimension says nothing."""
+        """Returns the recorded magnitude of a quantity by its unit; 0 for units without one."""
         q, y = max(self.position, 1e-12), max(self.deflection, 1e-12)
         v, a = max(self.velocity, 1e-12), max(self.acceleration, 1e-12)
         f = self.force
@@ -52,20 +52,20 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shown:
-    """Largest quantities that recordings show."""
+    """Largest quantities in recordings."""
 
     joints: Mapping[str, Motion]  #: By joint
-    #: Half the range of what each actuator acts on, by actuator; its command, or of a position
-    #: servo the error of its position.
+    #: Half the range of each actuator's input, by actuator: of its command, or of the position
+    #: error of a position servo.
     commands: Mapping[str, float]
-    #: Largest of each "command" by actuator, and of each "force" of drives by joint.
+    #: Largest magnitudes, by ("command", actuator), and of drives by ("force", joint).
     largest: Mapping[tuple[str, str], float]
     period: float  #: Sampling period [s]
     change: float  #: Shortest time in which a command changes by its size, rms u / rms du/dt [s]
     correlation: float  #: Longest time at which a command's autocorrelation falls to a half [s]
 
     def or_larger(self, other: "Shown") -> "Shown":
-        """The larger of what two sets of recordings show."""
+        """Returns the larger quantities of two sets of recordings, and the shorter `change`."""
         joints = {
             joint: Motion(*map(max, astuple(own), astuple(other.joints[joint])))
             for joint, own in self.joints.items()
@@ -78,14 +78,14 @@ class Shown:
 
 
 def shown(problem: Problem) -> Shown:
-    """Largest quantities in the fitted recordings of a problem."""
+    """Computes the largest quantities in the fitted recordings of a problem."""
     replay, machine = problem.replay, problem.machine
     change = problem.library.change(Hypothesis(), replay.machine)
     model = change.variant.model
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
     errors: dict[str, list[np.ndarray]] = {a: [] for a in position_servos(machine)}
-    # A command at its largest is known even where it is held out: there a limit changes nothing.
+    # Commands are inputs, known of held-out recordings too; a limit at the largest has no effect.
     largest = {
         ("command", a): max(float(np.abs(s.columns[f"{a}_command"]).max()) for s in problem.series)
         for a in machine.actuators
@@ -126,14 +126,14 @@ def shown(problem: Problem) -> Shown:
 
 
 def change_time(parts: Sequence[np.ndarray], period: float) -> float:
-    """Time in which a command changes by its own size, rms u / rms du/dt over recordings [s]."""
+    """Computes the time in which a command changes by its rms, rms u / rms du/dt [s]."""
     size = np.concatenate([u - u.mean() for u in parts])
     rate = np.concatenate([np.diff(u) / period for u in parts])
     return float(np.std(size) / rms(rate)) if rate.any() else 0.0
 
 
 def correlation_time(x: np.ndarray, period: float) -> float:
-    """Lag at which the autocorrelation first falls below a half [s]."""
+    """Computes the lag at which the autocorrelation first falls below a half [s]."""
     x = x - x.mean()
     if not x.any():
         return 0.0
@@ -144,7 +144,7 @@ def correlation_time(x: np.ndarray, period: float) -> float:
 
 
 def sized(library: Library, machine: Machine, seen: Shown) -> Library:
-    """The library with trials and bounds that fit what was recorded."""
+    """Returns the library with trials and bounds scaled to the recorded quantities."""
     sites = {}
     for key, site in library.sites.items():
         joint = None if site.effect.on_bodies else seen.joints.get(site.element)
@@ -160,11 +160,11 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
 
 
 def _limited(p: EffectParameter, largest: float) -> EffectParameter:
-    """A limit with trials below the largest command or force that recordings show."""
+    """Returns a limit with trials below the largest recorded command or force."""
     most = min(p.nominal, largest)
     if most <= p.lower:
         return p  # nothing comes near a limit
-    # A little, some or much is cut off, or left.
+    # The limit cuts off a little, some or most of the largest value.
     shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
     trials = tuple(most * share for share in shares if most * share > p.lower)
     return replace(p, nominal=most, upper=most, trials=trials or p.trials)
@@ -179,11 +179,11 @@ def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen:
 
 
 def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
-    """A strength with trials on the sides that it had, and bounds as far as it is large."""
+    """Returns a strength with trials scaled to `size` on its former sides, and its bounds."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
-    # A controller computes for up to a period and holds for another: less is no fault. When within
-    # a period a command acts or a sensor is read, no log says.
+    # A controller computes for up to a period and holds for another: less is no fault. Logs do not
+    # show when in a period a command acts or a sensor is read.
     period = seen.period if p.unit == "s" else 0.0
     least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
@@ -196,7 +196,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     if p.lower >= 0.0:
         lower = p.lower  # what physics forbids stays forbidden
     upper = p.nominal + far if p.upper > p.nominal else p.upper
-    if p.unit in ("rad", "m"):  # a zero or a rest lies anywhere in the joint's travel
+    if p.unit in ("rad", "m"):  # zeros and rest positions lie anywhere in the joint's travel
         lower, upper = min(lower, p.lower), max(upper, p.upper)
     trials = [p.nominal + s * t for s in sides for t in steps]
     if p.lower >= 0.0 and p.nominal > 0.0:
@@ -206,6 +206,6 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    # Loops compute and hold, which models have at once: anything within a period to either side.
+    # Controllers compute and hold, models act at once: times differ by up to a period either way.
     tolerance = max(p.tolerance, period / math.sqrt(3.0))
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

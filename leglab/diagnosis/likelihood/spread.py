@@ -1,7 +1,7 @@
-"""Errors of a model whose structure is only nearly right: their pattern, with a size to be found.
+"""Model error: covariance pattern of errors by an inexact model structure, of unknown scale.
 
-What the best parameters leave has a memory in every channel and a size in every recording (Kennedy
-and O'Hagan 2001).
+Errors at the best parameters are correlated in time in each channel, and have a magnitude in each
+recording (Kennedy and O'Hagan 2001).
 """
 
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from leglab.diagnosis.thresholds import FORCE_BLOCKS, SMALL
 
 
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
-    """Directions in which errors are independent, orthonormal, (channels, channels).
+    """Returns orthonormal directions in which errors are independent, (channels, channels).
 
-    The channels, but for the two chambers of a cylinder: what their errors do to its force, which
-    the mechanism decides, and what they have in common, which the valve's edges and the oil decide.
+    They are the channels, except for a cylinder's two chambers: the pressure errors that change its
+    force, which the mechanism determines, and those that do not, which valve edges and oil do.
     """
     found = np.eye(len(channels))
     for cylinder in machine.cylinders:
@@ -38,11 +38,11 @@ def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
 def _pattern(
     errors: np.ndarray, recording: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance over the bins, of trace `bins`, and mean square by recording.
+    """Computes covariances over the bins, of trace `bins`, and mean squares by recording.
 
-    Of errors (windows, directions, bins) in `count` recordings: (directions, bins, bins) and
-    (recordings, directions), 0 for recordings without windows. The middle of all windows counts:
-    single ones start in stick-slip or beside a jump.
+    Errors (windows, directions, bins) in `count` recordings give (directions, bins, bins) and
+    (recordings, directions), 0 for recordings without windows. Mean squares are medians over
+    windows: single windows start in stick-slip or beside a jump.
     """
     windows, directions, bins = errors.shape
     size = np.sqrt((errors**2).mean(axis=2))
@@ -52,7 +52,7 @@ def _pattern(
     scale = np.maximum(usual[recording], 1e-300)
     normal = errors / np.maximum(size, scale)[:, :, None]
     shape = np.einsum("wki,wkj->kij", normal, normal) / windows
-    # Few windows say little about how bins go together (Ledoit and Wolf 2004, with a fixed share).
+    # Few windows: correlations of bins are shrunk (Ledoit and Wolf 2004, with a fixed share).
     share = bins / (bins + windows)
     diagonal = np.einsum("kii->ki", shape)
     shape = (1.0 - share) * shape
@@ -64,14 +64,14 @@ def _pattern(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Covariance of the model's own error in every recording, at its unit size."""
+    """Covariance of the model error in each recording, at scale 1."""
 
-    replays: np.ndarray  #: (recordings, size, size)
-    forces: np.ndarray  #: (recordings, joints x blocks, joints x blocks)
+    replays: np.ndarray  #: Of replays, (recordings, size, size)
+    forces: np.ndarray  #: Of residual forces, (recordings, joints x blocks, joints x blocks)
 
     @classmethod
     def of(cls, at: Errors, errors: np.ndarray) -> "Spread":
-        """The spread of errors, (windows, rows), at a point."""
+        """Estimates the covariance from errors, (windows, rows), at a linearisation."""
         problem = at.problem
         count, channels = len(problem.series), len(problem.channels)
         bins = problem.replay.bins
@@ -88,7 +88,7 @@ class Spread:
         forces = np.zeros((count, joints, blocks, joints, blocks))
         if joints:
             shape, variance = _pattern(left.reshape(-1, joints, blocks), at.recording, count)
-            # At rest a joint leaves nothing over, but no force is known that well.
+            # A joint at rest has no residual force, but no force is known that well.
             least = SMALL**2 * variance.max(axis=0)
             variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
@@ -97,11 +97,11 @@ class Spread:
         return cls(*(x.reshape(count, n, n) for x, n in zip((replays, forces), sizes, strict=True)))
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
-        """Spread of other recordings, each with the values of one of these."""
+        """Returns the covariance of other recordings, each that of one of these by `which`."""
         return Spread(self.replays[list(which)], self.forces[list(which)])
 
     def whitening(self, at: Errors) -> "Whitening":
-        """Directions in which the errors of windows are independent at every size of their own."""
+        """Returns directions in which window errors are independent at every model-error scale."""
         for known, made in at.whitenings:
             if known is self:
                 return made
@@ -133,7 +133,7 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Covariances N + s^2 D of windows' errors at all sizes s, from one decomposition of each.
+    """Covariances N + s^2 D of windows' errors at all scales s, from one decomposition of each.
 
     With N^-1 = L'L and L D L' = Q diag(r) Q', rows of Q'L are independent and have the variances
     1 + s^2 r.
@@ -144,14 +144,14 @@ class Whitening:
     noise: np.ndarray  #: Diagonal of N, (windows, size)
     own: np.ndarray  #: Diagonal of D, (windows, size)
     log: np.ndarray  #: Log determinants of N, (windows,)
-    force_log: np.ndarray  #: Those of forces, in units of what the model as it is leaves over
+    force_log: np.ndarray  #: Those of forces, in units of the unchanged model's residual forces
 
     def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
-        """Factors that make rows of unit variance, (windows, rows), and log determinants.
+        """Returns factors that scale rows to unit variance, (windows, rows), and log determinants.
 
-        `size` and `forces` are factors on the model's own error in replays and in forces. Forces
-        have no covariance of their sensors': they count by the share of the replays' error that is
-        the model's own. Those of an exact model are noise and say nothing.
+        `size` and `forces` are factors on the model error of replays and of forces. Forces have no
+        noise covariance: they are weighted by the share of the replays' variance that is model
+        error. Residual forces of an exact model are noise and have the weight 0.
         """
         n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
         variance = 1.0 + size**2 * self.ratio
@@ -162,6 +162,6 @@ class Whitening:
         return factors, log + share * (self.force_log + 2.0 * f * np.log(forces))
 
     def white(self, errors: np.ndarray, size: float, forces: float) -> np.ndarray:
-        """Errors as independent numbers, (windows, rows); arguments as of `at`."""
+        """Whitens errors, (windows, rows); arguments as in `at`."""
         factors, _ = self.at(size, forces)
         return factors * (self.basis @ errors[:, :, None])[:, :, 0]

@@ -1,11 +1,11 @@
-"""Effects that no recording of some channels tells apart, whatever the motion.
+"""Effects that recordings of some channels cannot distinguish, whatever the motion.
 
 A late command and a late position sensor shift the same motion against the same command. Only a
-third signal says which: a pressure, or another joint that feels this one. A command that is
-constant in all recordings is never late, and its delay no twin of anything.
+third signal tells them apart: a pressure, or the motion of a coupled joint. A delay of a command
+that is constant in all recordings changes nothing and has no twin.
 
-All forces times one factor are the same motion as well: a heavier weight, or less inertia, friction
-and stiffness. Only a known force tells the factor: one that acts, of a drive whose gain is known.
+A common factor on all forces does not change the motion either: a heavier weight equals less
+inertia, friction and stiffness. Only a known force, of an active drive of known gain, decides.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ _DELAYS = ("command_delay", "sensor_delay")
 
 
 def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
-    """Exact twins of an effect on an element of this machine, as far as they are looked for."""
+    """Returns the exact twins of an effect on an element among the effects of the search."""
     machine = problem.machine
     if key[0] not in _DELAYS or any(c.chamber for c in problem.channels):
         return ()
@@ -47,7 +47,7 @@ def _changes(problem: Problem, actuator: str) -> bool:
 
 
 def coupled_joints(machine: Machine) -> tuple[str, ...]:
-    """Joints whose acceleration acts on another joint, by the mass matrix at some poses."""
+    """Returns joints whose acceleration acts on another joint, by mass matrices at some poses."""
     model = machine.base.model
     data = mujoco.MjData(model)
     found: set[int] = set()
@@ -66,20 +66,20 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
 def scale_twins(
     problem: Problem, u: Unknowns, own: np.ndarray, members: tuple[int, ...], x: np.ndarray
 ) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
-    """Sets of no more members that move as a fitted one does, by all forces times one factor.
+    """Yields sets with the motion of a fitted set, all forces scaled, and no more members.
 
-    Each factor gives one member of the fitted set back the value of the specimen. What else departs
-    by less than anybody would notice, or than its tolerance allows, is no member.
+    Each factor returns one member of the fitted set to the specimen's value. Other unknowns whose
+    departure nobody would notice, or which their tolerance allows, are no members.
 
     Args:
         problem: Recordings and machine.
         u: Unknowns.
-        own: Of the specimen, see `own_forces`, (single,).
-        members: Of the fitted set.
-        x: Departures of all unknowns there, (unknowns,).
+        own: Values of the specimen, see `own_forces`, (single,).
+        members: Members of the fitted set.
+        x: Departures of all unknowns in the fitted set, (unknowns,).
 
     Yields:
-        Members of the twin, and by how much unknowns move from `x` to it.
+        Members of the twin, and the moves of unknowns from `x` to it.
     """
     now = x[: u.single]
     scaling = np.array([_is_force(u, i) for i in range(u.single)]) | (own != 0.0)
@@ -98,11 +98,11 @@ def scale_twins(
 
 
 def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
-    """Values of a specimen that a factor on all forces scales, in trials; else zeros.
+    """Returns the specimen's values that a factor on all forces scales, in trials; else zeros.
 
-    Its inertia, friction, stiffness, masses and gains, (single,), each under one effect: none under
-    those that hold another one as a special case. All are zero where an acting force has no
-    unknown.
+    They are its inertia, friction, stiffness, masses and gains, (single,), each under one effect
+    only: effects that contain another one as a special case have none. All are zero if an acting
+    force has no unknown.
     """
     machine, library, own = problem.machine, problem.library, np.zeros(u.single)
     acting = {a for a in machine.actuators if _acts(problem, a)}
@@ -121,14 +121,14 @@ def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
 
 
 def _is_force(u: Unknowns, i: int) -> bool:
-    """Whether a single unknown is a force, or one by a motion: not those that limit forces."""
+    """Tests whether a single unknown is a force, or a force per motion, but no limit of forces."""
     (key, n) = u.places[i][0]
     p = u.library.sites[key].parameters[n]
     return p.unit.startswith(("N", "kg")) and p.role == "strength" and not p.inverse
 
 
 def _acts(problem: Problem, actuator: str) -> bool:
-    """Whether an actuator puts a force on its joints: by a command, or by its bias."""
+    """Tests whether an actuator exerts force on its joints, by a command or by its bias."""
     biased = bool(problem.machine.base.model.actuator(actuator).biasprm.any())
     return biased or any(s.columns[f"{actuator}_command"].any() for s in problem.series)
 
@@ -136,7 +136,7 @@ def _acts(problem: Problem, actuator: str) -> bool:
 def _at_centres(
     problem: Problem, u: Unknowns, members: list[int], x: np.ndarray
 ) -> dict[int, float]:
-    """Moves of the payloads among members to where the weight of their bodies is, in trials."""
+    """Returns moves of the payloads among members to their bodies' centres of mass, in trials."""
     bodies = {u.keys[q] for q in members if u.keys[q][0] == "payload"}
     found = {}
     for i in range(u.single):

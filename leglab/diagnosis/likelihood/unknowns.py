@@ -1,4 +1,4 @@
-"""Unknowns of a diagnosis: all parameters of all effects, and those that like parts share."""
+"""Unknowns of a diagnosis: all parameters of all effects, and parameters shared by like parts."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.thresholds import FINE
 
-# A parameter of the library: effect and element, and its place among the parameters there.
+# A parameter of the library: effect and element, and its index among their parameters.
 Place = tuple[Key, int]
 # Element of an effect that all like parts share.
 EVERY = "every"
@@ -22,18 +22,18 @@ class Unknowns:
 
     The first unknowns are parameters of the library, each at one place. The others, `tied`, move
     the same parameter on all like parts by the same number of trials: a bus that delays all
-    commands, one batch of worn valves. What a tied unknown moves, the single ones still move about.
+    commands, one batch of worn valves. Single unknowns deviate from what a tied one sets.
     """
 
     library: Library  #: The effects
     places: tuple[tuple[Place, ...], ...]  #: Parameters that each unknown moves
     keys: tuple[Key, ...]  #: Effect and element of each; the element is `EVERY` for tied ones
-    scale: np.ndarray  #: Smallest trial, as the parameter's `from_nominal` has it; 1 for tied ones
+    scale: np.ndarray  #: Smallest trial in units of `from_nominal`; 1 for tied ones
     #: Standard deviation between good machines, in trials; 0 where none is known.
     tolerance: np.ndarray
     lower: np.ndarray  #: Least departure, in trials
     upper: np.ndarray  #: Largest departure, in trials
-    shape: np.ndarray  #: Whether it means nothing while the effect's strengths are nominal
+    shape: np.ndarray  #: Whether it changes nothing while the effect's strengths are nominal
     nameable: np.ndarray  #: Whether it can be a fault
     gradual: np.ndarray  #: Whether a good machine may have a little of it
     above: np.ndarray  #: Whether faults lie above nominal
@@ -42,7 +42,7 @@ class Unknowns:
 
     @classmethod
     def of(cls, library: Library) -> "Unknowns":
-        """All unknowns of a library."""
+        """Builds all unknowns of a library."""
         rows: list[dict] = []
         for key, site in sorted(library.sites.items()):
             can_be = site.effect.nameable and key in library.searched
@@ -87,28 +87,28 @@ class Unknowns:
         return {places[0]: i for i, places in enumerate(self.places[: self.single])}
 
     def singles(self, unknown: int) -> tuple[int, ...]:
-        """The single unknowns that an unknown moves."""
+        """Returns the single unknowns that an unknown moves."""
         return tuple(self._index[place] for place in self.places[unknown])
 
     def names(self, unknowns: Iterable[int]) -> frozenset[Key]:
-        """Effects and elements of some unknowns."""
+        """Returns the effects and elements of some unknowns."""
         return frozenset(self.keys[q] for q in unknowns)
 
     def effect(self, unknown: int) -> Effect:
-        """Effect of an unknown, of the first part where it has several."""
+        """Returns the effect of an unknown, of the first part where it has several."""
         return self.library.sites[self.places[unknown][0][0]].effect
 
     def library_keys(self, unknown: int) -> frozenset[Key]:
-        """Effects and elements that an unknown moves."""
+        """Returns the effects and elements that an unknown moves."""
         return frozenset(key for key, _ in self.places[unknown])
 
     def name(self, unknown: int) -> str:
-        """Name of the parameter."""
+        """Returns the name of the parameter."""
         key, i = self.places[unknown][0]
         return self.library.sites[key].parameters[i].name
 
     def departures(self, hypothesis: Mapping[Key, np.ndarray]) -> np.ndarray:
-        """Departures of a hypothesis, (unknowns,); those of tied unknowns are 0."""
+        """Computes the departures of a hypothesis, (unknowns,); those of tied unknowns are 0."""
         x = np.zeros(len(self))
         for u in range(self.single):
             ((key, i),) = self.places[u]
@@ -119,10 +119,10 @@ class Unknowns:
         return x
 
     def moved(self, hypothesis: Hypothesis, by: Mapping[int, float]) -> Hypothesis:
-        """The hypothesis with unknowns moved by departures, within the bounds of the parameters.
+        """Returns the hypothesis with unknowns moved by departures, within the parameters' bounds.
 
-        A moving part is there or is not: of less than half of the least step that is looked at,
-        which a step along all unknowns may leave of it, it is not.
+        A moving part is present or absent: a strength below half of the smallest step of tangents,
+        which a step along all unknowns may leave, is set to its nominal value.
         """
         new: dict[Key, np.ndarray] = {}
         for u, departure in by.items():
@@ -142,9 +142,9 @@ class Unknowns:
 
 
 def _tied(library: Library, rows: list[dict]) -> list[dict]:
-    """Rows of unknowns that all like parts share: one parameter on at least three elements.
+    """Returns rows of tied unknowns: one parameter shared by at least three like elements.
 
-    On two parts "both" says hardly less than each of them.
+    On two parts a shared unknown is nearly as informative as one per part, so it has no row.
     """
     groups: dict[tuple[str, str, str, int], list[dict]] = {}
     for row in rows:

@@ -1,1 +1,1 @@
-"""The machine under diagnosis: compiled variants, command and sensor paths, forces at moments."""
+"""The machine under diagnosis: compiled variants, command and sensor paths, inverse dynamics."""

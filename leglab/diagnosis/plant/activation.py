@@ -1,8 +1,7 @@
-"""Activation of MuJoCo's own actuators (filters, integrators, muscles) along a recording.
+"""Activation of MuJoCo's native actuators (filters, integrators, muscles) along a recording.
 
-It follows from the commands that reach an actuator, by MuJoCo itself: a model that has nothing but
-these actuators is stepped through the recording. MuJoCo documentation, "Computation", "Activation
-dynamics".
+MuJoCo computes it from the commands at the actuators: a model with only these actuators is stepped
+through the recording. MuJoCo documentation, "Computation", "Activation dynamics".
 """
 
 import mujoco
@@ -17,7 +16,7 @@ _ATTRIBUTES = ("dyntype", "dynprm", "actlimited", "actrange", "ctrllimited", "ct
 
 
 def unusable(model: mujoco.MjModel, actuator: int) -> str:
-    """Says why no replay can command an actuator; empty if it can."""
+    """Returns why replays cannot command an actuator; empty if they can."""
     if (count := int(model.actuator_ctrlnum[actuator])) != 1:
         names = [mujoco.mj_actuatorInputName(model, actuator, i) for i in range(count)]
         listed = f" ({', '.join(n for n in names if n)})" if any(names) else ""
@@ -41,12 +40,12 @@ def unusable(model: mujoco.MjModel, actuator: int) -> str:
 
 
 def stateful(model: mujoco.MjModel) -> np.ndarray:
-    """Numbers of the actuators that have an activation."""
+    """Returns the indices of the actuators that have an activation."""
     return np.flatnonzero(model.actuator_actnum)
 
 
 def attributes(model: mujoco.MjModel) -> np.ndarray:
-    """Parameters that determine the activations, as one vector."""
+    """Returns the parameters that determine the activations, as one vector."""
     acting = stateful(model)
     rows = [np.ravel(getattr(model, f"actuator_{name}")[acting]) for name in _ATTRIBUTES]
     return np.concatenate([*rows, [model.opt.disableflags, model.opt.disableactuator]])
@@ -59,17 +58,18 @@ def activations(
     timestep: float,
     integrated: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Activations when samples are taken, (samples, stateful actuators).
+    """Returns the activations at the samples, (samples, stateful actuators).
 
-    An actuator that steps its activation before its force (`actearly`) has that of one step before.
+    For an actuator that steps its activation before its force (`actearly`) it is the activation of
+    one step earlier.
 
     Args:
-        model: Whose actuators they are.
+        model: Model with the actuators.
         commands: Held from one sample to the next, (samples, stateful actuators).
-        steps: Of the simulation in a sampling period.
+        steps: Simulation steps per sampling period.
         timestep: Of the simulation [s].
-        integrated: Where integrators begin, (stateful actuators,); 0 by default. All others begin
-            settled at the first command.
+        integrated: Initial values of integrators, (stateful actuators,); 0 by default. All others
+            begin settled at the first command.
     """
     acting = stateful(model)
     bare = _bare(model, acting, timestep)
@@ -97,7 +97,7 @@ def activations(
 
 
 def _bare(model: mujoco.MjModel, acting: np.ndarray, timestep: float) -> mujoco.MjModel:
-    """A model that has nothing but some actuators without force."""
+    """Returns a model with only some actuators, which exert no force."""
     spec = mujoco.MjSpec()
     spec.option.timestep = timestep
     spec.option.disableflags = int(model.opt.disableflags) | int(_OFF.mjDSBL_AUTORESET)

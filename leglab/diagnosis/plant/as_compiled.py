@@ -1,8 +1,8 @@
-"""Values that MuJoCo's compiler derives from inertia, kept as in the given model.
+"""Values that MuJoCo's compiler derives from inertia, fixed at those of the unmodified model.
 
-A drive's damping does not change with the load that it carries: `dampratio` and `springdamper` are
-resolved once, and so are muscles' lengths and largest forces, and masses that the compiler scales
-or bounds. MuJoCo documentation, "XML reference".
+A drive's damping does not change with its load: `dampratio` and `springdamper` are resolved once,
+and so are muscles' lengths and largest forces, and masses that the compiler scales or bounds.
+MuJoCo documentation, "XML reference".
 """
 
 import mujoco
@@ -13,7 +13,7 @@ _MUSCLE_BIAS = mujoco.mjtBias.mjBIAS_MUSCLE
 
 
 class AsCompiled:
-    """Values of a specification as compiled, for specifications of the same file.
+    """Compiled values of a specification, to be written into specifications of the same file.
 
     Raises:
         ValueError: MuJoCo refuses the model.
@@ -82,7 +82,7 @@ def _keep_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _ratio(actuator: mujoco.MjsActuator) -> bool:
-    """Whether the damping of a servo may be a ratio, which the compiler resolves."""
+    """Tests whether a servo's damping may be a ratio, which the compiler resolves."""
     return bool(actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[2] > 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Columns of recordings that a model can use, with the units and ranges that it gives them."""
+"""Columns of recordings that a model can use, with their units and ranges by the model."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class UsableColumn:
     name: str  #: For instance "knee_position"
     element: str  #: Joint or actuator
     kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
-    unit: str  #: Of the column; "ctrl" where the model alone knows
+    unit: str  #: Of the column; "ctrl" if it depends on the model's actuator
     limits: tuple[float, float] = _FREE  #: Range in this unit
-    follows: str = ""  #: Of a command: "position", "velocity", "effort", or "" of a valve
+    follows: str = ""  #: Controlled quantity: "position", "velocity", "effort"; "" for a valve
 
 
 def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
@@ -30,7 +30,7 @@ def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
     for joint in machine.joints:
         entry, unit = model.joint(joint), machine.unit(joint)
         low, high = entry.range.tolist()
-        # A piston has a stroke, whatever is said.
+        # A cylinder's joint has a stroke even if its limit is not active.
         on_cylinder, ranges[joint] = joint in machine.on_cylinders, _FREE
         if low < high and (model.jnt_limited[entry.id] or on_cylinder):
             ranges[joint] = low, high
@@ -54,7 +54,7 @@ def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
 
 
 def _control(machine: Machine, name: str) -> tuple[str, str]:
-    """Unit of an actuator's control, and what it follows; MuJoCo's force is gain u + bias."""
+    """Returns unit and controlled quantity of a command; MuJoCo's force is gain u + bias."""
     if name in machine.cylinders:
         return "1", ""
     entry = machine.base.model.actuator(name)

@@ -1,4 +1,4 @@
-"""Joints that equality constraints determine: their motion follows from that of the others."""
+"""Joints whose motion follows from that of the other joints by equality constraints."""
 
 import copy
 from collections.abc import Collection, Sequence
@@ -8,22 +8,22 @@ import numpy as np
 
 _OFF = mujoco.mjtDisableBit
 _ITERATIONS = 50
-# Steps from the reference pose to the first measured pose: a linkage has several closures, and
-# small steps keep Newton's method on that of the reference pose.
+# Steps from the reference pose to the first measured pose: a linkage can close in several ways, and
+# small steps keep Newton's method on the branch of the reference pose.
 _APPROACH = 50
-# Residual of a closed constraint [m or rad]: a thousandth of what encoders resolve, or less.
+# Residual of a closed constraint [m or rad]: at most a thousandth of the resolution of encoders.
 _CLOSED = 1e-9
 
 
 class Followers:
-    """Joints whose positions equality constraints give, by those of the other joints.
+    """Joints whose positions follow from those of the other joints by equality constraints.
 
     Newton's method on the residuals of MuJoCo's active equalities (joint, connect, weld, tendon),
     with their Jacobian J = [J_l J_f]: dq_f = -J_f^+ r, and v_f = -J_f^+ J_l v_l.
 
     Attributes:
-        names: Of the joints that follow.
-        leading: Joints that move them, by each of them.
+        names: Names of the followers.
+        leading: Joints that move a follower, by follower.
     """
 
     def __init__(
@@ -48,9 +48,9 @@ class Followers:
         }
 
     def positions(self, rows: np.ndarray, *, near: bool = False) -> np.ndarray:
-        """Computes the positions of followers in positions of all joints, (samples, nq).
+        """Computes the followers' positions in rows of positions of all joints, (samples, nq).
 
-        The rows are one motion, or, where they are `near`, poses that are nearly closed.
+        The rows are samples of one motion, or, if `near`, poses with nearly closed constraints.
         """
         out, data = rows.copy(), self._data
         others = np.setdiff1d(np.arange(self._model.nq), self._places)
@@ -68,7 +68,7 @@ class Followers:
         return out
 
     def velocities(self, positions: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Completes velocities, (samples, nv), at complete positions, (samples, nq)."""
+        """Completes velocities, (samples, nv), by the followers', at positions (samples, nq)."""
         out = rows.copy()
         for k, position in enumerate(positions):
             self._data.qpos[:] = position
@@ -77,7 +77,7 @@ class Followers:
         return out
 
     def motion(self, position: np.ndarray) -> np.ndarray:
-        """Velocities of all joints by those of the others at a pose, (nv, others)."""
+        """Returns d(all joints' velocities)/d(other joints' velocities) at a pose, (nv, others)."""
         self._data.qpos[:] = position
         _, jacobian = self._residual()
         out = np.zeros((self._model.nv, self._others.size))
@@ -86,7 +86,7 @@ class Followers:
         return out
 
     def _gain(self, jacobian: np.ndarray) -> np.ndarray:
-        """Velocities of followers by those of the other joints, (followers, others)."""
+        """Returns d(followers' velocities)/d(other joints' velocities), (followers, others)."""
         return -np.linalg.pinv(jacobian[:, self._dofs]) @ jacobian[:, self._others]
 
     def _close(self) -> None:
@@ -94,7 +94,7 @@ class Followers:
             residual, jacobian = self._residual()
             if np.abs(residual).max(initial=0.0) < _CLOSED:
                 return
-            if self._inverse is None or i > 1:  # Neighbouring samples share one.
+            if self._inverse is None or i > 1:  # Neighbouring samples share an inverse.
                 self._inverse = np.linalg.pinv(jacobian[:, self._dofs], rcond=1e-9)
             self._data.qpos[self._places] -= self._inverse @ residual
 
@@ -112,7 +112,7 @@ def copy_of_equalities(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _residual(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of all equalities, (rows,), and their Jacobian, (rows, nv)."""
+    """Returns the residuals of all equalities, (rows,), and their Jacobian, (rows, nv)."""
     mujoco.mj_fwdPosition(model, data)
     return data.efc_pos.copy(), data.efc_J.reshape(-1, model.nv).copy()
 
@@ -120,16 +120,16 @@ def _residual(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, n
 def determined(
     model: mujoco.MjModel, joints: Sequence[str], unmeasured: Collection[str]
 ) -> frozenset[str]:
-    """Joints among those not measured that equalities determine by the others.
+    """Returns the unmeasured joints that equalities determine by the measured ones.
 
-    A joint is determined where no motion of the unmeasured joints that keeps all equalities moves
-    it: the null space of J_u has no component on it.
+    A joint is determined if it rests in every motion of the unmeasured joints that satisfies all
+    equalities: the null space of J_u has no component on it.
     """
     if not unmeasured or not model.neq:
         return frozenset()
     own = copy_of_equalities(model)
     data = mujoco.MjData(own)
-    # Any pose but a singular one; the residual does not matter for the rank.
+    # Any non-singular pose; the rank does not depend on the residual.
     data.qpos[:] = model.qpos0 + 0.1
     _, jacobian = _residual(own, data)
     names = [name for name in joints if name in unmeasured]

@@ -1,4 +1,4 @@
-"""Cache of hidden states along a recording (bristles, spool), reused while a trial leaves them."""
+"""Cache of hidden states along a recording (bristles, spool), reused while inputs are equal."""
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
@@ -10,9 +10,9 @@ T = TypeVar("T")
 
 
 class HiddenStates:
-    """The last few results of each name, by all that they follow from: `found`, in order of use.
+    """The last few results of each name, by their inputs: `found`, in order of use.
 
-    Arrays that are returned again are the same objects, so that what follows is soon known as well.
+    Cached arrays are returned as the same objects, so that results of these are also found fast.
     """
 
     def __init__(self) -> None:
@@ -22,10 +22,10 @@ class HiddenStates:
     def get(
         self, name: str, inputs: Sequence[np.ndarray], follow: Callable[[], T], *, by: object = None
     ) -> T:
-        """Result of `follow`, which is called only for new inputs or a new model.
+        """Returns the result of `follow`, which is called only for new inputs or a new model.
 
-        The result may depend on nothing but the inputs and the model `by` which it was found, the
-        same object for the same model. Neither inputs nor result may be written to later.
+        The result must depend only on the inputs and the model `by`, which is compared by identity.
+        Neither inputs nor result may be written to later.
         """
         known = self.found[name]
         for place, one in enumerate(known):

@@ -1,4 +1,4 @@
-"""The machine under diagnosis: its model, compiled variants, and where parameters live."""
+"""The machine under diagnosis: its model, compiled variants, and places of its parameters."""
 
 import math
 from collections import OrderedDict
@@ -40,25 +40,25 @@ _WAY_OUT = {
 }
 _OFF = mujoco.mjtDisableBit
 _CACHED_VARIANTS = 64
-# Models are compiled one at a time.
+# Only one model is compiled at a time.
 _COMPILING = Lock()
-# Share of a machine's largest moment, or inertia, below which another is rounding, see `moved`.
+# Moments or inertias below this share of a machine's largest one are rounding, see `moved`.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A compiled model and what is needed to start it."""
+    """A compiled model with the places and initial values of its plugin states."""
 
     model: mujoco.MjModel  #: Compiled at the replay's time step
-    #: Place in `plugin_state` and table of every plugin instance, by name.
+    #: Index in `plugin_state` and table of every plugin instance, by name.
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]  #: Joint that a passive instance acts on, by instance
     drawn_by: dict[str, tuple[str, ...]]  #: Cylinders that draw from each supply, by its instance
     plugin_state: np.ndarray  #: Parameters and initial states after a reset, (npluginstate,)
 
     def slot(self, element: str, name: str) -> int:
-        """Index in `plugin_state` of a parameter or state.
+        """Returns the index in `plugin_state` of a parameter or state.
 
         Raises:
             LeglabError: If the element or the parameter does not exist.
@@ -72,9 +72,9 @@ class Variant:
 class Machine:
     """An MJCF model whose hinge and slide joints are measured.
 
-    By its file, or the name of a model that ships with leglab, at a time step of replays [s], the
-    file's own for None. Positions of `followers` are computed from those of the other joints. Free
-    joints are taken out where `fix_base`: the base stays where the model has it.
+    It is read from a file, or from a model that ships with leglab. The time step of replays [s] is
+    by default the file's. Positions of `followers` are computed from those of the other joints. If
+    `fix_base`, free joints are removed: the base stays at its pose in the model.
 
     Raises:
         LeglabError: If the model cannot be loaded or has another kind of joint.
@@ -100,11 +100,11 @@ class Machine:
         self._digest = model_digest(self.path)
         self.file_timestep = float(self._spec.option.timestep)
         self.timestep = timestep or self.file_timestep
-        #: Command paths and sensor corrections in the file; variants are free of them.
+        #: Command paths and sensor corrections in the file; variants do not contain them.
         self.carried = take_out(self._spec)
         self._variants: OrderedDict[Hashable, Variant] = OrderedDict()
         self._full_names: dict[tuple[str, str], str] = {}
-        self.base = self.variant(())  #: the model as it is
+        self.base = self.variant(())  #: the unmodified model
         if names := leglab.machine.plugin.full_names(self.base.model):
             self._full_names = names
             self._spec = self.spec()
@@ -143,11 +143,11 @@ class Machine:
         #: Actuators with an activation, in the order of MuJoCo's `act`.
         self.stateful = tuple(self.actuators[i] for i in stateful(model))
         data = mujoco.MjData(model)
-        # A singular qpos0 (a straight linkage) must not hide a moment.
+        # At a singular qpos0 (a straight linkage) a moment may vanish.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
-        #: Measured joints that each actuator moves, those of its moments, by actuator.
+        #: Measured joints that each actuator moves according to its moments, by actuator.
         self.driven = {}
         for name, row in zip(self.actuators, self.moments, strict=True):
             own = [self.all_joints[int(model.dof_jntid[k])] for k in moved(row)]
@@ -157,16 +157,16 @@ class Machine:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns that a recording of it must have."""
+        """Columns that a recording of the machine must have."""
         positions = tuple(f"{joint}_position" for joint in self.joints)
         return positions + tuple(f"{actuator}_command" for actuator in self.actuators)
 
     def unit(self, joint: str) -> str:
-        """Unit of a joint's position: "rad" of a hinge, "m" of a slide."""
+        """Returns the unit of a joint's position: "rad" for a hinge, "m" for a slide."""
         return "rad" if self.base.model.joint(joint).type[0] == _HINGE else "m"
 
     def at_timestep(self, timestep: float) -> "Machine":
-        """The same machine with another time step [s]."""
+        """Returns the machine with another time step [s]."""
         return self._with(timestep, self.follower_names)
 
     def _with(self, timestep: float, followers: Collection[str]) -> "Machine":
@@ -187,18 +187,18 @@ class Machine:
         return frozenset(joint for each in led for joint in each)
 
     def measured_by(self, columns: Collection[str]) -> "Machine":
-        """Returns the machine with unmeasured joints computed where equalities determine them."""
+        """Returns the machine whose unmeasured joints follow, where equalities determine them."""
         absent = {j for j in self.all_joints if f"{j}_position" not in columns}
         found = determined(self.base.model, self.all_joints, absent)
         same = found == set(self.follower_names)
         return self if same else self._with(self.timestep, found)
 
     def spec(self, *, whole: bool = False) -> mujoco.MjSpec:
-        """A fresh copy of the model's specification, as in the file.
+        """Returns a new specification of the model, read from the file.
 
-        What the compiler works out from inertia is written out, as `AsCompiled` has it. Free joints
-        that are taken out are there if it is to be `whole`. An actuator without a name has that of
-        its joint, and names in settings of plugins have the prefix of an attached model.
+        Values that the compiler derives from inertia are fixed, see `AsCompiled`. If `whole`, it
+        keeps free joints that `fix_base` removes. An actuator without a name gets that of its
+        joint, and names in settings of plugins get the prefix of an attached model.
 
         Raises:
             LeglabError: The model's files have changed since they were read.
@@ -225,25 +225,25 @@ class Machine:
         return spec
 
     def instances(self, plugin: str) -> tuple[str, ...]:
-        """Instances of a plugin in the unmodified model; a cylinder goes by its actuator."""
+        """Returns the instances of a plugin in the model; a cylinder has its actuator's name."""
         return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
 
     def native_actuators(self) -> tuple[str, ...]:
-        """Names of the actuators that no plugin computes."""
+        """Returns the names of the actuators that no plugin computes."""
         model = self.base.model
         return tuple(name for i, name in enumerate(self.actuators) if model.actuator_plugin[i] < 0)
 
     def parameter(self, element: str, name: str) -> float:
-        """Value of a plugin parameter in the unmodified model."""
+        """Returns the value of a plugin parameter in the unmodified model."""
         return float(self.base.plugin_state[self.base.slot(element, name)])
 
     def moment(self, actuator: str, joint: str) -> float:
-        """Of an actuator on a joint near qpos0 [m, or 1 on a slide]."""
+        """Returns the moment of an actuator on a joint near qpos0 [m, or 1 on a slide]."""
         dof = self.base.model.joint(joint).dofadr[0]
         return float(self.moments[self.actuators.index(actuator), dof])
 
     def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
-        """Name of a plugin's first instance on a target, a "joint" or "actuator" by `attribute`."""
+        """Returns a plugin's first instance whose `attribute` ("joint", "actuator") is a target."""
         of_it = (one for one in self._spec.plugins if one.plugin_name == plugin)
         return next((str(one.name) for one in of_it if one.config.get(attribute) == target), None)
 
@@ -255,11 +255,11 @@ class Machine:
         return next(one for one in chain([name], numbered) if one not in taken)
 
     def spring_of(self, joint: str) -> str | None:
-        """Name of the spring-damper instance that acts on a joint."""
+        """Returns the name of the spring-damper instance that acts on a joint."""
         return self.instance_on(SPRING, "joint", joint)
 
     def variant(self, edits: tuple[Edit, ...]) -> Variant:
-        """The model after edits of its specification, compiled once per set of keys.
+        """Returns the model after edits of its specification, compiled once per set of keys.
 
         Raises:
             LeglabError: If MuJoCo refuses the edited model.
@@ -282,7 +282,7 @@ class Machine:
                 edit(spec)
             model = spec.compile()
             if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
-                # Nothing can touch: a fifth of the time of a replay is saved by not looking.
+                # No contact is possible: without collision detection a replay takes a fifth less.
                 model.opt.disableflags |= int(_OFF.mjDSBL_CONTACT)
             plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
@@ -302,20 +302,20 @@ class Machine:
 
 
 def take_free_joints_out(spec: mujoco.MjSpec) -> None:
-    """Fixes all bodies with a free joint where a specification has them, in place."""
+    """Deletes free joints in place: their bodies stay at their poses in the specification."""
     free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
     for joint in free:
         spec.delete(joint)
-    for key in list(spec.keys) if free else ():  # of another number of positions
+    for key in list(spec.keys) if free else ():  # keyframes have another number of positions
         spec.delete(key)
 
 
 def moved(moments: np.ndarray) -> np.ndarray:
-    """Degrees of freedom that an actuator moves, from its moments on all, shape (nv,).
+    """Returns the degrees of freedom that an actuator moves, by its moments, (nv,).
 
-    A tendon's moments are differences of lengths of the machine's size: joints that it does not
-    cross keep rounding errors, 1e-16 of the largest moment, or 1e-13 where a lever is a thousandth
-    of the machine.
+    A tendon's moments are differences of lengths as large as the machine: on joints that it does
+    not cross rounding errors remain, 1e-16 of the largest moment, or 1e-13 if a lever is a
+    thousandth of the machine.
     """
     size = np.abs(moments)
     return np.flatnonzero(size > ROUNDING * size.max())
@@ -323,7 +323,7 @@ def moved(moments: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """Measured series of one recording, smoothed, for the reconstruction of hidden states."""
+    """Smoothed measured series of one recording, from which hidden states are reconstructed."""
 
     period: float  #: Sampling period [s]
     position: dict[str, np.ndarray]  #: Joint positions by joint, each (n,)
@@ -332,26 +332,26 @@ class Measured:
     piston_velocity: dict[str, np.ndarray]
     #: d(actuator length)/d(joint position) of the cylinders by actuator, each (n,).
     lever: dict[str, np.ndarray]
-    command: dict[str, np.ndarray]  #: What reaches each actuator (command path applied), each (n,)
-    #: Pressures by "<joint>_pressure_a" and so on, each (n,), where measured.
+    command: dict[str, np.ndarray]  #: Commands at each actuator, after its command path, each (n,)
+    #: Measured pressures by "<joint>_pressure_a" and so on, each (n,).
     pressure: dict[str, np.ndarray]
-    samples: np.ndarray  #: Where windows start, shape (windows,)
+    samples: np.ndarray  #: Samples at which windows start, (windows,)
     start: float = 0.0  #: Time of the first sample [s]
-    #: Part of the velocity by commands of native actuators that act at once, by joint, each (n,),
-    #: whose slope jumps with them.
+    #: Part of the velocity by commands of native actuators without lag, by joint, each (n,); its
+    #: slope jumps with the commands.
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
-    #: Whether something touches what a joint carries, (n,) by joint, where it can.
+    #: Whether a body that a joint carries is in contact, (n,) by joint, if contacts are possible.
     touched: dict[str, np.ndarray] = field(default_factory=dict)
-    #: MuJoCo's `act`, (n,) by actuator that has one.
+    #: MuJoCo's `act`, (n,) by actuator with an activation.
     activation: dict[str, np.ndarray] = field(default_factory=dict)
     hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the recording
 
 
 @dataclass(frozen=True)
 class ForceLeft:
-    """A joint's motion at some moments, and the force on it that it leaves over; all (moments,).
+    """A joint's motion at some moments, and the residual force on it; all (moments,).
 
-    The force is M a + bias less all forces of the model [N m or N].
+    The residual force is M a + bias minus all forces of the model [N m or N].
     """
 
     position: np.ndarray
@@ -365,7 +365,7 @@ Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """Changes of effects to an unmodified machine: a builder that they write to, in order."""
+    """Builder to which effects write their changes of an unmodified machine, in order."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -374,7 +374,7 @@ class Change:
         #: Plugins of instances that edits insert, by instance.
         self.inserted: dict[str, str] = {}
         self.beyond = False  #: Whether a value was outside the bounds of its plugin's parameter
-        # What the model file says of these paths comes first.
+        # Paths of the model file come first.
         commands, corrections = machine.carried
         self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
         self.corrections = {column: list(undone) for column, undone in corrections.items()}
@@ -386,16 +386,16 @@ class Change:
         return self.machine.variant(tuple(self.edits))
 
     def parameter(self, element: str, name: str) -> float:
-        """Present value of a plugin parameter: as set before, else as in the unmodified model."""
+        """Returns the present value of a plugin parameter: as set, else as in the model."""
         if (element, name) in self.parameters:
             return self.parameters[element, name]
         return self.machine.parameter(element, name)
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
-        """Sets a plugin parameter through `plugin_state`: the fast path, nothing is compiled.
+        """Sets a plugin parameter through `plugin_state`, fast since nothing is compiled.
 
-        The element may be one that an `edit` inserts. A value beyond what the plugin takes is the
-        nearest that it takes; where the least is excluded, a share beyond it of what the model has.
+        The element may be one that an `edit` inserts. A value outside the plugin's bounds becomes
+        the nearest bound; see `within` for an excluded minimum.
         """
         elements, own = self.machine.base.elements, math.nan
         if element in elements:
@@ -409,7 +409,7 @@ class Change:
         self.parameters[element, name] = self.within(table.parameters[name], value, own)
 
     def within(self, row: Parameter, value: float, own: float) -> float:
-        """Returns the nearest value within a parameter's bounds; `own` is the model's value."""
+        """Returns the nearest value within bounds; just above an excluded one, by `own` (model)."""
         low = row.minimum
         if not row.minimum_allowed:
             low += NEGLIGIBLE * (own - low)
@@ -417,9 +417,9 @@ class Change:
         return float(min(max(value, low), row.maximum))
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
-        """Adds to a plugin parameter, so that effects on the same one compose.
+        """Adds to a plugin parameter, so that effects on the same parameter compose.
 
-        Two effects that lower the same one together end at the least that the plugin takes.
+        The sum of several effects is limited to the plugin's bounds.
         """
         self.set_parameter(element, name, self.parameter(element, name) + difference)
 
@@ -427,8 +427,8 @@ class Change:
         """Edits the specification: inserts an element, or changes a native attribute.
 
         Models are compiled once per set of keys, so the key holds every value that `function`
-        writes. An element that is inserted with neutral parameters, set by `set_parameter` then, is
-        compiled once for all.
+        writes. An element that is inserted with neutral parameters is compiled only once if
+        `set_parameter` then sets them.
         """
         if key not in [known for known, _ in self.edits]:
             self.edits.append((key, function))
@@ -442,14 +442,14 @@ class Change:
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
         """Undoes a sensor fault in a measured column, before states are reconstructed from it.
 
-        Predictions are compared in corrected units. `noise_gain` is the factor by which `function`
-        multiplies sensor noise (1/scale of a gain fault): no fit gains by shrinking the noise.
+        Predictions are compared with corrected values. `noise_gain` is the factor by which
+        `function` multiplies sensor noise (1/scale of a gain fault): no fit gains by less noise.
         """
         self.corrections.setdefault(column, []).append((function, noise_gain))
 
     def start(self, element: str, state: str, function: Start) -> None:
-        """Says how a hidden plugin state follows from the measured series at window starts.
+        """Sets the function that gives a hidden plugin state at window starts from measured series.
 
-        Needed only of plugins that `leglab.diagnosis.replay.starts` has no general rule for.
+        Needed only for plugins without a general rule in `leglab.diagnosis.replay.starts`.
         """
         self.starts[element, state] = function

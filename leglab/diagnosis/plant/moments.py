@@ -1,4 +1,4 @@
-"""Forces of a compiled model at moments of a motion: what inverse dynamics ask of MuJoCo."""
+"""Inverse dynamics: forces of a compiled model at moments of a motion."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MomentForces:
-    """Forces at moments; what was not asked for is empty."""
+    """Forces at moments; arrays that were not requested are empty."""
 
-    #: Forces that the accelerations need beyond the modelled ones, (moments, nv).
+    #: Residual forces: needed for the accelerations beyond the modelled ones, (moments, nv).
     lacking: np.ndarray
     load: np.ndarray  #: Of actuators on joints, (moments, nv)
     bias: np.ndarray  #: Gravity, Coriolis and centrifugal forces, (moments, nv)
-    length: np.ndarray  #: Of actuators, (moments, nu)
-    speed: np.ndarray  #: Of actuators, (moments, nu)
-    pull: np.ndarray  #: Of actuators, (moments, nu)
+    length: np.ndarray  #: Lengths of actuators, (moments, nu)
+    speed: np.ndarray  #: Velocities of actuators, (moments, nu)
+    pull: np.ndarray  #: Forces of actuators, (moments, nu)
     inertia: np.ndarray  #: Joint-space inertia, (moments, nv, nv)
 
 
@@ -32,10 +32,10 @@ def forces_at(
     commands: np.ndarray,
     accelerations: np.ndarray | None = None,
 ) -> MomentForces:
-    """Forces of a model at some moments, each for itself.
+    """Computes the forces of a model at independent moments.
 
-    By full physics states, (moments, nstate), controls, (moments, nu), and accelerations, (moments,
-    nv), NaN where a joint moves as the model has it; None where no lacking forces are asked for.
+    Inputs are full physics states, (moments, nstate), controls, (moments, nu), and accelerations,
+    (moments, nv), NaN for joints that move as modelled; None: no residual forces are requested.
     """
     joints, actuators = (model.nv,), (model.nu,)
     shapes = dict.fromkeys(("load", "bias"), joints) | {"inertia": joints + joints}
@@ -60,10 +60,10 @@ def states_at(
     *,
     without: Collection[int] = (),
 ) -> np.ndarray:
-    """Full physics states of a measured motion at some samples, (samples, nstate).
+    """Returns full physics states of a measured motion at some samples, (samples, nstate).
 
     `plugin` holds the plugins' parameters and states, (samples, npluginstate) or (npluginstate,);
-    those in the places `without` are set to zero.
+    those at the indices `without` are set to zero.
     """
     states = np.zeros((samples.size, mujoco.mj_stateSize(model, STATE)))
     states[:, 1 : 1 + model.nq] = model.qpos0
@@ -81,7 +81,7 @@ def states_at(
 
 
 def commands_at(machine: Machine, measured: Measured, samples: np.ndarray) -> np.ndarray:
-    """Measured commands, (..., actuators) at samples of any shape."""
+    """Returns measured commands, (..., actuators), at an array of samples of any shape."""
     columns = [measured.command[name][samples] for name in machine.actuators]
     return np.stack(columns, axis=-1) if columns else np.zeros((*samples.shape, 0))
 
@@ -89,9 +89,9 @@ def commands_at(machine: Machine, measured: Measured, samples: np.ndarray) -> np
 def accelerations(
     machine: Machine, model: mujoco.MjModel, measured: Measured, half: int
 ) -> np.ndarray:
-    """Measured accelerations at the samples, (samples, nv), over so many samples to both sides.
+    """Returns accelerations at the samples, (samples, nv), by differences over +-`half` samples.
 
-    NaN of a joint that a hypothesis adds.
+    They are NaN for joints that a hypothesis adds.
     """
     k, out = measured.samples, np.full((measured.samples.size, model.nv), np.nan)
     joints = (*machine.joints, *machine.follower_names)
@@ -102,10 +102,10 @@ def accelerations(
 
 
 def dofs(model: mujoco.MjModel, joints: Iterable[str]) -> list[int]:
-    """Degrees of freedom of joints, one of each."""
+    """Returns the degrees of freedom of joints with one each."""
     return [int(model.joint(joint).dofadr[0]) for joint in joints]
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:
-    """Place of the plugins in the full physics state: parts follow in the order of their bits."""
+    """Returns the plugins' offset in the full physics state, whose parts are ordered by bits."""
     return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

@@ -1,7 +1,7 @@
-"""Faults of command and sensor paths: as functions of samples, and as a model carries them.
+"""Faults of command and sensor paths: as functions of samples, and as elements of a model.
 
-Replays feed actuators directly and compare corrected samples: what a model file says of these paths
-is taken out of the replayed model and applied as hypothetical faults are.
+Replays feed actuators directly and compare corrected samples. Paths in a model file are therefore
+removed from the replayed model and applied to the samples, like hypothetical faults.
 """
 
 import math
@@ -17,13 +17,13 @@ from leglab.machine import sensors
 
 COMMAND_PATH = "leglab.command_path"
 SIDES = ("positive", "negative")  # of commands
-# Samples to each side of an interpolation, and the shape of its window: noise keeps its size up to
-# some nine tenths of the highest frequency, which no bin sees.
+# Samples to each side of an interpolation, and the shape of its window: the noise is unchanged up
+# to about nine tenths of the Nyquist frequency; bins average out higher ones.
 _TAPS, _KAISER = 16, 6.0
 
-# What reached the actuator: commands (n,) and the sampling period [s] to commands (n,).
+# From sent commands (n,) and the sampling period [s] to commands at the actuator (n,).
 CommandPath = Callable[[np.ndarray, float], np.ndarray]
-# What the sensor would have shown without its fault: samples (n,) and period to samples (n,).
+# From measured samples (n,) and the sampling period [s] to samples without the sensor's fault (n,).
 Correction = Callable[[np.ndarray, float], np.ndarray]
 # Corrections of a column in order, each with its factor on the noise.
 Corrections = list[tuple[Correction, float]]
@@ -32,7 +32,7 @@ Corrections = list[tuple[Correction, float]]
 def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[str, Corrections]]:
     """Makes command and sensor paths of a specification neutral, in place.
 
-    What commands met, by actuator, in order, and what undoes the faults of a column.
+    Returns the removed command paths in order, by actuator, and corrections of faults, by column.
     """
     commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
@@ -43,7 +43,7 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
             commands[config["actuator"]] += command_path(config)
-            # What acts beside the command is no function of it, and stays.
+            # Parameters that are not functions of the command stay in the model.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: defaultdict[str, Corrections] = defaultdict(list)
@@ -60,7 +60,7 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
 
 
 def numerics(joint: str, sensor: str) -> tuple[str, str]:
-    """Names of a sensor's offset and scale: of a joint's "position", or of a chamber."""
+    """Returns names of the numerics of offset and scale of a sensor, "position" or a chamber."""
     place = {"joint": joint, "chamber": sensor}
     if sensor == "position":
         return sensors.ENCODER_OFFSET.format(**place), sensors.ENCODER_SCALE.format(**place)
@@ -68,7 +68,7 @@ def numerics(joint: str, sensor: str) -> tuple[str, str]:
 
 
 def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
-    """Sets a custom numeric of a specification, or adds it."""
+    """Sets or adds a custom numeric of a specification."""
     numeric = spec.numeric(name)
     if numeric is None:
         spec.add_numeric(name=name, data=[value], size=1)
@@ -77,13 +77,13 @@ def set_number(spec: mujoco.MjSpec, name: str, value: float) -> None:
 
 
 def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
-    """Value of a custom numeric of a specification."""
+    """Returns the value of a custom numeric of a specification; `otherwise` if it has none."""
     numeric = spec.numeric(name)
     return otherwise if numeric is None else float(numeric.data[0])
 
 
 def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
-    """Functions that a `leglab.command_path` applies to held commands, in its order."""
+    """Returns the functions that a `leglab.command_path` applies to held commands, in order."""
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
     gain = float(config.get("gain", 1.0))
@@ -106,14 +106,14 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Held samples, (n,), later by a delay of at least 0, by shares of a period; both in s."""
+    """Delays held samples, (n,), by at least 0 s, also by fractions of the period [s]."""
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
     return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]
 
 
 def play(samples: np.ndarray, width: float) -> np.ndarray:
-    """Output of a play (hysteresis) of full width, shape (n,), from the middle at the start."""
+    """Returns the output of a play (hysteresis) of full width, (n,); it starts in the middle."""
     if width <= 0.0:
         return samples
     out = np.empty(samples.size)
@@ -122,12 +122,12 @@ def play(samples: np.ndarray, width: float) -> np.ndarray:
 
 
 def dead_band(samples: np.ndarray, positive: float, negative: float) -> np.ndarray:
-    """Samples less the band above and below zero, shape (n,)."""
+    """Returns samples, (n,), reduced by the band above and below zero; 0 inside the band."""
     return np.maximum(samples - positive, 0.0) - np.maximum(-samples - negative, 0.0)
 
 
 def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarray:
-    """Mean over each period of the exact first-order response to held samples, shape (n,)."""
+    """Returns the mean over each period of the exact first-order response to held samples, (n,)."""
     if time_constant <= 0.0:  # A fit at its bound may end a rounding error below it.
         return samples
     decay = math.exp(-period / time_constant)
@@ -138,7 +138,7 @@ def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarr
 
 
 def undo(offset: float, scale: float) -> Corrections:
-    """Takes an offset off measured samples, then divides them by a scale; nothing for 0 and 1."""
+    """Returns functions that subtract an offset, then divide by a scale; none for 0 and 1."""
     undone: Corrections = []
     if offset != 0.0:
         undone.append((lambda samples, period: samples - offset, 1.0))
@@ -148,9 +148,9 @@ def undo(offset: float, scale: float) -> Corrections:
 
 
 def undo_delay(delay: float) -> Correction:
-    """Brings measured samples forward by a delay [s], by a windowed sinc (Kaiser 1974).
+    """Returns a shift of samples forward in time by a delay [s], by a windowed sinc (Kaiser 1974).
 
-    Straight lines would average neighbours, and a fit could take their noise away by a delay.
+    Linear interpolation would average neighbours, so that a fit could reduce noise by a delay.
     """
 
     def forward(samples: np.ndarray, period: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which variables a balance's remainder depends on, and of which form: additive or periodic."""
+"""Selection of the variables and of the form, additive or periodic, of a balance's remainder."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +16,17 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
-    """Additive term of one variable before its size is known."""
+    """Additive term of one variable, before its coefficients are estimated."""
 
     variable: str
-    knots: np.ndarray  #: Of its spline, shape (knots,)
-    columns: np.ndarray  #: What its unknowns add to the means over windows, (windows, unknowns)
+    knots: np.ndarray  #: Knots of its spline, shape (knots,)
+    columns: np.ndarray  #: Means over windows per unit of each unknown, (windows, unknowns)
     penalty: np.ndarray  #: Roughness, (unknowns, unknowns)
     #: Coefficients of the spline by unknown, (knots + 2, unknowns); None where they are the
-    #: unknowns. Those of sines are a constant, cosine and sine of each harmonic, and in a form by
-    #: how much the period is longer.
+    #: unknowns. Unknowns of sines are a constant, cosine and sine of each harmonic, and in a form
+    #: the change of the period.
     shape: np.ndarray | None = None
-    smoothing: float = 0.0  #: Weight of the roughness, relative to the columns' size
+    smoothing: float = 0.0  #: Weight of the roughness, relative to the columns' squares
 
     @property
     def count(self) -> int:
@@ -37,13 +37,13 @@ class Term:
 class Form:
     """Form of one balance's remainder, with a first estimate.
 
-    Terms are in the order in which they were chosen, sines last; unknowns follow one another. About
-    the `period` of the sines the last unknown counts; None without sines. `gain` is the share of
-    the balance's squares that it explains in cross-validation.
+    Terms are in the order of their choice, sines last; their unknowns are concatenated. The last
+    unknown is the change of the sines' `period`, which is None without sines. `gain` is the share
+    of the balance's squares that the form explains in cross-validation.
 
     Attributes:
         values: Estimate, (unknowns,).
-        precision: Inverse covariance of it, (unknowns, unknowns), smoothness included.
+        precision: Inverse covariance of the estimate with smoothness, (unknowns, unknowns).
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Form:
         self.balance, self.period, self.gain = fits.balance, period, gain
         values = fits.solved(terms)
         rest = fits.target - fits.design(terms) @ values
-        # Neighbouring windows that err alike count for fewer (Bartlett 1935).
+        # Correlated neighbouring windows count as fewer independent ones (Bartlett 1935).
         memory = _neighbours(rest * np.sqrt(fits.weight), fits.balance)
         variance = float(fits.weight @ rest**2) / fits.target.size
         variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
@@ -67,13 +67,13 @@ class Form:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the estimate, (unknowns, unknowns)."""
+        """Covariance of the estimate, (unknowns, unknowns)."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.precision), 1e-300))
         both = np.outer(scale, scale)
         return np.asarray(np.linalg.pinv(self.precision * both, rcond=1e-12, hermitian=True) * both)
 
     def part(self, values: np.ndarray) -> Part:
-        """The part that it is with values of its unknowns."""
+        """Returns the learned part for values of the unknowns."""
         splines, period = {}, None
         pieces = np.split(values, np.cumsum([term.count for term in self.terms])[:-1])
         for term, own in zip(self.terms, pieces, strict=True):
@@ -99,9 +99,9 @@ class Form:
 def choose_form(
     balance: Balance, *, driven_by_oil: bool, limits: Thresholds = DEFAULT
 ) -> Form | None:
-    """Forward selection of variables by cross-validation over blocks; None where nothing helps.
+    """Selects variables forward by cross-validation over blocks; None if no variable helps.
 
-    The command of a joint that is driven by oil is no force, and no variable.
+    If the joint is driven by oil, its command is no force and is not a candidate.
     """
     if len(balance.lacking) < limits.learned_windows:
         return None
@@ -125,7 +125,7 @@ def choose_form(
 
 
 def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
-    """Terms of the variables that move."""
+    """Returns the terms of the variables that change."""
     found = []
     for variable, x in balance.inputs.items():
         if variable == "command" and not balance.oil:
@@ -141,10 +141,10 @@ def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
 
 
 def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
-    """Knots between the ends of the data, as many as the variable needs; None where it rests.
+    """Returns knots over the range of the data, a number by variable; None if it is constant.
 
-    Friction and valves change about zero, where knots of the velocity and command lie dense: in
-    steps of a tenth of the largest at first, exponentially wider beyond.
+    Friction and valves change near zero, so knots of velocity and command are dense there: their
+    distance is a tenth of the largest value at first and grows exponentially.
     """
     low, high = np.quantile(x, [0.002, 0.998]).tolist()
     if not high - low > 1e-9 * max(abs(low), abs(high), 1e-9):
@@ -160,35 +160,35 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
 
 
 def _mean(balance: Balance, functions: np.ndarray) -> np.ndarray:
-    """Functions at the samples, times gain, mean over each window: (windows, functions)."""
+    """Computes means over windows of functions at the samples times gain, (windows, functions)."""
     return np.asarray((functions * balance.gain[:, :, None]).mean(axis=1))
 
 
 def worthwhile(saved: np.ndarray, misfit: float, limits: Thresholds) -> bool:
-    """Whether what blocks or windows save is beyond chance, and in all a share of the misfit."""
+    """Tests whether savings of blocks or windows are significant and a share of the misfit."""
     total = float(saved.sum())
     return total > limits.beyond_chance * _chance(saved) and total > limits.worthwhile * misfit
 
 
 def _chance(values: np.ndarray) -> float:
-    """Standard error of a sum."""
+    """Computes the standard error of a sum."""
     return float(values.std(ddof=1)) * np.sqrt(values.size)
 
 
 class _Fits:
     """Robustly weighted fits of terms to one balance, and their errors in cross-validation.
 
-    The sum of all candidates says which windows are outliers.
+    A fit of all candidates together determines which windows are outliers.
     """
 
     def __init__(self, balance: Balance, candidates: Sequence[Term]) -> None:
         self.balance, self.target = balance, balance.gained
-        # Neighbours within a second err alike.
+        # Errors within a second are correlated, so blocks for cross-validation last a second.
         second = np.floor(balance.time - balance.time.min()).astype(int)
         block = balance.recording * (second.max() + 1) + second
         self.blocks = [np.flatnonzero(block == k) for k in np.unique(block)]
         base = np.ones(self.target.size)
-        if balance.oil:  # what opens the valve little says little, and errors grow with the gain
+        if balance.oil:  # errors grow with the gain; a lower limit holds near a closed valve
             size = np.abs(balance.gain).mean(axis=1)
             base = 1.0 / (size**2 + (0.1 * np.median(size)) ** 2)
         self.weight = base
@@ -199,11 +199,11 @@ class _Fits:
             self.weight = base * np.minimum(1.0, level / np.maximum(scaled, 1e-300))
 
     def design(self, terms: Sequence[Term]) -> np.ndarray:
-        """Columns of all terms, (windows, unknowns)."""
+        """Concatenates the columns of all terms, (windows, unknowns)."""
         return np.concatenate([np.zeros((self.target.size, 0)), *(t.columns for t in terms)], 1)
 
     def penalty(self, terms: Sequence[Term]) -> np.ndarray:
-        """Smoothness of all terms and a small ridge, (unknowns, unknowns)."""
+        """Computes the roughness penalty of all terms and a small ridge, (unknowns, unknowns)."""
         blocks = [np.zeros((0, 0))]
         for term in terms:
             size = float(self.weight @ (term.columns**2).sum(axis=1))
@@ -212,20 +212,20 @@ class _Fits:
         return np.asarray(block_diag(*blocks))
 
     def sums(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        """X'WX, (blocks, unknowns, unknowns), and X'Wy, (blocks, unknowns), of the terms."""
+        """Computes X'WX, (blocks, unknowns, unknowns), and X'Wy, (blocks, unknowns), of terms."""
         design = self.design(terms)
         weighted = design * self.weight[:, None]
         matrices = np.stack([weighted[r].T @ design[r] for r in self.blocks])
         return matrices, np.stack([weighted[r].T @ self.target[r] for r in self.blocks])
 
     def solved(self, terms: Sequence[Term]) -> np.ndarray:
-        """Values of the unknowns."""
+        """Computes the penalised estimate of the unknowns."""
         return _solved(*self.sums(terms), self.penalty(terms))
 
     def errors(
         self, terms: Sequence[Term], sums: tuple[np.ndarray, np.ndarray] | None = None
     ) -> np.ndarray:
-        """Squared errors of every block under a fit to the other four fifths, (blocks,)."""
+        """Computes squared errors of blocks in fivefold cross-validation, (blocks,)."""
         matrices, rights = sums or self.sums(terms)
         penalty = self.penalty(terms)
         out = np.array([self.weight[r] @ self.target[r] ** 2 for r in self.blocks])
@@ -237,10 +237,10 @@ class _Fits:
         return np.maximum(out, 0.0)
 
     def smoothed(self, chosen: tuple[Term, ...], new: Term) -> tuple[tuple[Term, ...], np.ndarray]:
-        """The terms with a new one's smoothing by cross-validation, and errors of all blocks."""
+        """Adds a term with smoothing by cross-validation; returns terms and errors of blocks."""
         sums = self.sums((*chosen, new))
         tried = []
-        # Relative to the size of the columns: from none to almost a straight line.
+        # Relative to the columns' squares: from no smoothing to almost a straight line.
         for smoothing in (10.0 ** np.arange(-7.0, 3.0)).tolist():
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, self.errors(terms, sums)))
@@ -251,7 +251,7 @@ class _Fits:
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
     ) -> Term:
-        """Sines of the position in place of its spline; their period is open about amplitudes."""
+        """Replaces the position's spline by sines; with amplitudes their period is an unknown."""
         low, high = own.knots[0], own.knots[-1]
 
         def waves(x: np.ndarray) -> np.ndarray:
@@ -264,7 +264,7 @@ class _Fits:
             slope = (there - back) @ amplitudes / (2.0 * step)
             return np.concatenate([columns, slope[..., None]], axis=-1)
 
-        # Of a cubic spline with so many pieces a wave is one to a thousandth.
+        # With this number of pieces a cubic spline approximates a sine to a thousandth.
         knots = np.linspace(low, high, max(8, int(np.ceil(14 * harmonics * (high - low) / period))))
         grid = np.linspace(low, high, 12 * knots.size)
         shape = nearest(knots, grid, waves(grid))
@@ -274,14 +274,14 @@ class _Fits:
 
 
 def _solved(matrices: np.ndarray, rights: np.ndarray, penalty: np.ndarray) -> np.ndarray:
-    """Penalised values of the unknowns from the sums of blocks."""
+    """Computes penalised values of the unknowns from the sums of blocks."""
     matrix = matrices.sum(axis=0) + penalty
     ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
     return np.linalg.solve(matrix + ridge * np.eye(len(matrix)), rights.sum(axis=0))
 
 
 def sines(x: np.ndarray, period: float, harmonics: int) -> np.ndarray:
-    """Constant, then cosine and sine of each harmonic, (..., 1 + 2 harmonics)."""
+    """Computes a constant, then cosine and sine of each harmonic, (..., 1 + 2 harmonics)."""
     angle = 2.0 * np.pi / period * x[..., None] * np.arange(1, harmonics + 1)
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*x.shape, -1)
     return np.concatenate([np.ones((*x.shape, 1)), waves], axis=-1)
@@ -290,15 +290,15 @@ def sines(x: np.ndarray, period: float, harmonics: int) -> np.ndarray:
 def _periodic(
     fits: _Fits, chosen: tuple[Term, ...], left: np.ndarray, limits: Thresholds
 ) -> tuple[tuple[Term, ...], float | None]:
-    """The terms with sines of the position where these do as well as its spline, and the period.
+    """Replaces the position's spline by sines if these fit as well; returns terms and period.
 
-    With that spline, errors of blocks in cross-validation are `left`.
+    `left` are the errors of blocks in cross-validation with the spline.
     """
     others = tuple(term for term in chosen if term.variable != "position")
     (own,) = (term for term in chosen if term.variable == "position")
     span, middle = float(np.ptp(own.knots)), float(own.knots[[0, -1]].mean())
     x = np.clip(fits.balance.inputs["position"], *own.knots[[0, -1]]) - middle
-    # What the others explain is taken out of target and sines (Frisch and Waugh 1933).
+    # The other terms are projected out of target and sines (Frisch and Waugh 1933).
     root = np.sqrt(fits.weight)[:, None]
     smooth = np.linalg.cholesky(fits.penalty(others)).T
     known = np.linalg.qr(np.concatenate([fits.design(others) * root, smooth]))[0]
@@ -315,18 +315,18 @@ def _periodic(
         return float(np.sum((target - waves @ found) ** 2))
 
     alone = float(fits.errors(others).sum())
-    # A spline may fit a little better than sines do, but no cubic that needs no period.
+    # Sines may fit a little worse than the spline, but not worse than a cubic polynomial.
     powers = _mean(fits.balance, (x / span)[:, :, None] ** np.arange(4))
     cubic = replace(own, columns=powers, penalty=np.zeros((4, 4)), smoothing=0.0)
     room = limits.worthwhile * (alone - float(left.sum()))
     allowed = min(float(left.sum()) + room, float(fits.errors((*others, cubic)).sum()))
-    # From a little more than the range to a twentieth of it. With free overtones anything is
-    # periodic, unless it repeats.
+    # Periods from a little more than the range to a twentieth of it. Overtones fit any curve over
+    # one period, so forms with overtones have to repeat within the range.
     frequencies = np.arange(0.87, 20.0, 0.1) / span
     for harmonics, repeats in ((1, 0.0), (2, 1.3), (3, 1.8)):
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
-        # Half the frequency with every second harmonic is the same: the highest that does it.
+        # Half the frequency with every second harmonic fits alike, so the highest one is taken.
         least = costs.min()
         near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
         best = np.inf, chosen, 0.0
@@ -346,7 +346,7 @@ def _periodic(
 
 
 def _neighbours(rest: np.ndarray, balance: Balance) -> float:
-    """Correlation of neighbouring windows, in [0, 1]."""
+    """Computes the correlation of neighbouring windows, from 0 to 0.95."""
     step = np.median(np.diff(balance.time)[np.diff(balance.recording) == 0])
     together = (np.diff(balance.recording) == 0) & (np.diff(balance.time) < 1.5 * step)
     limit = 4.0 * np.median(np.abs(rest)) + 1e-300

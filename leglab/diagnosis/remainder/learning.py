@@ -1,4 +1,4 @@
-"""Learns what no effect explains: a static remainder from the balances, refined by replay."""
+"""Learning of a static remainder that no effect explains, from balances, refined by replay."""
 
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
@@ -19,29 +19,29 @@ from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 from leglab.diagnosis.result import closed, root_mean
 from leglab.diagnosis.thresholds import ALIKE, EXPLAINED, EXPLANATION, Thresholds
 
-# What is said where the rest is large and no static function of the moment.
+# Sentence for a large rest that is no static function of the present motion.
 MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspects"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """A learned static remainder, its gain proved on held-out recordings."""
+    """A learned static remainder whose gain is validated on held-out recordings."""
 
     parts: tuple[Part, ...]  #: Forces of joints and command offsets of cylinders
-    hypothesis: Hypothesis  #: Replaces the one beside which it was learned, nuisances refitted
+    hypothesis: Hypothesis  #: The hypothesis with nuisance parameters refitted to the parts
     described: tuple[Described, ...]
-    problem: Problem  #: With the parts in every hypothesis, noise model about the end
+    problem: Problem  #: With the parts in every hypothesis, and the noise model at the result
     closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
-    memory: bool  #: Whether what is left has a memory
+    memory: bool  #: Whether the remaining errors depend on the past
 
     @property
     def words(self) -> str:
-        """One or two sentences."""
+        """Description in one or two sentences."""
         text = "; ".join(d.text for d in self.described)
         return f"{text}. {MEMORY_WORDS}" if self.memory else text
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of improvement.json."""
+        """Returns the entry of improvement.json."""
         return {
             "words": self.words,
             "closed_fraction": self.closed_fraction,
@@ -60,12 +60,12 @@ def learn_remainder(
     named: Collection[Key] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Remainder | None:
-    """Learns a static remainder beside a hypothesis; None where no gain was proved.
+    """Learns a static remainder in addition to a hypothesis; None if no gain is validated.
 
     Additive splines are fitted to the balances of forces and oil along the measured motion, and
-    refined by replays together with the nuisances. What does not pay on held-out recordings is left
-    out, and without any nothing can be proved. Values of `named` effects stay; None for all that
-    are not nuisances.
+    refined by replays together with the nuisance parameters. Parts without a gain on held-out
+    recordings are left out; without such recordings the result is None. Values of `named` effects
+    are fixed; None for all effects without a tolerance.
     """
     held, sites, least = problem.held, problem.library.sites, EXPLAINED
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
@@ -73,7 +73,7 @@ def learn_remainder(
     if named is None:
         named = [k for k in hypothesis if all(p.tolerance == 0.0 for p in sites[k].parameters)]
     keep = frozenset(named)
-    # Nuisances that a missing force has pulled along hide it: begin without, or with them.
+    # Nuisance parameters biased by a missing force hide it: start without and with their values.
     starts = [hypothesis.only(keep)]
     if set(hypothesis) != set(keep):
         starts.append(hypothesis)
@@ -94,7 +94,7 @@ def learn_remainder(
 
 
 def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
-    """Forms of all balances' remainders, by windows of fitted recordings in which joints move."""
+    """Chooses forms of all balances' remainders, by moving windows of the fitted recordings."""
     machine, limits = problem.machine, problem.thresholds
     fitted = np.unique(problem.replay.recording[problem.fitted])
     forms = (
@@ -111,7 +111,7 @@ def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
 def _proved(
     problem: Problem, without: Hypothesis, beside: Hypothesis, learned: list[tuple[Part, Form]]
 ) -> Remainder | None:
-    """Gain on held-out recordings beside a hypothesis, against the same without it."""
+    """Validates learned parts by their gain on held-out recordings; None if they have none."""
     problem, held, limits = copy(problem), problem.held, problem.thresholds
 
     def joined(some: list[tuple[Part, Form]]) -> Problem:
@@ -142,11 +142,11 @@ def _proved(
 
 
 def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hypothesis) -> bool:
-    """Whether what was learned makes an error of the held-out recordings larger, in its own unit.
+    """Tests whether learned parts enlarge any error of held-out recordings, in physical units.
 
     Errors of channels at the end of windows and of joints in whole recordings are compared, since
-    whitened errors leave out what uncertain start states explain. An error may grow by the noise of
-    its sensor.
+    whitening suppresses errors that uncertain start states explain. An error may grow by the noise
+    of its sensor.
     """
     held, noise = problem.held, problem.sensor_noise
     recordings = np.unique(problem.replay.recording[held]).tolist()
@@ -165,7 +165,7 @@ def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hyp
 
 
 def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
-    """Whether mean squares of held-out windows fall by a share of the misfit, beyond chance."""
+    """Tests whether mean squares of held-out windows fall significantly, by a share of misfit."""
     cost = robust_cost(before, limits.robust_limit)
     saved = cost - robust_cost(after, limits.robust_limit)
     misfit = saved.size * (max(float(cost.mean()), EXPLAINED) - 1.0)
@@ -173,10 +173,10 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Whether what a hypothesis leaves lasts and is no function of the moment.
+    """Tests whether the errors of a hypothesis persist and are no function of the present motion.
 
-    Whitened errors of a right model are independent; what lasts makes neighbouring bins err alike.
-    If static functions explain little of the balances, what is missing depends on the past.
+    Whitened errors of a correct model are independent; persistent ones correlate neighbouring bins.
+    If static functions explain little of the balances, the missing effect depends on the past.
     """
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
@@ -186,7 +186,7 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
 
 
 def open_directions(form: Form, most: int) -> np.ndarray:
-    """Where a balance leaves unknowns most open, in standard deviations, (unknowns, directions)."""
+    """Returns the least determined directions in standard deviations, (unknowns, directions)."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
     order = np.argsort(-values)[:most]
@@ -194,7 +194,7 @@ def open_directions(form: Form, most: int) -> np.ndarray:
 
 
 def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
-    """The same problem, all of whose hypotheses have learned parts."""
+    """Returns a copy of the problem with learned parts in all hypotheses."""
     other = copy(problem)
     other.library = LearnedLibrary(problem.library, parts)
     return other
@@ -203,10 +203,10 @@ def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
 def refine(
     problem: Problem, hypothesis: Hypothesis, forms: Sequence[Form], fixed: frozenset[Key]
 ) -> tuple[tuple[Part, ...], Hypothesis]:
-    """Fits principal directions of the forms, and nuisances from a hypothesis on, to replays.
+    """Fits principal directions of the forms, and a hypothesis's nuisance parameters, to replays.
 
-    Effects in `fixed` stay as they are. The parts, in the order of the forms, each with a bound a
-    little above what it reaches on its data, and the hypothesis with the nuisances beside them.
+    Effects in `fixed` do not change. Returns the parts in the order of the forms, each bounded
+    slightly above its largest value on the data, and the hypothesis with the nuisance parameters.
     """
     problem, limits = copy(problem), problem.thresholds
     chosen = thinned(problem.fitted, limits.learned_windows)
@@ -214,7 +214,7 @@ def refine(
     along = [open_directions(form, each) for form in forms]
     ends = np.cumsum([one.shape[1] for one in along])
     u = Unknowns.of(problem.library)
-    # What differs between good machines follows.
+    # Parameters that differ between good machines are refitted.
     loose = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in fixed]
     count, z, base = ends[-1], np.zeros(ends[-1]), hypothesis
 
@@ -223,7 +223,7 @@ def refine(
         return tuple(form.part(form.values + axes @ own) for form, axes, own in rows)
 
     def moved(step: np.ndarray) -> tuple[np.ndarray, Hypothesis, np.ndarray]:
-        """Place and hypothesis after a step, and its departures from the priors' means."""
+        """Returns coordinates and hypothesis after a step, and departures from prior means."""
         by = dict(zip(loose, (step[count:] * u.tolerance[loose]).tolist(), strict=True))
         new = z + step[:count], u.moved(base, by)
         eta = u.departures(new[1])[loose] / u.tolerance[loose]
@@ -238,11 +238,11 @@ def refine(
         return float(told + departed @ departed)
 
     for iteration in range(4):
-        # The noise model of a base without its parts tells little of start states.
+        # A noise model without the learned parts misjudges the growth of start-state errors.
         if iteration < 2:
             problem.noise = with_parts(problem, parts(z)).about(base).noise
         residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
-        # Differences over half a standard deviation of what balances, or good machines, leave open.
+        # Differences over half a standard deviation of the balances' estimate or of tolerances.
         probes = (moved(0.5 * row)[:2] for row in np.eye(offset.size))
         columns = [(errors(*probe) - residual) / 0.5 for probe in probes]
         step, scale = _step(residual, np.stack(columns, axis=2), offset, limits.robust_limit)
@@ -267,10 +267,10 @@ def refine(
 def _step(
     residual: np.ndarray, jacobian: np.ndarray, offset: np.ndarray, limit: float
 ) -> tuple[np.ndarray, float]:
-    """Robust step of all unknowns, in standard deviations of priors, and the scale of what is left.
+    """Computes a robust step, in standard deviations of priors, and the scale of remaining errors.
 
-    A model that is wrong elsewhere leaves errors of many noise levels. Their scale, the median
-    window after the step, weighs replays against priors (Kennedy and O'Hagan 2001).
+    A model that is also wrong in other ways leaves errors of many noise levels. Their scale, the
+    median window after the step, weights replays against priors (Kennedy and O'Hagan 2001).
     """
     matrices = jacobian.transpose(0, 2, 1) @ jacobian
     rights = np.einsum("wnk,wn->wk", jacobian, residual)

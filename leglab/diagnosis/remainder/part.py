@@ -1,4 +1,4 @@
-"""Learned parts: static forces of joints and command offsets of cylinders, and models with them."""
+"""Learned parts, static forces of joints and command offsets of cylinders, and their library."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Periodicity:
 
     length: float  #: rad or m
     interval: tuple[float, float]  #: 95 %
-    amplitudes: tuple[float, ...]  #: Of the harmonics, the first that of the whole period
+    amplitudes: tuple[float, ...]  #: Amplitudes of the harmonics, the fundamental first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,25 +31,25 @@ class Part:
     """A learned static force on a joint, or command offset of a cylinder."""
 
     element: str
-    joint: str  #: Whose motion it goes with
-    actuator: str  #: Whose command it depends on; empty for none
+    joint: str  #: Joint whose motion it depends on
+    actuator: str  #: Actuator whose command it depends on; empty for none
     oil: bool  #: Whether it is a command offset
-    terms: Mapping[str, CubicSpline]  #: Splines by variable; their sum counts
-    period: Periodicity | None = None  #: Of the position, where there is one
+    terms: Mapping[str, CubicSpline]  #: Additive splines by variable
+    period: Periodicity | None = None  #: Repetition over the position; None without one
     bound: float = _NO_BOUND  #: Largest magnitude of the sum
 
     @property
     def name(self) -> str:
-        """Of the plugin instance, on a machine where it is free."""
+        """Name of the plugin instance, on a machine where it is free."""
         return f"{self.element}_remainder"
 
     def at(self, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Force or offset at inputs by variable, of one shape."""
+        """Computes the force or offset at inputs by variable, all of one shape."""
         total = np.sum([spline(inputs[v]) for v, spline in self.terms.items()], axis=0)
         return np.clip(total, -self.bound, self.bound)
 
     def config(self, *, neutral: bool = False) -> dict[str, float | str]:
-        """Attributes of its `leglab.residual`; coefficients are zero where neutral."""
+        """Returns attributes of its `leglab.residual`; if `neutral`, coefficients are zero."""
         out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
         if "command" in self.terms and not self.oil:
             out["actuator"] = self.actuator
@@ -63,7 +63,7 @@ class Part:
         return out
 
     def apply(self, change: Change) -> None:
-        """Adds it to a change; another one with the same knots needs no other model."""
+        """Adds the part to a change; parts with the same knots share a compiled model."""
         config = self.config(neutral=True)
         name = change.machine.free_name(self.name)
         key = ("insert", RESIDUAL, name, *sorted(config.items()))
@@ -78,14 +78,14 @@ class Part:
     def _load(
         self, machine: Machine, measured: Measured, variant: Variant, plugin: np.ndarray
     ) -> np.ndarray:
-        """Actuator force on the joint at window starts, (windows,)."""
+        """Computes the actuator force on the joint at window starts, (windows,)."""
         model, k = variant.model, measured.samples
         states = states_at(machine, model, measured, k, plugin)
         found = forces_at(model, states, commands_at(machine, measured, k))
         return found.load[:, int(model.joint(self.joint).dofadr[0])]
 
     def write(self, spec: mujoco.MjSpec, machine: Machine) -> None:
-        """Adds its plugin instance to a specification of a machine."""
+        """Adds the part's plugin instance to a specification of a machine."""
         insert(spec, RESIDUAL, machine.free_name(self.name), self.config())
 
 
@@ -103,7 +103,7 @@ class LearnedLibrary(Library):
     def change(
         self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
     ) -> Change:
-        """The change that a hypothesis makes, with the learned parts."""
+        """Returns the change by a hypothesis, with the learned parts."""
         change = super().change(hypothesis, machine, written=written)
         for part in self.parts:
             part.apply(change)

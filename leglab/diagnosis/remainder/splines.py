@@ -16,26 +16,26 @@ class CubicSpline:
     coefficients: np.ndarray  #: Shape (knots + 2,)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Values at inputs of any shape."""
+        """Computes values at inputs of any shape."""
         inside = np.clip(x, self.knots[0], self.knots[-1])
         return BSpline(clamped(self.knots), self.coefficients, DEGREE)(inside)
 
 
 def clamped(knots: np.ndarray) -> np.ndarray:
-    """Knots with the outermost four times."""
+    """Returns knots with the outermost ones repeated to multiplicity four."""
     return np.pad(knots, DEGREE, mode="edge")
 
 
 def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """All B-splines at clamped inputs of any shape, (..., knots + 2): their sum is one."""
+    """Computes all B-splines at clamped inputs of any shape, (..., knots + 2); their sum is 1."""
     inside = np.clip(x.ravel(), knots[0], knots[-1])
     return BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray().reshape(*x.shape, -1)
 
 
 def roughness(knots: np.ndarray) -> np.ndarray:
-    """Penalty matrix of the integrated squared second derivative, scaled to the range.
+    """Computes the penalty matrix of the integrated squared second derivative, scaled to the range.
 
-    Lines cost nothing; a knot's distance and the unit of the input do not matter.
+    Straight lines have no penalty; it does not depend on knot distances or the input's unit.
     """
     span = knots[-1] - knots[0]
     points, weights = np.polynomial.legendre.leggauss(2)  # exact: a product of lines
@@ -47,5 +47,5 @@ def roughness(knots: np.ndarray) -> np.ndarray:
 
 
 def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarray:
-    """Coefficients nearest to functions given at increasing places, (n,) or (n, functions)."""
+    """Fits coefficients to functions sampled at increasing x, (n,) or (n, functions)."""
     return np.asarray(make_lsq_spline(x, functions, clamped(knots), DEGREE).c)

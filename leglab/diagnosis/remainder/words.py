@@ -1,4 +1,4 @@
-"""Words from the shape of what was learned."""
+"""Descriptions in words of the shapes of learned parts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from leglab.diagnosis.thresholds import SMALL
 Parity = Literal["odd", "even", "mixed"]
 Side = Literal["positive", "negative"]
 
-# Less than this share of a thing is hardly there: terms beside larger ones, the other parity of a
-# curve, its other side, or its change in the outer quarters.
+# Shares below this are negligible: of terms beside larger ones, of the other parity of a curve, of
+# its other side, or of its change in the outer quarters.
 _HARDLY = SMALL
 
 
@@ -24,12 +24,12 @@ class Shape:
     variable: str
     size: float  #: Half the difference of its largest and smallest value on the data [N m, N or 1]
     interval: tuple[float, float]  #: Range of the data [unit of the variable]
-    #: Of a curve through zero input; None for positions and where one sign is missing.
+    #: Parity about zero input; None for positions and if one sign of the input is missing.
     parity: Parity | None
     one_sided: Side | None  #: Sign of the inputs on which it changes; None for both
     saturating: bool  #: Whether it is nearly flat in the outer halves of its range
-    rising: bool  #: Whether it grows with the variable on the whole; against motion it falls
-    period: Periodicity | None  #: Of a position
+    rising: bool  #: Whether it correlates with the variable; resistance to motion falls
+    period: Periodicity | None  #: Repetition over the position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,14 +37,14 @@ class Described:
     """A learned part in words."""
 
     element: str
-    unit: str  #: Of its sizes
-    shapes: tuple[Shape, ...]  #: Of its terms, the largest first
+    unit: str  #: Unit of its magnitudes
+    shapes: tuple[Shape, ...]  #: Shapes of its terms, the largest first
     constant: float  #: Mean over the data
     text: str  #: One sentence
 
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:
-    """Words for a part, with the data that it was learned from and the unit of the joint."""
+    """Describes a part in words, by the data of its fit and the unit of the joint."""
     found = [_shape(part, variable, inputs[variable]) for variable in part.terms]
     shapes = tuple(sorted(found, key=lambda shape: -shape.size))
     constant = sum(float(spline(inputs[v].ravel()).mean()) for v, spline in part.terms.items())
@@ -91,7 +91,7 @@ def _shape(part: Part, variable: str, data: np.ndarray) -> Shape:
 
 
 def _share(one: np.ndarray, other: np.ndarray) -> float:
-    """Share of two that the first has."""
+    """Computes the share of the first in the sum of two."""
     return float(np.sum(one) / (np.sum(one) + np.sum(other) + 1e-300))
 
 

@@ -1,8 +1,8 @@
-"""Whole recordings simulated in one go, in closed loop.
+"""Closed-loop simulation of whole recordings.
 
-Driven by the measured commands alone, a machine without a spring drifts away for whatever small
-reason. So a position loop corrects each command; how far the simulation still strays, and how much
-correction it needs, is what the model lacks.
+Under the measured commands alone, small errors add up and a machine without a spring drifts away.
+So a position loop corrects each command; the deviation that remains and the correction that the
+loop adds show what the model lacks.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ class Followed:
     """A simulation of a whole recording; arrays over its samples, (samples,)."""
 
     time: np.ndarray  #: Of the recording [s]
-    #: Positions by joint [rad or m], smoothed, as the hypothesis corrects them.
+    #: Positions by joint [rad or m], smoothed, with the hypothesis's sensor corrections.
     measured: dict[str, np.ndarray]
-    simulated: dict[str, np.ndarray]  #: NaN from where the simulation blew up
-    correction: dict[str, np.ndarray]  #: What the loop added to the commands, by actuator
+    simulated: dict[str, np.ndarray]  #: Positions by joint; NaN after the simulation blew up
+    correction: dict[str, np.ndarray]  #: Corrections that the loop added to commands, by actuator
 
     def deviation(self, joint: str) -> float:
-        """RMS of simulated less measured; infinite where the simulation blew up."""
+        """Computes the RMS of simulated less measured; infinite if the simulation blew up."""
         error = self.simulated[joint] - self.measured[joint]
         return float(rms(error)) if np.isfinite(error).all() else float("inf")
 
@@ -42,11 +42,11 @@ def follow(
     loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
-    """Simulates a recording, by its number, to its end or first gap; None without a first window.
+    """Simulates recording number `recording` from its first window to its end or first gap.
 
-    That is the first to start `after` a time [s]. The hypothesis holds throughout. `loop` is the
-    share of an error that the loop takes off in the length of a window: all of it, in 0.3 s softer
-    than the loops that legs and axes are run with; 0 for none.
+    The first window is the first one that starts at `after` [s] or later; None if there is none.
+    The hypothesis applies throughout. `loop` is the share of a position error that the loop removes
+    within a window: 1 is softer than usual position loops of legs and axes, 0 is open loop.
     """
     change = problem.library.change(hypothesis, problem.machine)
     course = problem.replay.course(change, recording, after)
@@ -85,12 +85,12 @@ def follow(
 
 
 def _gains(problem: Problem, course: Course, loop: float) -> np.ndarray:
-    """Command by error, and by its rate, of each actuator's own joint, (2, actuators, joints).
+    """Computes gains on the error of each actuator's joint and its rate, (2, actuators, joints).
 
-    With r the motion that a constant command adds within a window T, a loop of gain `loop`/r has
-    the rate `loop`/T where commands set a speed, and moves go with the first power p of time.
-    Where they set a force, p = 2, the square of the rate is 2 `loop`/T^2: a lead of 2 T (p - 1)
-    damps it well.
+    A unit command moves the joint by r within a window T, in proportion to time^p. Where commands
+    set a speed (p = 1), the gain `loop`/r closes the loop at a rate of `loop`/T. Where they set a
+    force (p = 2), the square of the natural frequency is 2 `loop`/T^2, and a lead of 2 T (p - 1)
+    damps the loop well.
     """
     machine = problem.machine
     gains = np.zeros((2, len(machine.actuators), len(machine.joints)))

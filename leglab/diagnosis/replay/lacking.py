@@ -1,4 +1,4 @@
-"""Forces along the measured motion that a model does not account for, without any integration."""
+"""Unmodelled forces along the measured motion, by inverse dynamics without integration."""
 
 from collections.abc import Sequence
 
@@ -20,9 +20,9 @@ from leglab.diagnosis.replay.windows import Channel
 
 
 def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Joints whose drives' forces can be known: not those of cylinders without pressures.
+    """Returns the joints whose drive forces are known; cylinders need measured pressures.
 
-    Nor those that lead others, as the forces of equalities between exact positions are unknown.
+    Joints that lead others are excluded: forces of equality constraints there are unknown.
     """
     known = {channel.column for channel in channels}
     blind = {
@@ -37,10 +37,10 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
 def lacking_forces(
     change: Change, measured: Measured, states: np.ndarray, half: int
 ) -> MomentForces:
-    """Forces that the measured motion needs beyond the modelled ones under a change.
+    """Computes the forces that the measured motion needs beyond those of the changed model.
 
-    At the samples of `measured`, with full physics states `states` there, (samples, nstate).
-    Accelerations are the mean over `half` samples to both sides.
+    They are taken at the samples of `measured` with the full physics states `states`, (samples,
+    nstate). Accelerations are means over `half` samples to both sides.
     """
     machine, model, k = change.machine, change.variant.model, measured.samples
     start = plugin_offset(model)
@@ -48,8 +48,8 @@ def lacking_forces(
     closed = plays(machine, change.variant)
     moments = states_at(machine, model, measured, k, plugin, without=closed)
     moments[:, 0] = states[:, 0]
-    # Held commands change at samples: about one, the mean of both sides acts. What steps its
-    # activation first has that of one step before.
+    # Commands are held between samples, so around a sample the mean of both sides acts. Actuators
+    # that step their activation before the force (`actearly`) see the command before.
     now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
     native = np.isin(machine.actuators, machine.native_actuators())
     command = np.where(native, 0.5 * (now + before), now)
@@ -60,13 +60,13 @@ def lacking_forces(
 def comparable_forces(
     change: Change, measured: Measured, found: MomentForces, joints: Sequence[str]
 ) -> np.ndarray:
-    """Forces left over as hypotheses can be compared by them, (samples, joints) [N m or N].
+    """Refers residual forces to the unmodified machine's inertia, (samples, joints) [N m or N].
 
-    A hypothesis that halves all inertia, friction and drive also halves what it leaves over, while
-    it errs as much in every motion. So what is left over counts by the acceleration that it makes,
-    as the sensor tells it, and that by the force it takes on the unmodified machine: M_0 M^-1 f for
-    a force f and joint-space inertias M_0 and M. `found` is what the hypothesis leaves over,
-    `joints` those that can be known.
+    A hypothesis that halves all inertia, friction and drive also halves its residual forces,
+    although its motion errs as much. So a residual force f is converted to the acceleration that it
+    causes, in units of the sensor, and then to the force that causes this acceleration on the
+    unmodified machine: M_0 M^-1 f with joint-space inertias M_0 and M. `found` has the hypothesis's
+    residual forces, `joints` are those with known drive forces.
     """
     machine, base, k = change.machine, change.machine.base, measured.samples
 

@@ -1,7 +1,7 @@
-"""Accelerations by commands of MuJoCo's own actuators, faster than position filters follow.
+"""Fast accelerations by commands of MuJoCo's native actuators, which position filters remove.
 
-Smoothed positions do not show how a noisy command moves a light joint from sample to sample, but
-commands are known: the motion that they make is added as far as filters take it away.
+Smoothed positions do not show how a noisy command moves a light joint from sample to sample. But
+commands are known: the motion that they cause is computed, and the filtered-out part is restored.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,16 +17,16 @@ from leglab.machine.simulation import actuator_moments
 
 
 class Pushes:
-    """Accelerations of the joints by the commands of native actuators, along a recording.
+    """Joint accelerations caused by the commands of native actuators, along a recording.
 
     Attributes:
-        actuators: Those that act at once by a fixed gain.
+        actuators: Native actuators with a fixed gain and without activation dynamics.
         dofs: Degrees of freedom of the model.
 
     Args:
-        machine: Of the recording.
+        machine: Machine of the recording.
         series: The recording.
-        stride: Samples from one pose to the next of those for which they are computed.
+        stride: Samples between the poses at which accelerations are computed.
     """
 
     def __init__(self, machine: Machine, series: UniformSeries, stride: int = 1) -> None:
@@ -51,7 +51,7 @@ class Pushes:
         for k, data in enumerate(poses(machine, series, slice(None, None, stride))):
             moment = actuator_moments(model, data)[acting]
             mujoco.mj_solveM(model, data, inverse, unit)
-            if machine.followers is not None:  # they move with what leads them
+            if machine.followers is not None:  # followers move with their leading joints
                 moves, mass = machine.followers.motion(data.qpos), np.linalg.inv(inverse)
                 inverse = moves @ np.linalg.solve(moves.T @ mass @ moves, moves.T)
             response[:, k] = ((inverse @ moment.T)[dofs] * gain).T
@@ -63,9 +63,9 @@ class Pushes:
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities by the commands alone, from rest, each (joints, n).
+        """Computes positions and velocities by the commands alone, from rest, each (joints, n).
 
-        Commands hold for a sampling period [s].
+        Each command is held for a sampling period [s].
         """
         held = np.stack([commands[name] for name in self.actuators])
         held = np.clip(held, self._limits[:, :1], self._limits[:, 1:])
@@ -74,14 +74,14 @@ class Pushes:
         gained = np.where(decay > 0.0, -np.expm1(-decay * period) / rate, period)
         each = zip(gained, kept, pushed.T, strict=True)
         velocity = np.stack([lfilter([0.0, g], [1.0, -k], a) for g, k, a in each])
-        # Exact for a velocity that is straight between samples.
+        # Exact for a velocity that is linear between samples.
         return cumulative_trapezoid(velocity, dx=period, initial=0.0), velocity
 
 
 def poses(
     machine: Machine, series: UniformSeries, samples: slice | np.ndarray = slice(None)
 ) -> Iterator[mujoco.MjData]:
-    """The machine at measured positions, one sample after the other."""
+    """Yields the unmodified machine's state at the measured positions, sample by sample."""
     model = machine.base.model
     data = mujoco.MjData(model)
     places = [int(model.joint(name).qposadr[0]) for name in machine.joints]

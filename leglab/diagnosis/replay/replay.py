@@ -35,43 +35,43 @@ _MEMORY = 50_000_000
 
 # Windows of one recording, its measured series, and its corrected columns.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
-# The same with samples of its windows, and full physics states there.
+# Windows of one recording, its series at the samples of interest, and full physics states there.
 Along = tuple[Cut, Measured, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReplayErrors:
-    """Measured less predicted."""
+    """Errors of a replay: measured less predicted outputs."""
 
     values: np.ndarray  #: Averaged over bins, in corrected units, shape (windows, channels, bins)
-    normalised: np.ndarray  #: With the sensors' own noise, which corrections multiply, same shape
-    left: np.ndarray | None  #: As `Replay.lacking` has it, where it was asked for
-    pushed: np.ndarray | None  #: What louder commands change in it, same shape
+    normalised: np.ndarray  #: Divided by the gain of sensor corrections, same shape
+    left: np.ndarray | None  #: Residual forces as in `Replay.lacking`; None if not requested
+    pushed: np.ndarray | None  #: Change of `left` by commands scaled by `LOUDER`, same shape
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Course:
-    """A recording from one of its windows on."""
+    """Data to simulate a recording from one of its windows on."""
 
     period: float  #: Sampling period [s]
     time: np.ndarray  #: Of the samples [s], (samples,)
-    #: Of the joints, corrected and smoothed, by joint, each (samples,).
+    #: Positions by joint, corrected and smoothed, each (samples,).
     positions: dict[str, np.ndarray]
     state: np.ndarray  #: Full physics state at the start, (nstate,)
     controls: np.ndarray  #: At every step of the replay, (steps, actuators)
-    #: How far a command that is larger by 1 moves each joint within half a window and a whole one,
-    #: the median of windows, (2, actuators, joints).
+    #: Displacement of each joint by a unit increase of each command after half a window and a whole
+    #: one, median of windows, (2, actuators, joints).
     moves: np.ndarray
 
 
 def at_replay_step(machine: Machine, period: float) -> Machine:
-    """The machine at the step of its replays, whose error `Problem` takes off.
+    """Returns the machine at the time step of its replays, whose error `Problem` subtracts.
 
-    The longest that divides the sampling period [s], is at most twice the model's own and that the
-    model accepts.
+    The step is the longest that divides the sampling period [s], is at most twice the model's step
+    and is accepted by the model.
 
     Raises:
-        LeglabError: The model refuses its own step as well.
+        LeglabError: The model accepts none of these steps.
     """
     own = machine.file_timestep
     fewest, most = (max(1, int(np.ceil(period / h - 1e-9))) for h in (2.0 * own, own))
@@ -103,7 +103,7 @@ class Replay:
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
         self.samples, self.bins = window_length(period, thresholds)  #: of a window
-        self.window = self.samples * period  # how long one lasts [s]
+        self.window = self.samples * period  # length of a window [s]
         self.rest_time = max(thresholds.rest_time, period)  #: s
         chambers = sum(1 for c in channels if c.chamber)
         #: Whether chamber pressures are not measured; they are then replayed as well.
@@ -130,7 +130,7 @@ class Replay:
         self._threads = max(1, threads)
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
-        self._room = np.empty(0)  # for states
+        self._room = np.empty(0)  # buffer of states
         self.rollouts = 0.0  #: replays of all windows so far
 
     @property
@@ -139,7 +139,7 @@ class Replay:
         return int(self.start.size)
 
     def on(self, machine: Machine) -> "Replay":
-        """The same windows replayed by another model."""
+        """Returns a replay of these windows by another model."""
         other = copy(self)
         other.machine, other.rollouts = machine, 0.0
         other._datas, other._room = {}, np.empty(0)
@@ -147,8 +147,8 @@ class Replay:
         return other
 
     def use_one_thread(self) -> None:
-        """Replays go on without the threads of the process from which this one was forked."""
-        # Those do not exist here, and the end of their pool would wait for them.
+        """Replaces the thread pool that a forked process inherited from its parent."""
+        # The pool's threads exist in the parent only; its destructor would wait for them.
         self._abandoned, self._threads = self._pool, 1
         self._pool, self._datas = rollout.Rollout(nthread=0), {}
 
@@ -161,16 +161,16 @@ class Replay:
         lead: float = 0.0,
         forces: bool = False,
     ) -> ReplayErrors:
-        """Measured less predicted under a change, of all windows or those in a mask, (windows,).
+        """Computes measured less predicted outputs under a change, of all or the chosen windows.
 
-        With a departure from the start states, with commands of native actuators that act earlier
-        by `lead` [s], and with the forces that windows leave over if wanted.
+        `chosen` is a mask, (windows,). `nudge` perturbs the start states, commands of native
+        actuators act earlier by `lead` [s], and `forces` adds the residual forces of the windows.
         """
         parts = list(self._parts(change, chosen))
         left: np.ndarray | None = None
         pushed: np.ndarray | None = None
         if forces and not self.blind:
-            # What holds at starts and inside windows follows from the same series, at once.
+            # One reconstruction of the series serves the window starts and the samples inside.
             along = list(self._along(change, parts, starts=True))
             starts = np.concatenate([states[: cut.firsts.size] for cut, _, states in along])
             inside = [
@@ -202,26 +202,26 @@ class Replay:
         )
 
     def lacking(self, change: Change, chosen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Forces that the measured motion leaves over, averaged over blocks of a window [N m or N].
+        """Computes residual forces of the measured motion, means over blocks [N m or N].
 
-        Shape (chosen windows, joints whose forces can be known, blocks), as `comparable_forces` has
-        them; and what commands of native actuators that are `LOUDER` change in them.
+        They are those of `comparable_forces`, shape (chosen windows, joints with known drive
+        forces, blocks). A second array is their change by native commands scaled by `LOUDER`.
         """
         return self._left(change, self.along(change, chosen))
 
     def along(self, change: Change, chosen: np.ndarray | None) -> Iterator[Along]:
-        """Samples inside the chosen windows of every recording, and full physics states there."""
+        """Yields samples inside the chosen windows of each recording, with full physics states."""
         return self._along(change, self._parts(change, chosen))
 
     @property
     def half(self) -> int:
-        """Samples to both sides over which accelerations are taken: a bin's."""
+        """Samples to both sides over which accelerations are averaged: those of a bin."""
         return self.samples // self.bins
 
     def _along(
         self, change: Change, parts: Iterable[Part], *, starts: bool = False
     ) -> Iterator[Along]:
-        """As `along`, after window starts if wanted; as many samples in each block."""
+        """Yields like `along`, with window starts first if `starts`; equally long blocks."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
         blocks = FORCE_BLOCKS
         inside = inside[: inside.size // blocks * blocks]
@@ -233,7 +233,7 @@ class Replay:
             yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
     def _left(self, change: Change, along: Iterable[Along]) -> tuple[np.ndarray, np.ndarray]:
-        """As `lacking`."""
+        """Computes the two arrays of `lacking` from the output of `along`."""
         joints = balanced_joints(self.machine, self.channels)
         native = self.machine.native_actuators()
 
@@ -255,9 +255,9 @@ class Replay:
         return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
-        """Predictions from the start of a window under other commands than those measured.
+        """Predicts outputs from the start of a window under other commands than those measured.
 
-        These have the shape (series, samples, actuators), predictions (series, channels, samples).
+        Commands have the shape (series, samples, actuators), outputs (series, channels, samples).
         """
         parts = list(self._parts(change, np.arange(self.windows) == window))
         start = self._starts(change, parts)
@@ -267,9 +267,9 @@ class Replay:
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:
-        """A recording from its first window that starts after a time [s], to its end or a gap.
+        """Returns a recording from its first window at or after a time [s] to its end or a gap.
 
-        None where there is no such window.
+        Returns None if there is no such window.
         """
         cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
@@ -284,7 +284,7 @@ class Replay:
         late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
         there = self._roll(change.variant, starts, controls, late, places)
         for i, actuator in enumerate(self.machine.actuators):
-            # Enough of its spread to show what it moves, and little beside the motion.
+            # 5 % of the command's standard deviation: a visible but small perturbation.
             step = 0.05 * float(np.std(cut.series.columns[f"{actuator}_command"]))
             if step > 0.0:
                 moved = controls.copy()
@@ -304,7 +304,7 @@ class Replay:
         )
 
     def measured(self) -> np.ndarray:
-        """Samples of all windows as measured, shape (windows, channels, samples + 1)."""
+        """Returns the measured samples of all windows, shape (windows, channels, samples + 1)."""
         rows = []
         for cut in self.cuts:
             index = cut.firsts[:, None] + np.arange(self.samples + 1)
@@ -312,11 +312,11 @@ class Replay:
         return np.concatenate(rows)
 
     def at_starts(self, values: list[np.ndarray]) -> np.ndarray:
-        """Values at window starts, shape (windows,), from one array of shape (n,) a recording."""
+        """Returns values at window starts, (windows,), from one array (n,) per recording."""
         return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
 
     def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
-        """The chosen windows of every recording that has some, as measured under a change."""
+        """Yields the recordings that have chosen windows, with their series under a change."""
         for number, cut in enumerate(self.cuts):
             if chosen is not None:
                 cut = replace(cut, firsts=cut.firsts[chosen[self.recording == number]])
@@ -324,7 +324,7 @@ class Replay:
                 yield cut, *measure(cut, self.channels, change)
 
     def _starts(self, change: Change, parts: list[Part]) -> np.ndarray:
-        """Full physics states at window starts, (windows, nstate)."""
+        """Returns full physics states at window starts, (windows, nstate)."""
 
         def states(earlier: int, pressures: Sequence[np.ndarray | None]) -> np.ndarray:
             then = [(cut, replace(m, samples=m.samples - earlier)) for cut, m, _ in parts]
@@ -351,16 +351,16 @@ class Replay:
     def _controls(
         self, cut: Cut, measured: Measured, index: np.ndarray, lead: float = 0.0
     ) -> np.ndarray:
-        """Controls at the steps of windows, (windows, steps, actuators); `index` their samples.
+        """Returns controls at the steps of windows of samples `index`, (windows, steps, actuators).
 
-        Commands of native actuators act `lead` [s] earlier than the recording says.
+        Commands of native actuators act `lead` [s] before their recorded times.
         """
         actuators, steps = self.machine.actuators, self.substeps
         controls = commands_at(self.machine, measured, index)
         controls = np.repeat(controls, steps, axis=1)
-        # Velocities lag half a step, so a kick spans half a step to both sides of its time and
-        # has the mean of what is commanded then. A valve follows its command itself, and so does
-        # an activation, which is that of the step before where it is stepped before the force.
+        # Velocities lag half a step, so an impulse spans half a step to both sides of its time and
+        # takes the mean command of that span. Valves and activations follow commands by their
+        # dynamics; an activation stepped before the force takes the command of the step before.
         lead = ((cut.series.command_lead or 0.0) + lead) / self._period
         early = self.machine.base.model.actuator_actearly
         for name in self.machine.native_actuators():
@@ -383,12 +383,12 @@ class Replay:
         steps: np.ndarray,
         places: np.ndarray,
     ) -> np.ndarray:
-        """Places of the full physics state after some of the steps, (windows, steps, places).
+        """Simulates windows; returns `places` of the state after `steps`, (windows, steps, places).
 
-        As many windows at once as memory for their states goes.
+        Windows run in batches, whose states take at most `_MEMORY`.
         """
         model = variant.model
-        # Data carry their own plugin instances, so every variant has its own.
+        # An MjData holds the plugin instances of one model, so every variant has its data.
         if id(variant) not in self._datas:
             made = [mujoco.MjData(model) for _ in range(self._threads)]
             self._datas[id(variant)] = variant, made
@@ -404,7 +404,7 @@ class Replay:
             if self._room.size < math.prod(shape):
                 self._room = np.empty(math.prod(shape))
             states = self._room[: math.prod(shape)].reshape(shape)
-            sensors = np.empty((*shape[:2], model.nsensordata))  # else made every time
+            sensors = np.empty((*shape[:2], model.nsensordata))  # else allocated by each call
             with headless(model):
                 self._pool.rollout(
                     model, datas, starts[part], controls[part], state=states, sensordata=sensors
@@ -414,7 +414,7 @@ class Replay:
         return found
 
     def _predicted(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
-        """Predictions at the samples of windows, shape (windows, channels, samples)."""
+        """Predicts the channels at the samples of windows, shape (windows, channels, samples)."""
         places = [
             place(variant, c.cylinder or c.joint, c.chamber or "position") for c in self.channels
         ]

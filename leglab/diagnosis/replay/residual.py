@@ -23,23 +23,23 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
-    """Scatter of the replay errors of a right model, about one hypothesis."""
+    """Noise of a correct model's replay errors, linearised at one hypothesis."""
 
-    defect: np.ndarray  #: Error of the replays' time step, shape (windows, channels, bins)
+    defect: np.ndarray  #: Error by the replays' time step, shape (windows, channels, bins)
     #: Inverse Cholesky factors of the windows' covariances, which turn errors into numbers of unit
     #: variance, shape (windows, size, size).
     whitening: np.ndarray
-    # The factors of the windows that were chosen last, by their mask: hundreds of replays in turn
-    # take the same ones, and copying them costs as much as a replay of a leg.
+    # Factors of the last chosen windows, by their mask: hundreds of successive replays use the same
+    # ones, and copying them costs as much as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
 
     def covariance(self, chosen: np.ndarray, block: slice = slice(None)) -> np.ndarray:
-        """Covariances of the chosen windows' errors, or a block of them, (windows, size, size)."""
+        """Returns error covariances of the chosen windows, or blocks, (windows, size, size)."""
         factors = (dtrtri(root, lower=1)[0][block] for root in self.whitening[chosen])
         return np.stack([factor @ factor.T for factor in factors])
 
     def white(self, errors: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Errors of the chosen windows as numbers of unit variance, shape (windows, size)."""
+        """Whitens errors of the chosen windows to unit variance, shape (windows, size)."""
         if chosen is None or chosen.all():
             return whitened(self.whitening, errors)
         mask = chosen.tobytes()
@@ -50,18 +50,18 @@ class NoiseModel:
 
 
 def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Errors of windows as numbers of unit variance, shape (windows, size).
+    """Whitens errors of windows to unit variance, shape (windows, size).
 
-    Applied hundreds of times: a product of all windows at once beats triangular solves.
+    It is called hundreds of times: one batched product is faster than triangular solves.
     """
     return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
 
 def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
-    """Inverse Cholesky factors of covariances (size, size), shape (count, size, size).
+    """Computes inverse Cholesky factors of covariances (size, size), shape (count, size, size).
 
-    Errors far above noise have few shapes; their covariance is positive but for rounding. A third
-    of the work of a general inverse.
+    Errors far above noise make covariances nearly singular, so their diagonals are raised by the
+    size of rounding. Takes a third of the work of a general inverse.
     """
 
     def factor(one: np.ndarray) -> np.ndarray:
@@ -72,13 +72,13 @@ def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def robust_cost(mean_square: np.ndarray, limit: float) -> np.ndarray:
-    """Cost of windows by their mean square: beyond a limit by its logarithm, shape as given."""
+    """Computes robust costs of mean squares, logarithmic beyond a limit, of the same shape."""
     beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
     return np.where(mean_square <= limit, mean_square, beyond)
 
 
 def robust_weight(mean_square: np.ndarray, limit: float) -> np.ndarray:
-    """Derivative of `robust_cost`: weights of windows in a least-squares step."""
+    """Returns the derivative of `robust_cost`: weights of windows in a least-squares step."""
     return limit / np.maximum(mean_square, limit)
 
 
@@ -105,7 +105,7 @@ class Problem:
         self.series, self.channels = series, channels
         self.replay = Replay(machine, series, channels, thresholds, threads=threads)
         self._fine = self._at(0.5)
-        #: Joints whose forces along the measured motion can be known.
+        #: Joints whose drive forces along the measured motion are known.
         self.balanced = balanced_joints(machine, channels)
         self.fitted = np.isin(self.replay.recording, list(fit))  #: mask of windows, (windows,)
         self.held = ~self.fitted
@@ -119,8 +119,8 @@ class Problem:
             return replay.error(change, chosen=chosen).values
 
         whole, half, quarter = errors(self.replay), errors(self._fine), errors(self._at(0.25), some)
-        #: Joint that blows up in replays of the unmodified model, None where none does; and whether
-        #: half the time step helps.
+        #: Joint that blows up in replays of the unmodified model, None if none does; and whether
+        #: replays at half the time step are stable.
         self.blown, self.finer_helps = self._blown(whole), self._blown(half) is None
         self._beyond_half = extrapolation((half - whole)[some], quarter - half[some])
         #: At first about the unmodified machine; see `about`.
@@ -128,23 +128,23 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Numbers in a whitened window."""
+        """Number of whitened errors of a window."""
         return len(self.channels) * self.replay.bins
 
     @property
     def judged(self) -> np.ndarray:
-        """Mask of the windows on which gaps are told, (windows,): those held out, if any are."""
+        """Mask of the windows on which gaps are reported, (windows,): held out, or else fitted."""
         return self.held if self.held.any() else self.fitted
 
     def _at(self, share: float) -> Replay:
-        """The replay with a share of its time step."""
+        """Returns the replay with a share of its time step."""
         return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
 
     def _blown(self, errors: np.ndarray) -> str | None:
-        """Joint that the time step makes unstable, by errors of replays, (windows, channels, bins).
+        """Returns the joint that the time step makes unstable in replays, or None.
 
-        No wrong model throws a joint a hundred times its travel within a window, where a step that
-        is unstable by a tenth makes 1e6 of an error. Half of the windows do so, not a rare state.
+        No wrong model moves a joint a hundred times its travel in a window, and an unstable step
+        amplifies errors, (windows, channels, bins), by 1e6. More than half of all windows show it.
         """
         for k, channel in enumerate(self.channels):
             if channel.chamber:
@@ -156,7 +156,7 @@ class Problem:
         return None
 
     def about(self, hypothesis: Hypothesis) -> "Problem":
-        """The same problem with its noise model taken about a hypothesis."""
+        """Returns a copy of the problem whose noise model is linearised at a hypothesis."""
         errors, fine = (self._errors(r, hypothesis, None)[0] for r in (self.replay, self._fine))
         change = self.library.change(hypothesis, self.machine)
         other = copy(self)
@@ -164,7 +164,7 @@ class Problem:
         return other
 
     def beside(self, own: np.ndarray) -> "Problem":
-        """The same where errors of some covariance count as noise, (recordings, size, size)."""
+        """Returns a copy with covariances added to the noise, (recordings, size, size)."""
         other, recording = copy(self), self.replay.recording
         noise = self.noise.covariance(np.ones(self.replay.windows, dtype=bool))
         whitening = inverse_roots(noise + own[recording])
@@ -172,13 +172,13 @@ class Problem:
         return other
 
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
-        """Noise model about a change, from the errors there, (windows, channels, bins).
+        """Computes the noise model at a change from its errors, (windows, channels, bins).
 
-        The covariance of a window's errors is N + S P S' + D D': sensor noise of the bins, start-
-        state errors of covariance P carried on by the sensitivity S of the predictions, from
-        replays with nudged starts, and the defect of the time step. That is taken off as for a
-        machine, which has no step; a recording of the model itself has the error of its step, so
-        that the defect is no evidence. `finer` is what half the time step changes in the errors.
+        The covariance of a window's errors is N + S P S' + D D'. N is the sensor noise of the bins,
+        P the covariance of the start states, S the sensitivity of the predictions to them, from
+        replays with perturbed starts, and D the error by the time step. The errors are corrected by
+        D, since a machine has no time step. A recording simulated by the model itself contains this
+        error, so D also counts as noise. `finer` is the change of the errors by half the time step.
         """
         replay, limits, size = self.replay, self.thresholds, self.size
         per_bin = replay.samples // replay.bins
@@ -197,12 +197,12 @@ class Problem:
             moved = replay.error(change, nudge=nudge).values - reference
             directions.append(moved.reshape(-1, size) * (spread / nudge.size)[:, None])
         together = zip(np.stack(directions, axis=2), variance.reshape(-1, size), strict=True)
-        # One at a time: those of all windows take hundreds of megabytes.
+        # One window at a time: all covariances together take hundreds of megabytes.
         whitening = inverse_roots(moves @ moves.T + np.diag(own) for moves, own in together)
         return NoiseModel(defect=defect, whitening=whitening)
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
-        """Nudges and the spread of each start state, shape (windows,)."""
+        """Returns a perturbation and the standard deviations, (windows,), of each start state."""
         found: list[tuple[Nudge, np.ndarray]] = []
         replay, machine, limits = self.replay, self.machine, self.thresholds
         for k, channel in enumerate(self.channels):
@@ -212,7 +212,7 @@ class Problem:
             for quantity, period in known.items():
                 rule = {"deriv": int(period is not None), "delta": period or 1.0}
                 kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
-                # What another filter makes of the same samples tells where smoothing is biased.
+                # The difference from a filter of lower order shows where smoothing is biased.
                 samples = (s.columns[channel.column] for s in self.series)
                 rough = [filter_difference(x, channel.filter, period) for x in samples]
                 sigma = kernel * self.sensor_noise[replay.recording, k]
@@ -233,24 +233,24 @@ class Problem:
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Whitened errors, shape (chosen windows, size); 0 in windows where an effect begins."""
+        """Computes whitened errors, (chosen windows, size); 0 in windows where an effect begins."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
         return np.clip(white, -self.thresholds.clip, self.thresholds.clip)
 
     def noise_levels(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Mean square of the errors of all windows in noise levels, (windows,)."""
+        """Computes the mean square whitened error of each window, (windows,)."""
         return np.mean(self.residual(hypothesis) ** 2, axis=1)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Measured less predicted in SI units, shape (windows, channels, bins)."""
+        """Computes measured less predicted in SI units, shape (windows, channels, bins)."""
         return self._errors(self.replay, hypothesis, None)[0] + self.noise.defect
 
     def _errors(
         self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Errors of the chosen windows; and 0 for windows in which an effect begins, else 1."""
+        """Computes errors of the chosen windows; and 0 where an effect begins inside, else 1."""
         if not hypothesis.onsets:
             change = self.library.change(hypothesis, replay.machine)
             errors = replay.error(change, chosen=chosen).normalised
@@ -269,14 +269,14 @@ class Problem:
         return out[chosen], certain[chosen].astype(float)
 
     def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Robust mean square of all windows, fitted and held out, shape (windows,)."""
+        """Computes robust mean squares of all windows, fitted and held out, shape (windows,)."""
         return robust_cost(self.noise_levels(hypothesis), self.thresholds.robust_limit)
 
 
 def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
-    """Whether each recording is left noise, but for a few of its windows.
+    """Tests whether the errors of each recording are noise in all but a few windows.
 
-    By mean squares of the windows in noise levels, and their recordings, each (windows,).
+    `squares` are the windows' mean squares of whitened errors, (windows,).
     """
     share, limit = 1.0 - SMALL, EXPLAINED**2
     own = (squares[recording == r] for r in np.unique(recording))
@@ -284,28 +284,28 @@ def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
 
 
 def lessens(before: float, after: float) -> bool:
-    """Whether errors near noise become smaller by as much as an explanation makes them.
+    """Tests whether an error falls by the share `EXPLANATION` of its excess over noise.
 
-    Both in noise levels, which 1 is for a model that lacks nothing.
+    Both errors are in noise levels; a complete model has 1.
     """
     return before - after >= EXPLANATION * max(before - 1.0, ROOM)
 
 
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:
-    """About so many of the windows in a mask, evenly, same shape."""
+    """Selects about `count` windows of a mask at even distances, same shape."""
     out = np.zeros_like(mask)
     out[np.flatnonzero(mask)[:: max(1, round(mask.sum() / count))]] = True
     return out
 
 
 def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Factor from what half the time step changes to what no step at all would, (channels,).
+    """Computes the factor that extrapolates a halved time step to step zero, (channels,).
 
-    The error of a step h is c_1 h + c_2 h^2. Two halvings tell both parts (Romberg): the limit is
-    (2 first + 8 second)/3 away, 4/3 of the first halving for the second order and 2 for the first.
-    The middle of all windows counts, since beside jumps and stick-slip differences have no order.
-    `first` is what half the step changes in the errors, (windows, channels, bins), and `second`
-    what a quarter changes beyond that.
+    The error of a step h is c_1 h + c_2 h^2. Two halvings determine both terms (Romberg): the whole
+    change to step zero is (2 first + 8 second)/3. That is 4/3 of `first` for an error of second
+    order, twice `first` for one of first order. The median of windows is taken, since differences
+    near jumps and stick-slip have no order. `first` is the change of the errors by half the step,
+    (windows, channels, bins), `second` the further change by a quarter.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)

@@ -1,8 +1,8 @@
 """Start states of windows: measured motion, and hidden states that follow from it.
 
-At rest the measured motion is all noise, and the balance of forces says what dry friction carries;
-several bristles on one joint (a cylinder's seals, a bearing) share it by their limits. What touches
-something keeps the deflection of its last slide.
+At rest the measured motion is all noise, so dry friction follows from the balance of forces;
+several bristles on one joint (a cylinder's seals, a bearing) share it in proportion to their
+limits. A joint in contact keeps the bristle deflection of its last slide.
 """
 
 from collections.abc import Mapping
@@ -33,9 +33,9 @@ _BREAKAWAY = np.finfo(float).tiny
 
 
 class Nudge(NamedTuple):
-    """Departure from the reconstructed start states, by a size [rad, rad/s, Pa or m].
+    """Perturbation of a reconstructed start state by a size [rad, rad/s, Pa or m].
 
-    Of an element and a quantity as `place` has them.
+    The state is that of an element and a quantity, as in `place`.
     """
 
     element: str
@@ -44,7 +44,7 @@ class Nudge(NamedTuple):
 
 
 def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float) -> np.ndarray:
-    """LuGre bristle that starts unloaded, by its exact solution between samples; all (n,).
+    """Computes a LuGre bristle that starts unloaded, exact between samples; all (n,).
 
     z' = v - sigma |v| z / g with v and g, the steady friction `level`, held over a sample
     (Canudas de Wit et al. 1995).
@@ -55,9 +55,9 @@ def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float
 
 
 def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
-    """Spool position and velocity, shape (n, 2), that follow a held command (n,) from rest.
+    """Computes spool position and velocity, (n, 2), under a held command, (n,), from rest.
 
-    By an angular frequency [rad/s], a damping ratio and the sampling period [s].
+    `frequency` is angular [rad/s], `damping` a ratio, `period` the sampling period [s].
     """
     out = np.empty((command.size, 2))
     native.spool(command, frequency, damping, period, out)
@@ -66,23 +66,23 @@ def spool(command: np.ndarray, frequency: float, damping: float, period: float) 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instances:
-    """Plugin instances of a variant at window starts; `state` takes what is reconstructed."""
+    """Plugin instances of a variant at window starts; reconstruction writes to `state`."""
 
     machine: Machine  #: The unmodified machine
     measured: Measured  #: Series of one recording
     variant: Variant  #: Compiled model
     state: np.ndarray  #: Parameters and states at window starts, shape (windows, npluginstate)
-    #: Along the recording by element and name, each (n,), as far as they are reconstructed, are
-    #: "spool_position", "bristle", and what presses on it, "carried": the load of a joint, or the
-    #: sum of a cylinder's gauge pressures.
+    #: Reconstructed series by element and name, each (n,): "spool_position", "bristle", and
+    #: "carried", which loads the friction: the load of a joint, or the sum of a cylinder's gauge
+    #: pressures.
     followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:
-        """A parameter or state at window starts, shape (windows,); a view."""
+        """Returns a parameter or state at window starts, shape (windows,); a view."""
         return self.state[:, self.variant.slot(element, name)]
 
     def value(self, element: str, name: str) -> float:
-        """A parameter that is one for all windows."""
+        """Returns a parameter that is the same in all windows."""
         return float(self.get(element, name)[0])
 
     def put(self, element: str, name: str, values: np.ndarray) -> None:
@@ -90,18 +90,18 @@ class Instances:
         self.state[:, self.variant.slot(element, name)] = values
 
     def pressures(self, joint: str) -> dict[str, np.ndarray]:
-        """Measured pressures of a joint by chamber, each (n,)."""
+        """Returns measured pressures of a joint by chamber, each (n,)."""
         known = self.measured.pressure
         return {c: known[f"{joint}_{c}"] for c in CHAMBERS if f"{joint}_{c}" in known}
 
     def chambers(self, cylinder: str) -> list[np.ndarray]:
-        """Measured pressures of a cylinder's chambers, each (n,)."""
+        """Returns measured pressures of a cylinder's chambers, each (n,)."""
         return [*self.pressures(self.machine.driven[cylinder][0]).values()]
 
     def reconstruct(self) -> None:
-        """Sets the hidden states of cylinders, joint friction and supplies: they follow the motion.
+        """Sets the hidden states of cylinders, joint friction and supplies from the motion.
 
-        A supply whose cylinders have no measured pressures is left as it is.
+        A supply keeps its states if pressures of one of its cylinders are not measured.
         """
         # Cylinders first: they load the joints.
         for plugin, follow in ((CYLINDER, self._cylinder), (FRICTION, self._joint_friction)):
@@ -136,7 +136,7 @@ class Instances:
             self._seat(element, velocity, level)
 
     def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
-        """Puts a piston on the flank of its play that it pressed last.
+        """Places a piston at the flank of its play that it pressed last.
 
         It crosses the play within milliseconds, and rests in it only while friction holds it.
         """
@@ -161,7 +161,7 @@ class Instances:
         self.put(element, "seated_play", np.full(samples.size, play))
 
     def _supply(self, element: str, cylinders: tuple[str, ...]) -> None:
-        """Sets a supply's pressure, which falls with what its cylinders draw."""
+        """Sets a supply's pressure, which falls with the flow to its cylinders."""
         chambers = [self.chambers(cylinder) for cylinder in cylinders]
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
@@ -185,12 +185,12 @@ class Instances:
         self.put(element, "started", np.ones(samples.size))
 
     def _parameters(self, element: str) -> np.ndarray:
-        """All parameters of an element in the order of its table."""
+        """Returns all parameters of an element in the order of its table."""
         start, table = self.variant.elements[element]
         return self.state[0, start : start + len(table.parameters)].copy()
 
     def _joint_friction(self, element: str) -> None:
-        """Sets the load |k_a qfrc_actuator + k_b qfrc_bias| of a joint's friction, and slides."""
+        """Sets the load |k_a qfrc_actuator + k_b qfrc_bias| and the bristle of joint friction."""
         joint = self.variant.joint_of[element]
         velocity = self.measured.velocity[joint]
         names = (f"{load}_load_coefficient" for load in ("actuator", "bias"))
@@ -205,14 +205,14 @@ class Instances:
 
     @cached_property
     def _loads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Samples, and forces of actuators and bias on all joints there, (samples, nv, 2).
+        """Every 20th sample, and forces of actuators and bias on all joints, (samples, nv, 2).
 
-        Every 20th sample: loads change with the pose.
+        Loads change with the pose, so interpolation between these samples is enough.
         """
         measured, machine, model = self.measured, self.machine, self.variant.model
         count = measured.velocity[machine.joints[0]].size
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
-        # Only what loads the joint: forces are not computed anew for another friction.
+        # Only states that load joints are set: another joint friction reuses the cached forces.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
         for cylinder in machine.cylinders:
             start, table = self.variant.elements[cylinder]
@@ -234,7 +234,7 @@ class Instances:
     def _sliding_friction(
         self, element: str, velocity: np.ndarray, at: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """Steady friction g at a velocity of sliding, by the law of the plugin, (samples,)."""
+        """Computes steady friction g at a sliding velocity, by the plugin's law, (samples,)."""
         carried, out = self.followed[element, "carried"], np.empty(velocity.size)
         time = self.measured.start + self.measured.period * np.arange(carried.size)
         plugin, parameters = self.variant.elements[element][1].plugin, self._parameters(element)
@@ -242,7 +242,7 @@ class Instances:
         return out
 
     def _slide(self, element: str, velocity: np.ndarray, carried: np.ndarray) -> np.ndarray:
-        """Sets a bristle that slides all along, and returns the steady friction; all (n,)."""
+        """Sets a bristle by its sliding along the series; returns the steady friction; all (n,)."""
         self.followed[element, "carried"] = carried
 
         def slid() -> tuple[np.ndarray, np.ndarray]:
@@ -256,10 +256,10 @@ class Instances:
         return level
 
     def balance(self, rest_time: float) -> None:
-        """Sets the deflection of bristles that slid less than twice theirs in a time [s].
+        """Sets resting bristles by the balance of forces.
 
-        Joints of cylinders without measured pressures, and those that lead others by equalities,
-        are left as they are.
+        A bristle rests if it slid less than twice its full deflection in `rest_time` [s]. Joints of
+        cylinders without measured pressures, and joints that lead others, are left unchanged.
         """
         measured, samples = self.measured, self.measured.samples
         back = np.maximum(samples - round(rest_time / measured.period), 0)
@@ -274,7 +274,7 @@ class Instances:
             ):
                 continue
             travel = np.abs(measured.position[joint][samples] - measured.position[joint][back])
-            # What a contact carries at rest depends on speeds far below the noise: nobody knows it.
+            # The force of a contact at rest depends on speeds far below noise, so it is unknown.
             free = ~measured.touched[joint][samples]
             resting = np.stack([free & (travel < 2.0 * one.travel) for one in acting])
             if resting.any():
@@ -283,7 +283,7 @@ class Instances:
                     self.state[rests, one.slot] = 0.0
         if not still:
             return
-        # A bristle loads its own joint only: all of them together are left out once.
+        # A bristle loads its joint only, so one evaluation without all of them serves every joint.
         rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
         left = self._unbalanced(rows, [*still])
         for held, (acting, resting) in zip(left.T, still.values(), strict=True):
@@ -294,7 +294,7 @@ class Instances:
                 self.state[rows[rests], one.slot] = (part / one.slope[rows])[rests]
 
     def _bristles(self, joint: str) -> "list[_Bristle]":
-        """Bristles that act on a joint."""
+        """Returns the bristles that act on a joint."""
         found = []
         for element, (_, table) in self.variant.elements.items():
             seal = table.plugin == CYLINDER and joint in self.machine.driven[element]
@@ -314,7 +314,7 @@ class Instances:
         return found
 
     def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
-        """Force on joints that the measured motion leaves over at some windows, (rows, joints)."""
+        """Computes residual forces on joints at the starts of some windows, (rows, joints)."""
         machine, model, measured = self.machine, self.variant.model, self.measured
         measured = replace(measured, samples=measured.samples[rows])
         k, closed = measured.samples, plays(machine, self.variant)
@@ -336,7 +336,7 @@ class _Bristle(NamedTuple):
 def measure(
     cut: Cut, channels: tuple[Channel, ...], change: Change
 ) -> tuple[Measured, dict[str, np.ndarray]]:
-    """Smoothed series under the sensor and command faults of a change, and corrected columns."""
+    """Returns series smoothed under a change's sensor and command faults, and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
     sent = {a: series.columns[f"{a}_command"] for a in machine.actuators}
     command = {a: commanded(change, a, samples, period) for a, samples in sent.items()}
@@ -352,7 +352,7 @@ def measure(
         else:
             position[channel.joint], velocity[channel.joint] = level, slope
     pushed: dict[str, np.ndarray] = {}
-    # A body that a hypothesis puts between motor and joint takes the pushes.
+    # A body that a hypothesis puts between motor and joint takes the accelerations by commands.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
         driven = _driven(cut, channels, command, position, velocity)
         for joint, own in zip(machine.joints, driven, strict=True):
@@ -389,9 +389,9 @@ def measure(
 def activated(
     change: Change, measured: Measured, begun: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, np.ndarray]:
-    """Activations by the commands of a measured series, each (n,), by actuator that has one.
+    """Computes activations under the commands of a series, each (n,), by stateful actuator.
 
-    Integrators begin as in the activations `begun`, else at 0.
+    Integrators begin at the first values of the activations `begun`, else at 0.
     """
     machine, model = change.machine, change.variant.model
     if not machine.stateful:
@@ -411,10 +411,10 @@ def activated(
 def _with_integrators(
     change: Change, measured: Measured, channels: tuple[Channel, ...]
 ) -> Measured:
-    """The series with integrators that begin where the balance of forces has them.
+    """Returns the series with the integrators' initial values from the balance of forces.
 
-    Commands say how far they move. Where they begin leaves the least force over, by least squares
-    over the samples in which joints are faster than usual: at rest dry friction hides it.
+    Commands determine how an integrator moves; its initial value minimises the residual forces in
+    the least-squares sense over the faster half of the samples: at rest dry friction hides it.
     """
     machine, model = change.machine, change.variant.model
     own = [n for n in machine.stateful if model.actuator(n).dyntype[0] == INTEGRATOR]
@@ -433,7 +433,7 @@ def _with_integrators(
         other = replace(instances, measured=replace(at, activation=moved))
         return other._unbalanced(rows, joints).ravel()
 
-    # Another beginning meets the limits of an activation elsewhere: once more, then.
+    # With limits, a new initial value saturates at other samples, so it is estimated twice.
     for _ in range(2 if model.actuator_actlimited.any() else 1):
         step, force = 1e-4, left()
         slopes = np.stack([(left(name, step) - force) / step for name in own], axis=1)
@@ -467,7 +467,7 @@ def _follow(
 
 
 def closed(change: Change, states: np.ndarray) -> np.ndarray:
-    """Full physics states, (windows, nstate), with followers where equalities have them."""
+    """Returns full physics states, (windows, nstate), with followers that meet the equalities."""
     joints, followers = change.machine.all_joints, change.machine.followers
     if followers is None:
         return states
@@ -485,9 +485,9 @@ def _driven(
     position: dict[str, np.ndarray],
     velocity: dict[str, np.ndarray],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Smoothed motion with what filters take away of that by commands of native actuators.
+    """Restores the motion by native actuators' commands that filters remove from smoothed motion.
 
-    Position, velocity and the part of the velocity by commands, each (n,), by joint.
+    Returns position, velocity and the part of the velocity by commands, each (n,), by joint.
     """
     period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
     given = [command[name] for name in cut.pushes.actuators]
@@ -505,7 +505,7 @@ def _driven(
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
-    """Commands as they arrive at an actuator, at a sampling period [s], (n,)."""
+    """Returns commands as they arrive at an actuator, at a sampling period [s], (n,)."""
     for path in change.commands.get(actuator, ()):
         samples = path(samples, period)
     return samples
@@ -519,7 +519,7 @@ def start_states(
     rest_time: float,
     pressures: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Full physics states at window starts under a change, shape (windows, nstate).
+    """Computes full physics states at window starts under a change, shape (windows, nstate).
 
     Windows start at the samples of `measured`. A bristle that slid less than twice its deflection
     in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots), where
@@ -548,7 +548,7 @@ def start_states(
 
 
 def _instances(change: Change, measured: Measured, channels: tuple[Channel, ...]) -> Instances:
-    """Plugin instances at the samples of `measured`, with parameters and measured pressures."""
+    """Builds plugin instances at the samples of `measured`, with measured pressures."""
     variant, firsts = change.variant, measured.samples
     plugin = np.tile(variant.plugin_state, (firsts.size, 1))
     for (element, name), value in change.parameters.items():
@@ -561,7 +561,7 @@ def _instances(change: Change, measured: Measured, channels: tuple[Channel, ...]
 
 
 def place(variant: Variant, element: str, quantity: str) -> int:
-    """Place in the full physics state of a joint's "position" or "velocity", else of a plugin."""
+    """Returns the full-physics-state index of a joint's position or velocity, or a plugin state."""
     model = variant.model
     if quantity == "position":
         return 1 + int(model.joint(element).qposadr[0])
@@ -571,7 +571,7 @@ def place(variant: Variant, element: str, quantity: str) -> int:
 
 
 def hidden_slots(change: Change) -> np.ndarray:
-    """Places in the plugin state of what follows from pressures that are not measured.
+    """Returns plugin-state indices of all states that depend on unmeasured pressures.
 
     Chamber pressures A and B and the play of each cylinder in turn, then those of the supplies.
     """
@@ -583,9 +583,9 @@ def hidden_slots(change: Change) -> np.ndarray:
 
 
 def plays(machine: Machine, variant: Variant) -> list[int]:
-    """Places in the plugin state of the plays of all cylinders, which balances of forces close.
+    """Returns plugin-state indices of all cylinders' plays, which force balances set to zero.
 
-    A piston crosses its play within milliseconds: its force acts on the joint, not a flank's force
-    in the first step of a simulation, which is an artefact.
+    A piston crosses its play within milliseconds, so its force acts on the joint. The flank's force
+    in the first step of a simulation would be an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.cylinders]

@@ -22,9 +22,9 @@ from leglab.machine.simulation import actuator_moments
 class Channel:
     """One measured output that a replay predicts."""
 
-    column: str  #: Of the recordings
-    joint: str  #: That it belongs to
-    cylinder: str | None = None  #: Whose chamber it is; None for a position
+    column: str  #: Column of the recordings
+    joint: str  #: Joint of the position, or that the cylinder drives
+    cylinder: str | None = None  #: Cylinder of the chamber; None for a position
     chamber: str | None = None  #: "pressure_a" or "pressure_b"; None for a position
     #: Length in samples and order of the Savitzky-Golay filter that smooths it.
     filter: tuple[int, int] = (21, 4)
@@ -33,9 +33,9 @@ class Channel:
 def channels(
     machine: Machine, recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT
 ) -> tuple[Channel, ...]:
-    """Measured outputs that all recordings share: positions, then chamber pressures.
+    """Returns the measured outputs that all recordings share: positions, then chamber pressures.
 
-    `admit` has seen to it that none lacks a position or a command.
+    `admit` has already rejected recordings that lack a position or a command.
     """
     shared = set.intersection(*(set(r.columns) for r in recordings.values()))
     period = common_period(recordings, thresholds)
@@ -53,18 +53,18 @@ def channels(
 
 
 def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
-    """Length in samples and order of a filter, from its length [s], fewest samples and order."""
+    """Returns a filter's samples and order, from its length [s], fewest samples and order."""
     duration, least, order = choice
     return max(least, 2 * round(0.5 * (duration / period - 1.0)) + 1), order
 
 
 def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
-    """Standard deviation of white sensor noise, from what a smoothing filter leaves over.
+    """Estimates the standard deviation of white sensor noise from the residual of smoothing.
 
-    The filter, by length and order, keeps its centre coefficient c of each sample, so that noise of
-    variance s^2 leaves s^2 (1 - c). The median makes jumps count little (Rousseeuw and Croux 1993).
-    Where a signal rests on one reading it shows no noise: 0 where it never changes, or is too
-    short.
+    `window` is the filter's length and order. With its centre coefficient c, white noise of
+    variance s^2 leaves a residual of variance s^2 (1 - c). The median makes jumps count little
+    (Rousseeuw and Croux 1993). Samples at a constant reading show no noise and are left out; 0 if
+    the signal never changes or is shorter than the filter.
     """
     if samples.size < window[0]:
         return 0.0
@@ -74,10 +74,10 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
 
 
 def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -> np.ndarray:
-    """Standard deviation of each channel's samples, (recordings, channels).
+    """Estimates the noise of each channel, a standard deviation, (recordings, channels).
 
-    It averages over samples as the channel's noise does. A recording in which a channel rests on
-    one reading has the noise of the others, and none has less than the rounding of the readings.
+    A recording in which a channel shows no noise takes the median of the others, and the estimate
+    is at least the rounding error of the readings.
     """
     level = np.zeros((len(series), len(channels)))
     for k, channel in enumerate(channels):
@@ -93,9 +93,9 @@ def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -
 
 
 def resolution(series: Sequence[UniformSeries], column: str) -> float:
-    """Rounding error of a column: its least step in any recording over sqrt(12).
+    """Computes a column's rounding error: its smallest step in any recording over sqrt(12).
 
-    Of a column that never moves at all nobody knows the step.
+    The step of a column that never changes is unknown: it is taken as `UNSEEN_STEP`.
     """
     if all(np.ptp(s.columns[column]) == 0.0 for s in series):
         return UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
@@ -106,7 +106,7 @@ def resolution(series: Sequence[UniformSeries], column: str) -> float:
 
 @cache
 def _kernels(length: int, order: int, period: float | None) -> np.ndarray:
-    """Weights of a window's samples in the polynomial at each of its places, (length, length)."""
+    """Computes the filter's weights at each position of its window, (length, length)."""
     rule = {"deriv": int(period is not None), "delta": period or 1.0, "use": "dot"}
     return np.stack([savgol_coeffs(length, order, pos=k, **rule) for k in range(length)])
 
@@ -114,10 +114,10 @@ def _kernels(length: int, order: int, period: float | None) -> np.ndarray:
 def smoothed(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
-    """Savitzky-Golay smoothing, or the slope by it where a sampling period [s] is given, (n,).
+    """Smooths by Savitzky-Golay, or computes the slope if a sampling period [s] is given, (n,).
 
-    Series shorter than the filter stay as they are. (`scipy.signal.savgol_filter` fits its
-    polynomials anew at every call.)
+    Series shorter than the filter are not smoothed. The kernels are cached, while
+    `scipy.signal.savgol_filter` computes them at every call.
     """
     length, half = window[0], window[0] // 2
     if samples.size < length:
@@ -131,7 +131,7 @@ def smoothed(
 def filter_difference(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
-    """Difference that a filter of the same length and two orders less makes, shape (n,)."""
+    """Computes the difference from a filter of the same length and two orders less, (n,)."""
     less = window[0], max(window[1] - 2, 0 if period is None else 1)
     return smoothed(samples, window, period) - smoothed(samples, less, period)
 
@@ -144,12 +144,12 @@ class Cut:
     firsts: np.ndarray  #: Samples at which windows start, shape (windows,)
     #: d(actuator length)/d(joint position) of the cylinders, each (n,).
     levers: dict[str, np.ndarray]
-    touched: dict[str, np.ndarray]  #: Whether something touches what a joint carries, (n,) by joint
-    pushes: Pushes  #: What commands of native actuators do at once
+    touched: dict[str, np.ndarray]  #: Whether bodies that a joint moves are in contact, (n,) each
+    pushes: Pushes  #: Accelerations by commands of native actuators
     hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the series
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smoothed samples of a channel, as a hypothesis corrects them, and their slope, (n,)."""
+        """Computes smoothed samples of a channel, given as corrected, and their slope, (n,)."""
 
         def both() -> tuple[np.ndarray, np.ndarray]:
             level = smoothed(samples, channel.filter)
@@ -159,11 +159,11 @@ class Cut:
 
 
 def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
-    """Samples in a window, and bins into which it is divided, at a sampling period [s].
+    """Returns the number of samples and of bins of a window, at a sampling period [s].
 
-    `thresholds.window` and `bin` as far as the samples allow: a window has two bins for each of its
-    `FORCE_BLOCKS` parts, and a bin at least one sample. Of a log below 33 Hz a window
-    lasts longer than 0.3 s.
+    They follow `thresholds.window` and `bin` as far as the sampling allows: a window has at least
+    two bins for each of its `FORCE_BLOCKS` parts, and a bin at least one sample. Below 33 Hz a
+    window therefore lasts longer than 0.3 s.
     """
     fewest = 2 * FORCE_BLOCKS
     samples = max(round(thresholds.window / period), fewest)
@@ -182,10 +182,10 @@ def cut_all(
 ) -> list[Cut]:
     """Cuts recordings into windows of `samples`, none before `lead` samples have passed.
 
-    Of windows in which nothing moves one in a few is kept. Whatever holds a machine at rest
-    explains them: of those, and of windows in which next to nothing moves of what moves in all of
-    them, no more are kept than one for so many others. Each recording keeps at least one of its
-    own. `noise` is as `sensor_noise` has it.
+    Of windows without motion one in `still_every` is kept: anything that holds a machine at rest
+    explains them. Of these and of windows with hardly any motion (below `still_motion` of the usual
+    travel) at most one is kept for `still_every` windows with motion. Each recording keeps at least
+    one of its windows. `noise` is the result of `sensor_noise`.
     """
     made = [
         _cut(machine, one, channels, own, samples, lead, thresholds)
@@ -208,7 +208,7 @@ def cut_all(
 
 
 def _one_in(every: int, mask: np.ndarray) -> np.ndarray:
-    """Mask of all that is not in another one, and of one in so many of what is."""
+    """Returns a mask of all entries outside of `mask` and of one in `every` inside."""
     return ~mask | ((np.cumsum(mask) - 1) % every == 0)
 
 
@@ -221,15 +221,15 @@ def _cut(
     lead: int,
     thresholds: Thresholds,
 ) -> tuple[Cut, np.ndarray, np.ndarray]:
-    """All windows of one recording, `noise` its (channels,).
+    """Cuts all windows of one recording; `noise` has the shape (channels,).
 
-    And what each channel moves in them, (windows, channels), and whether no command moves. A joint
-    that sticks under a command that grows does not rest: that says what holds it.
+    Also returns each channel's travel in them, (windows, channels), and whether all commands are
+    constant: a joint that sticks under a growing command is informative, and no window at rest.
     """
     commands = [series.columns[f"{actuator}_command"] for actuator in machine.actuators]
     reach = max(channel.filter[0] for channel in channels)
     margin = reach // 2 + thresholds.margin_samples
-    # Windows start where two filters agree, in noise levels, and no command jumps.
+    # Windows start where two filters differ least, in noise levels, and no command jumps.
     unrest = np.zeros(series.time.size)
     for channel, own in zip(channels, noise, strict=True):
         unrest += (filter_difference(series.columns[channel.column], (reach, 4)) / own) ** 2
@@ -262,7 +262,7 @@ def _cut(
 def _along(
     machine: Machine, series: UniformSeries, stride: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Levers and what is touched, as `Cut` has them, at one sample in a stride exact."""
+    """Computes `levers` and `touched` of a `Cut` at every `stride`-th sample, filled in between."""
     model, count = machine.base.model, series.time.size
     moves = np.zeros((model.nbody, model.nv), dtype=bool)  # degrees of freedom that move a body
     for body in range(1, model.nbody):

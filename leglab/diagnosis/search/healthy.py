@@ -23,12 +23,12 @@ from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """A machine as its healthy recordings show it."""
+    """The individual machine, identified from its healthy recordings."""
 
-    at: Errors  #: Healthy recordings and machine, the windows that were fitted
+    at: Errors  #: Errors of healthy recordings in the windows that were fitted
     columns: Columns  #: Linearisation where the fit ended
-    values: Hypothesis  #: Of all strengths and shapes there
-    priors: Priors  #: Of the same machine on another day
+    values: Hypothesis  #: Values of all strengths and shapes of the fit
+    priors: Priors  #: Priors of the same machine on another day
     kappa: float  #: 1/design effect
     left_out: tuple[Hypothesis, ...]  #: Fits without each part of the recordings in turn
 
@@ -39,7 +39,7 @@ class Specimen:
 
     @cached_property
     def errors(self) -> np.ndarray:
-        """Errors of each part of the windows by the fit without it, (windows, rows)."""
+        """Cross-validated errors: windows of each part by the fit without it, (windows, rows)."""
         out, part = np.zeros_like(self.columns.errors), parts_of(self.at.recording)
         for r, hypothesis in enumerate(self.left_out):
             own = part == r
@@ -48,14 +48,14 @@ class Specimen:
 
     @cached_property
     def spread(self) -> Spread:
-        """Pattern of the error in each healthy recording where the others alone are fitted."""
+        """Covariance of the cross-validated errors in each healthy recording."""
         return Spread.of(self.at, self.errors)
 
     @cached_property
     def _squares(self) -> np.ndarray:
         """Mean square error of all windows by the fit without their part, (windows,)."""
         at, problem = self.at, self.problem
-        # Windows between those that are fitted belong to the part of their neighbour.
+        # Windows that are not fitted belong to the part of the next fitted one.
         fitted = parts_of(at.recording)
         place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
         part = fitted[np.minimum(place, fitted.size - 1)]
@@ -68,7 +68,7 @@ class Specimen:
     def levels(self) -> np.ndarray:
         """Error of each healthy recording in noise levels, (recordings, 2).
 
-        Of the model as it is, and where the others alone are fitted.
+        The columns are the errors of the unchanged model and the cross-validated errors.
         """
         recording = self.problem.replay.recording
         squares = np.stack([self.problem.noise_levels(Hypothesis()), self._squares])
@@ -77,55 +77,55 @@ class Specimen:
 
     @cached_property
     def usual(self) -> np.ndarray:
-        """Median error of windows where the others alone are fitted, by recording, (recordings,).
+        """Median cross-validated error of the windows of each recording, (recordings,).
 
-        In noise levels.
+        It is in noise levels.
         """
         recording, count = self.problem.replay.recording, len(self.problem.series)
         return np.sqrt([np.median(self._squares[recording == i]) for i in range(count)])
 
     @cached_property
     def day(self) -> float:
-        """Log deviation of an error on another day: at least that of healthy recordings."""
+        """Standard deviation of log errors between days, at least that of healthy recordings."""
         apart = np.log(self.usual)
         return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
 
     def nearest(self, problem: Problem) -> list[int]:
-        """The healthy recording of the most similar motion to each of others."""
+        """Returns the healthy recording with the most similar motion for each new recording."""
         columns = problem.machine.columns
         own = np.stack([_motion(s, columns) for s in self.problem.series])
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
-        """Whether errors in all windows are those of the healthy specimen on another day.
+        """Tests whether new errors are those of the healthy specimen on another day.
 
-        In every recording: one that moves tells more than three that rest. `at` is where the
-        specimen is: what a day moves may hide a fault.
+        Every recording has to pass: one with motion is more informative than three at rest. `at`
+        are the specimen's values, not refitted: changes by a day could hide a fault.
         """
         level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
         largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
-        # Of several recordings the largest departs by two deviations where none is ill.
+        # The largest of several healthy recordings deviates by up to two standard deviations.
         limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
     def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
-        """Evidence that sets have on recordings of an unchanged machine.
+        """Builds the evidence of sets on recordings of an unchanged machine.
 
-        Each part of the healthy recordings is compared with the fit of all others, as new ones are;
+        As new recordings are, each part of the healthy ones is compared with the fit of the others;
         departures are from the specimen.
 
         Args:
             library: Effects on the specimen.
-            members: Unknowns of the sets; of all others tangents are known well enough.
+            members: Unknowns of the sets; tangents of all others are accurate enough.
             kappa: Share of the log likelihood that counts.
         """
         problem, u = copy(self.problem), Unknowns.of(library)
         problem.library = library
         own = sorted({i for q in members for i in u.singles(q)})
         here = self.values, self.columns.errors
-        # Of single unknowns: about another machine departures begin elsewhere, and are no longer.
+        # Tangents of single unknowns hold for the specimen too: departures only begin elsewhere.
         single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
         tangents = np.zeros((*self.errors.shape, len(u)))
         for q in range(len(u)):
@@ -137,7 +137,7 @@ class Specimen:
 
 
 def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
-    """How far and how fast a recording goes: logarithms of spreads and rates, (2 columns,)."""
+    """Computes log standard deviations and log RMS rates of a recording, (2 columns,)."""
     values = np.stack([series.columns[column] for column in columns])
     spread = np.std(values, axis=1)
     rate = rms(np.diff(values, axis=1), axis=1) / series.period
@@ -145,11 +145,11 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 
 
 def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> Specimen:
-    """Fits the model to healthy recordings, under the priors of machines as they are built.
+    """Fits the model to healthy recordings, under the priors of good machines.
 
-    Where that leaves more than noise, and more of new recordings than of healthy ones that were
-    left out, the healthy ones are searched for what describes them better, named or not. What
-    changed is what none of the best sets explains: if one does the specimen is that, else the best.
+    If that leaves more than noise, and new recordings err more than cross-validated healthy ones,
+    the healthy ones are searched for better descriptions. Only errors beyond all the best sets are
+    a change: the specimen is the first that explains the new recordings, else the most probable.
 
     Args:
         problem: Healthy recordings and machine.
@@ -178,9 +178,9 @@ def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> S
 
 
 def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
-    """The specimen by a fit to its healthy recordings."""
+    """Builds the specimen from a fit to its healthy recordings."""
     at, unknowns = fitter.at, fitter.at.unknowns
-    # From here on the error that is left has size 1.
+    # The remaining error has the scale 1 from here on.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
     own = Spread.of(at, fit.columns.errors)
     evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)

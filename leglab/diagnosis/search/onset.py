@@ -1,4 +1,4 @@
-"""Faults that begin during a recording: when what is missing starts to show."""
+"""Onsets of faults that begin during a recording."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,9 @@ from leglab.diagnosis.thresholds import EXPLAINED
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
-    """Times at which a model that explains the starts of recordings does so no more [s].
+    """Finds when a model that explains the beginnings of recordings ceases to do so [s].
 
-    Shape (recordings,), inf where a recording shows no change; None where nothing begins.
+    Returns times, (recordings,), inf for recordings without a change; None if none has one.
     """
     replay = problem.replay
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
@@ -32,7 +32,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(thresholds.COARSE)
     nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
-    # Most recordings show at once that no onset is to be looked for.
+    # In most cases the first turns show that the beginnings are not explained either.
     hopeless = thresholds.HOPELESS * EXPLAINED
     fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
     if fit.level > EXPLAINED:
@@ -55,13 +55,13 @@ def onset_of(problem: Problem) -> np.ndarray | None:
 def begun(
     problem: Problem, final: Hypothesis, named: Sequence[Key], onsets: np.ndarray
 ) -> tuple[Hypothesis, dict[Key, np.ndarray]]:
-    """Lets named effects begin at an onset where the recordings need it.
+    """Lets named effects begin at an onset if the recordings require it.
 
-    The onset is the middle of the time in which an effect may have begun: one that shows in fast
-    motion alone departs from the noise some time after it began. It was surely absent in windows
-    that replays with it miss, and present from the start of windows that replays without it miss
-    and those with it meet. Beside the hypothesis the earliest and the latest onset [s] that the
-    recordings allow by effect, (recordings, 2), inf where it begins in none.
+    The onset is the middle of the interval in which an effect may have begun, since an effect of
+    fast motion exceeds the noise only some time after it began. The effect was absent in windows
+    that replays with it do not fit, and present from the start of windows that only replays with it
+    fit. Also returns the earliest and the latest possible onset [s] by effect, (recordings, 2), inf
+    in recordings without one.
     """
     begin, length = problem.replay.start, problem.replay.window
     between: dict[Key, np.ndarray] = {}
@@ -79,7 +79,7 @@ def begun(
             if not after.size:
                 continue
             met = present < max(EXPLAINED, thresholds.ONSET_RISE * float(np.median(after)))
-            # Where a replay without the effect misses far more than one with it, it had begun.
+            # If the error without the effect is far larger than with it, the effect had begun.
             missed = ~met & (absent < thresholds.ONSET_RISE * present)
             out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
@@ -99,7 +99,7 @@ def begun(
 
 
 def _change_point(values: np.ndarray) -> int | None:
-    """First index after the most likely rise of the mean (Page 1954), None where there is none."""
+    """Finds the first index after the most likely rise of the mean (Page 1954), or None."""
     count = values.size
     places = np.arange(thresholds.FEWEST_WINDOWS, count - thresholds.FEWEST_WINDOWS + 1)
     rise = np.array([values[k:].mean() - values[:k].mean() for k in places])
@@ -110,12 +110,12 @@ def _change_point(values: np.ndarray) -> int | None:
         return None
     where = int(places[np.argmax(gain)])
     before, after = values[:where], values[where:]
-    # Windows before a true onset are noise: their costs hardly vary.
+    # Before a true onset windows err by noise alone, so their costs hardly vary.
     return where if before.std() < 0.5 * (after.mean() - before.mean()) else None
 
 
 def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: float) -> float:
-    """First bin, around a coarse onset, in which errors leave those of healthy windows."""
+    """Finds the time near a coarse onset at which errors exceed those of healthy windows."""
     replay = problem.replay
     start, length = replay.start[windows], replay.window
     healthy = windows[start + length < onset - length]

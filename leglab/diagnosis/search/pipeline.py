@@ -71,10 +71,10 @@ def _problem(
     specimen: Mapping[Key, np.ndarray] | None = None,
     beside: Mapping[str, Recording] | None = None,
 ) -> Problem:
-    """The fit problem of recordings that can be used.
+    """Builds the fit problem of admitted recordings.
 
-    `specimen` has the values of the machine that was recorded, None for the model's. Recordings
-    `beside` must be predicted alike: only columns that all share count.
+    `specimen` has the parameter values of the recorded machine, None for the model's. Only columns
+    that the recordings share with those of `beside` are predicted, so that both are comparable.
     """
     recordings, limits = admitted.recordings, settings.thresholds
     others = {f"beside {name}": other for name, other in (beside or {}).items()}
@@ -95,8 +95,7 @@ def _problem(
                 names=settings.effects,
                 excluded=settings.excluded,
                 specimen=specimen,
-                # When in its period a sample was taken, or a command arrived, no log tells: times
-                # are rounded to it.
+                # Logs round times of samples and commands to the period, which hides short delays.
                 shortest=float(period / np.sqrt(12.0)),
             ),
             series,
@@ -116,7 +115,7 @@ def _problem(
 
 
 def _check_stable(problem: Problem) -> None:
-    """Refuses a model that its own time step makes unstable."""
+    """Refuses a model that is unstable at its own time step."""
     if not (joint := problem.blown):
         return
     machine = problem.machine
@@ -139,9 +138,10 @@ def searched(
     settings: DiagnosisSettings,
     progress: Callable[[str], None],
 ) -> tuple[Found, Specimen | None, tuple[str, ...]]:
-    """Searches recordings for what a model lacks; arguments as of `diagnose`.
+    """Searches for the effects that a model lacks; arguments as in `diagnose`.
 
-    All fitted sets; what healthy recordings said, None without any; remarks on all recordings.
+    Returns all fitted sets, the specimen by healthy recordings, None without any, and notes on all
+    recordings.
     """
     limits = settings.thresholds
     machine = machine_for(model, [*recordings.values(), *(healthy or {}).values()])
@@ -153,7 +153,7 @@ def searched(
         found = search(problem, onsets=onset_of(problem), log=progress)
         return found, None, admitted.notes
     earlier = unquestioned(machine, admit(machine, healthy, (), limits), limits)
-    # A specimen differs in more than the effects that the user asks for.
+    # A specimen may deviate in other effects than those that the user selects.
     whole = replace(settings, effects=None, excluded=())
     before = _problem(machine, earlier, whole, beside=admitted.recordings)
     later = _problem(machine, admitted, whole, beside=earlier.recordings)
@@ -170,7 +170,7 @@ def searched(
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
-    """The problem with sizes of parameters as recorded, and shapes as the forces left suggest."""
+    """Returns the problem with scales from the recordings and shapes from residual forces."""
     sites = dict(sized(problem.library, problem.machine, seen).sites)
     guessing = {k: s for k, s in sites.items() if type(s.effect).guess is not Effect.guess}
     left = forces_left(problem, Hypothesis()) if guessing else {}
@@ -186,7 +186,7 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
             for p in site.parameters
         )
         if own is not None:
-            # What a specimen hardly has takes the shape of what has come.
+            # An effect that is negligible in the specimen takes its shape from the new recordings.
             found = np.array([values[p.name] for p in parameters])
             if _most(parameters, own) >= NO_FAULT or _most(parameters, found) < NO_FAULT:
                 continue
@@ -198,6 +198,6 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
 
 
 def _most(parameters: Sequence[EffectParameter], values: np.ndarray) -> float:
-    """By how many smallest trials strengths depart from the model's, at most."""
+    """Returns the largest departure of strengths from the model's, in smallest trials."""
     each = zip(parameters, values.tolist(), strict=True)
     return max(p.departure(v, p.nominal) for p, v in each if p.role == "strength")

@@ -35,11 +35,11 @@ class Proposal:
 
     move: str  #: Name of the move
     candidate: Candidate  #: The set and where its fit begins
-    reason: str  #: In words
-    beside: bool = True  #: As of `Fitter.fit`
-    renewals: int = 0  #: As of `Fitter.fit`
+    reason: str  #: Reason in words
+    beside: bool = True  #: Argument of `Fitter.fit`
+    renewals: int = 0  #: Argument of `Fitter.fit`
     finishes: Fit | None = None  #: The unfinished fit that this one replaces
-    once: Hashable = None  #: Key of a proposal that is made once
+    once: Hashable = None  #: Key of a proposal that is made only once
     late: bool = False  #: Whether it counts as an attempt to find a rival of the best set
 
 
@@ -54,7 +54,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Aim:
-    """Purpose of a search: causes with all their rivals, or one good description of recordings."""
+    """Purpose of a search: all rival causes, or one good description of recordings."""
 
     moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: In order of precedence
     rivals: bool  #: Whether rivals of good sets are fitted
@@ -68,9 +68,9 @@ class Scene:
 
     fitter: Fitter
     aim: Aim
-    first: Columns  #: Linearisation of the model as it is, with all trials
+    first: Columns  #: Linearisation of the unchanged model, with all trials
     compared: Compared
-    #: Linearisations with an effect taken out, see `Errors.without`, by fit and effect.
+    #: Linearisations without an effect, see `Errors.without`, by fit and effect.
     removed: dict[tuple[Fit, Key], Columns | None] = field(default_factory=dict)
     #: Linearisations of fits with jumps to limits.
     limited: dict[Fit, Columns] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Fitted sets and the steps that led to them; each step makes a new pool."""
+    """Fitted sets and the steps that led to them; immutable, each step returns a new pool."""
 
     scene: Scene
     kappa: float  #: 1/design effect
@@ -173,8 +173,8 @@ class Pool:
     def near(self) -> list[Ranked]:
         """Sets that may turn out to be the best one.
 
-        While no set explains the recordings, predicted evidence errs by a share of the whole gain.
-        A set with no more parameters than the best one is near if it leaves noise alone.
+        While no set explains the recordings, predicted evidence is wrong by a share of the whole
+        gain. A set with no more parameters than the best one is near if it leaves noise alone.
         """
         top, rivals = self.best.score.log, self.scene.aim.rivals
         behind = BEHIND * NEAR if rivals else 0.0
@@ -192,7 +192,7 @@ class Pool:
     def needed(self, fit: Fit, there: Evidence | None = None) -> bool:
         """Tests whether all effects of a set contribute, or the smaller set was not fitted yet.
 
-        By the evidence `there`, or by that at the fit.
+        The evidence is `there`, by default that at the fit.
         """
         at = self.scene.fitter.at
         there = there or self.scene.compared.evidence(fit, fit.spread, fit, self.kappa)
@@ -202,7 +202,7 @@ class Pool:
 
     @property
     def sound(self) -> list[Ranked]:
-        """Sets without a parameter at a bound, by which others are measured."""
+        """Sets without a parameter at a bound, with which others are compared; else all sets."""
         return [r for r in self.ranks if not r.fit.ended] or list(self.ranks)
 
     def knows(self, members: Members) -> bool:
@@ -216,7 +216,7 @@ class Pool:
 
     @cached_property
     def vain_now(self) -> int:
-        """Consecutive attempts without a rival of the best set, with the present one."""
+        """Consecutive attempts without a rival of the best set, including the present one."""
         last = self.further[-1].keys if self.further else frozenset[Key]()
         top = self.best.score.log
         rival = last in {r.fit.keys for r in self.near if r.score.log > top - NEAR}
@@ -224,7 +224,7 @@ class Pool:
 
     @property
     def exhausted(self) -> bool:
-        """Tests whether enough further sets were fitted, or in vain."""
+        """Tests whether enough further sets were fitted, or too many without a rival."""
         return self.vain_now > FRUITLESS or len(self.further) >= FURTHER_FITS
 
     @property
@@ -232,7 +232,7 @@ class Pool:
         """Tests whether the search can stop.
 
         If the unchanged model leaves noise, linearised evidence is exact: the search stops if the
-        empty set leads, or if the best set hardly lessens the errors. A description stops at noise.
+        empty set leads, or if no fit clearly lessens the errors. A description stops at noise.
         """
         fitter, best = self.scene.fitter, self.best.fit
         if self.scene.clear:
@@ -248,7 +248,7 @@ class Found:
 
     pool: Pool
     level: float  #: Median error of the unchanged model, in noise levels
-    onsets: np.ndarray | None = None  #: As `search` was given them
+    onsets: np.ndarray | None = None  #: Argument of `search`
 
     @property
     def fitter(self) -> Fitter:

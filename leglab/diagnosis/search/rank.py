@@ -1,4 +1,4 @@
-"""Fitted sets under each other: their evidence at the points of all fits."""
+"""Ranking of fitted sets by their evidence at the points of several fits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,22 +12,22 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.search.settle import Fit, Fitter
 from leglab.diagnosis.thresholds import SURE_FITS
 
-# Memory for products of linearisations that are kept [bytes]: a small part of any computer's.
+# Memory for cached products of linearisations [bytes]: a small part of any computer's.
 _MEMORY = 2e8
 
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A fitted set where it is most probable."""
+    """A fitted set at the linearisation where it is most probable."""
 
     fit: Fit  #: The fit
-    evidence: Evidence  #: At its own linearisation, or at another's
-    score: Score  #: Of the set there
-    gain: float  #: By how much it is more probable there than at its own linearisation [nats]
+    evidence: Evidence  #: At the linearisation of this fit or of another
+    score: Score  #: Score of the set by this evidence
+    gain: float  #: Log evidence there less that at the linearisation of the fit [nats]
 
 
 class Compared:
-    """Evidence of sets at linearisations: scores are made once, products as far as memory goes."""
+    """Evidence of sets at linearisations; caches all scores, and products up to `_MEMORY`."""
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter = fitter
@@ -35,7 +35,7 @@ class Compared:
         self._scores: dict[tuple[object, ...], Score] = {}
 
     def evidence(self, at: Fit, spread: Spread, by: Fit, kappa: float) -> Evidence:
-        """At the point of a fit, with a pattern of errors and the weights of another fit."""
+        """Returns evidence at the fit `at`, with a model-error covariance and weights of `by`."""
         key = at.columns, spread, by
         made = self._made.pop(key, None)
         if made is None:
@@ -43,14 +43,14 @@ class Compared:
         elif made.kappa != kappa:
             made = made.with_kappa(kappa)
         self._made[key] = made
-        # Each with its products at all sizes, and those beside priors of each spread.
+        # Each keeps products at all sizes, and reduced ones for each spread.
         each = made.gram.nbytes * (1 + len(made.priors.spreads))
         while len(self._made) * each > _MEMORY:
             self._made.pop(next(iter(self._made)))
         return made
 
     def score(self, fit: Fit, at: Fit, spread: Spread, by: Fit, kappa: float) -> Score:
-        """Of a set at the point of a fit; other arguments as of `evidence`."""
+        """Scores the set of `fit` at the point of another; other arguments as in `evidence`."""
         key = fit.members, at.columns, spread, by, kappa
         if key not in self._scores:
             members = [(q, None) for q in fit.members]
@@ -59,11 +59,11 @@ class Compared:
 
 
 def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
-    """Sets by evidence, best first; of several fits of a set the best.
+    """Ranks sets by evidence, best first; of several fits of a set the best one counts.
 
-    The pattern of the model's own error is not known either: each set counts with the one that
-    makes it most probable, of its own and those of the sets that leave least; and at the point, its
-    own or another's, where it does best: a larger set is never worse than one that it holds.
+    The model-error covariance is unknown: each set is scored with its own and those of the sets
+    with the smallest errors, at its own linearisation and at theirs, and the best score counts. So
+    a larger set is never worse than a set that it contains.
     """
     near = sorted(fits, key=lambda f: f.level)[:SURE_FITS]
     fixed = compared.fitter.fixed
@@ -81,7 +81,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
-        # Where a fit has ended, what tangents promised and no replay kept does not count.
+        # At a fit's own point, the gain that tangents predict and no replay reached is subtracted.
         for n, score in enumerate(scores[: len(spreads)]):
             scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))

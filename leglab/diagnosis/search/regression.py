@@ -1,8 +1,8 @@
-"""Sets of effects from the balance of forces, by regression: joint by joint, nothing integrated.
+"""Sets of effects by regression of residual forces, joint by joint, without integration.
 
-Along the measured motion the force that is left over is nearly linear in most parameters, and no
-joint's balance depends on what another one lacks (Gautier and Khalil 1992). A replay tells less
-where much is missing: any misfit makes a weaker drive look right.
+Along the measured motion the residual force is nearly linear in most parameters, and no joint's
+balance depends on effects missing at another joint (Gautier and Khalil 1992). Far from the model
+replays are less informative: any misfit favours a weaker drive.
 """
 
 from collections.abc import Iterable, Sequence
@@ -31,12 +31,12 @@ class Balanced:
     """A set that balances one joint."""
 
     start: dict[int, float]  #: Departures of its unknowns
-    #: Nats gained over no effect, at one number a window, less half log windows a parameter.
+    #: Gain over no effect [nats], for one number per window; BIC: less log(windows)/2 a parameter.
     gain: float
 
 
 def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]]:
-    """Sets that balance each joint best, by joint, best first."""
+    """Returns the sets with the smallest residual forces of each joint, best first."""
     u, base, joints = at.unknowns, Hypothesis(), at.problem.balanced
     jumps = [jump for jump in jumps if jump[0] < u.single]
     if not joints or not jumps:
@@ -48,7 +48,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     loud = _forces(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
-        # Of a joint that rests nothing is learned; the middle of all windows sets the scale.
+        # The median window of a recording sets the scale; its limit excludes joints at rest.
         size = np.sqrt((left[:, j] ** 2).mean(axis=1))
         least = max(NEGLIGIBLE * float(np.median(size)), 1e-12)
         scale = np.ones(len(size))
@@ -62,18 +62,18 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
             own = change[:, j]
             share = _proportion(own.ravel(), drive[:, j].ravel()) if louder else 0.0
             if share and jump[0] not in louder:
-                # What is in proportion to the drive grows with its gain; other friction does not.
+                # A force in proportion to the drive grows with its gain; other friction does not.
                 both = _forces(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
                 share = share if abs(grown - stronger) < SMALL * stronger else 0.0
             if share:
-                # A gain of 0 leaves no force over, nor does a friction that eats the drive's:
-                # regressed on itself the drive explains itself. The motion's force stands for it.
+                # A gain of 0, or friction that absorbs the drive's force, leaves no residual: the
+                # drive would explain itself. So the force of the motion replaces the drive's.
                 own = np.sign(own * drive[:, j]) * share * (left[:, j] + drive[:, j])
             columns.append((own * weight[:, None]).ravel())
             scaling.append(share)
         x = np.stack(columns, axis=1)
-        # A drive that is turned down or late imitates what resists: once with the machine alone.
+        # A weaker or late drive imitates resistance, so the mechanism's columns also run alone.
         resists = [u.effect(q).group in ("friction", "mechanics") for q, _ in jumps]
         machine = [i for i, share in enumerate(scaling) if share == 0.0 and resists[i]]
         sets: dict[frozenset[int], Balanced] = {}
@@ -85,9 +85,9 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
 
 
 def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-    """Forces along the measured motion, each (windows, joints, moments) [N m or N].
+    """Computes forces along the measured motion, each (windows, joints, moments) [N m or N].
 
-    Those that are left over, and those of the drives.
+    The first are the residual forces, the second those of the drives.
     """
     problem, replay = at.problem, at.problem.replay
     change = problem.library.change(hypothesis, replay.machine)
@@ -102,13 +102,13 @@ def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]
 
 
 def _proportion(change: np.ndarray, drive: np.ndarray) -> float:
-    """Proportion of a change of forces to the drive's, (moments,) each; 0 where there is none."""
+    """Returns the constant ratio of a force change to the drive's, (moments,) each; else 0."""
     moves = np.abs(drive) > SMALL * np.abs(drive).max()
     if not moves.any():
         return 0.0
     ratio = np.abs(change[moves] / drive[moves])
     middle = float(np.median(ratio))
-    # Beside reversals, which bend what rubs.
+    # The median ignores reversals, where friction is nonlinear.
     return middle if np.median(np.abs(ratio - middle)) <= SAME * middle else 0.0
 
 
@@ -120,12 +120,12 @@ def _subsets(
     windows: int,
     allowed: Iterable[int],
 ) -> list[Balanced]:
-    """The best subsets of some columns of x, (numbers, jumps), with factors above 0, best first."""
+    """Returns the best subsets of columns of x, (numbers, jumps), with positive factors."""
     gram, slope, total = x.T @ x, -x.T @ y, float(y @ y)
     every = [i for i in allowed if 1e-8 * total < gram[i, i] < 1e20]
 
     def fitted(columns: tuple[int, ...]) -> tuple[float, tuple[int, ...], np.ndarray] | None:
-        """Residual of the columns and their factors; None where these are no set."""
+        """Fits columns: residual, columns, factors; None if unknowns repeat or a factor is <= 0."""
         if len({jumps[i][0] for i in columns}) < len(columns):
             return None
         index = np.array(columns)
@@ -135,7 +135,7 @@ def _subsets(
             return None
         return max(total - float(slope[index] @ factors), 1e-12 * total), columns, factors
 
-    # Alone a column may have the wrong sign: beside another one it is right.
+    # A column with the wrong sign alone may have the right one in combination with another.
     best_of: dict[tuple[int, float], int] = {}
     for i in every:
         best_of.setdefault((jumps[i][0], np.sign(jumps[i][1])), i)
@@ -154,7 +154,7 @@ def _subsets(
         level.sort(key=lambda s: s[0])
         current = [s[1] for s in level[: 2 * SCORED]]
         sets += level[:EACH_WAY]
-    # Of what scales the drive: 1/(1 + s) for a motion that takes 1 + s as much.
+    # For effects in proportion to the drive: 1/(1 + s) if the motion takes 1 + s times the force.
     scales: dict[tuple[int, bool], tuple[float, float]] = {}
     for (q, by), share in zip(jumps, scaling, strict=True):
         scales.setdefault((q, by > 0.0), (by, share))

@@ -1,7 +1,7 @@
-"""Takes the noise model of a search anew: about the most probable set.
+"""Renewal of the noise model of a search at the most probable set.
 
-Replays carry errors of start states on. Far from the unchanged model they grow otherwise than about
-it, and the right set would leave several noise levels.
+Replays propagate errors of start states. Far from the unchanged model their growth differs, and
+under the old noise model even the right set would leave several noise levels.
 """
 
 from collections.abc import Hashable
@@ -18,13 +18,13 @@ from leglab.diagnosis.thresholds import EXPLAINED, HOPELESS
 
 
 def wanted(pool: Pool) -> bool:
-    """Tests whether the best set leaves a little more than noise, not taken about it before."""
+    """Tests whether the best set leaves a little more than noise and had no renewal yet."""
     best = pool.best.fit
     return EXPLAINED < best.level < HOPELESS * EXPLAINED and _about(best) not in pool.done
 
 
 def renewed(pool: Pool) -> Pool:
-    """Returns a ranked pool with the noise model about its best set; fits are to be continued."""
+    """Returns a ranked pool with the noise model at its best set and all fits unfinished."""
     scene, best = pool.scene, pool.best.fit
     old = scene.fitter
     new = Fitter(old.at.about(best.columns.base), old.priors, old.fixed)
@@ -38,7 +38,7 @@ def renewed(pool: Pool) -> Pool:
 
 
 def _about(fit: Fit) -> Hashable:
-    """Returns the key of a renewal about a set, which is done once."""
+    """Returns the key of the renewal at a set, which is done once."""
     return "noise", fit.keys
 
 
@@ -50,7 +50,7 @@ def _moved(columns: Columns, by: np.ndarray) -> Columns:
 
 
 def _judged(fitter: Fitter, fit: Fit, columns: Columns, kappa: float) -> Fit:
-    """Judges a fit where it stands; that of a set of effects may go on from there."""
+    """Scores a fit at its parameters under a noise model; a nonempty set counts as unfinished."""
     spread = fitter.own_spread(columns.errors)
     weight = fitter.weights(columns.errors, spread, fit.score.size)
     evidence = fitter.evidence(columns, spread, weight, kappa)

@@ -54,7 +54,7 @@ Log = Callable[[str], None]
 
 
 def windows_of(u: Unknowns) -> int:
-    """Number of windows to replay; fewer with many unknowns, each of which replays them all."""
+    """Returns the number of windows; fewer with many unknowns, each of which replays them all."""
     most = thresholds.WINDOWS
     return max(most // 2, min(most, most * thresholds.MANY_UNKNOWNS // len(u)))
 
@@ -70,11 +70,11 @@ def search(
     """Finds and fits the sets of effects that can cause the misfit of recordings.
 
     Args:
-        problem: Recordings and machine about the specimen.
+        problem: Recordings and machine, with the library about the specimen.
         priors: Of everything but the errors; None for a machine without healthy recordings.
-        fixed: Pattern of the model's own error by healthy recordings; None without.
+        fixed: Covariance of the model error by healthy recordings; None without.
         kappa: 1/design effect at first.
-        onsets: Time at which what is missing begins [s], (recordings,); None for throughout.
+        onsets: Time at which the missing effects begin [s], (recordings,); None for throughout.
         log: Called with what is being done.
     """
     u = Unknowns.of(problem.library)
@@ -85,18 +85,18 @@ def search(
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = at.at(Hypothesis())
-    # A model that leaves noise has no large fault, which would show: first order is exact.
+    # A large fault would leave more than noise, so without one small steps are accurate.
     first = at.columns(thresholds.FINE if fitter.clear(errors) else thresholds.COARSE)
     return Found(_searched(fitter, first, CAUSES, kappa, log), fitter.level(errors), onsets)
 
 
 def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -> Pool:
-    """Finds sets that describe recordings, named or not, beginning from the fit of no set.
+    """Finds sets that describe recordings, starting from the fit of the empty set.
 
     Args:
-        fitter: With which sets are fitted.
-        first: Linearisation of the model as it is, without jumps.
-        fit: The fit of no set.
+        fitter: Fits the sets.
+        first: Linearisation of the unchanged model, without jumps.
+        fit: The fit of the empty set.
         kappa: 1/design effect at first.
         log: Called with what is being done.
     """
@@ -106,7 +106,7 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
 def _searched(
     fitter: Fitter, first: Columns, aim: Aim, kappa: float, log: Log, nothing: Fit | None = None
 ) -> Pool:
-    """Fits the proposals of all moves; `nothing` is the fit of the empty set, None to make it."""
+    """Fits the proposals of all moves; `nothing` is the fit of the empty set, if made before."""
     at, clear = fitter.at, fitter.clear(first.errors)
     first = at.jumped(replace(first, fine=clear), trials(at.unknowns), near=clear)
     pool = Pool(Scene(fitter, aim, first, Compared(fitter)), kappa)
@@ -156,7 +156,7 @@ def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -
     """Fits the proposals of first order and of the balance of forces.
 
     Once a set explains the recordings, only simpler sets and those with nearly its promise are
-    fitted, since first order errs far from the unchanged model.
+    fitted; the margin is wide, since first order is inaccurate far from the unchanged model.
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
@@ -173,7 +173,7 @@ def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -
 
 
 def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
-    """Sets by the first linearisation, then those by the balance of forces."""
+    """Returns proposals by the first linearisation, then those by the balance of forces."""
     scene, u, nothing = pool.scene, evidence.unknowns, evidence.score(()).log
     at, level = scene.fitter.at, scene.fitter.level(scene.first.errors)
     wanted = {
@@ -189,13 +189,13 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             continue
         begins, other = scene.begins(seed), wanted.get(names)
         if other is None:
-            # The balance predicts no evidence. A set that starts near noise is a rival of any.
+            # The balance predicts no evidence; a set that starts near noise is fitted in any case.
             if begins < thresholds.HOPELESS * level:
                 near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed
                 wanted[names] = Proposal("balance", one, reason, beside=scene.clear)
         elif begins < scene.begins(other.candidate):
-            # Of two starts of one set that with the smaller error is taken.
+            # Of two starts of a set, the one with the smaller error is taken.
             one = replace(seed, promise=other.candidate.promise)
             wanted[names] = replace(other, candidate=one)
     return list(wanted.values())

@@ -1,8 +1,8 @@
-"""Fits of one set of effects by replays, to the end: Gauss-Newton on the likelihood of `Evidence`.
+"""Fit of a set of effects by replays: Gauss-Newton iteration on the likelihood of `Evidence`.
 
-Members find their place first, while the rest of the machine stays as it is built: beside a gross
-fault it would move to where it does not belong. Tangents of the members are taken anew at every
-turn, all others are corrected by what replays show (Broyden 1965) and taken anew at the end.
+The members move first, while all other parameters are nearly fixed: beside a gross fault they would
+take wrong values. Tangents of the members are computed at every turn; all others are corrected by
+the errors of replays (Broyden 1965) and computed anew at the end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,11 +27,11 @@ class Candidate:
     """A set to fit."""
 
     members: tuple[int, ...]  #: Its unknowns
-    start: Mapping[int, float]  #: By how much unknowns move from where the fit begins
-    columns: Columns  #: Linearisation there
-    spread: Spread  #: Pattern of the model's own error at first
-    weight: np.ndarray  #: Of windows at first
-    promise: float = np.inf  #: Log evidence that first order promises
+    start: Mapping[int, float]  #: Moves of unknowns from the linearisation to the start of the fit
+    columns: Columns  #: Linearisation
+    spread: Spread  #: Covariance of the model error at first
+    weight: np.ndarray  #: Weights of windows at first
+    promise: float = np.inf  #: Log evidence predicted to first order
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,31 +41,31 @@ class Fit:
     members: tuple[int, ...]  #: Unknowns of the set
     keys: frozenset[Key]  #: Their effects and elements
     columns: Columns  #: Linearisation where the fit ended
-    spread: Spread  #: Pattern of the error that the set leaves
-    weight: np.ndarray  #: Of windows
-    score: Score  #: Evidence there
+    spread: Spread  #: Covariance of the errors that the set leaves
+    weight: np.ndarray  #: Weights of windows
+    score: Score  #: Evidence at this linearisation
     level: float  #: Median error in noise levels of the sensors
     ended: tuple[int, ...]  #: Members that ended at a bound
     finished: bool  #: Whether another turn would gain nothing
-    unkept: float  #: What tangents promise where it ended, and no replay keeps [nats]
-    #: What its turns have gained where it is not finished [nats]; it may gain as much.
+    unkept: float  #: Gain that tangents predict at the end and no replay reached [nats]
+    #: Gain of the turns of an unfinished fit [nats], which may gain as much again; else 0.
     gained: float
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where a fit stands."""
+    """Parameters of a fit with their errors and tangents."""
 
     hypothesis: Hypothesis  #: Values of all effects
-    errors: np.ndarray  #: There, (windows, rows)
+    errors: np.ndarray  #: Errors of the hypothesis, (windows, rows)
     x: np.ndarray  #: Departures of all unknowns
-    values: np.ndarray  #: Of the members, (members,)
-    spikes: np.ndarray  #: Departures of the single unknowns beside the members, (single,)
-    tangents: np.ndarray  #: As far as they are known, (windows, rows, unknowns)
+    values: np.ndarray  #: Departures of the members, (members,)
+    spikes: np.ndarray  #: Departures of single unknowns less those by members, (single,)
+    tangents: np.ndarray  #: Latest tangents, (windows, rows, unknowns)
 
     @property
     def columns(self) -> Columns:
-        """As a linearisation."""
+        """The point as a linearisation without jumps."""
         none = np.zeros((*self.errors.shape, 0))
         return Columns(self.hypothesis, self.x, self.errors, self.tangents, (), none)
 
@@ -75,8 +75,8 @@ class State:
     """State of a fit between two turns."""
 
     point: Point
-    spread: Spread  #: Pattern of the model's own error
-    weight: np.ndarray  #: Of windows
+    spread: Spread  #: Covariance of the model error
+    weight: np.ndarray  #: Weights of windows
     kappa: float  #: 1/design effect
     stiff: int  #: Number of first turns in which parameters outside of the set hardly move
     fine: bool  #: Whether all tangents are differences over fine steps
@@ -84,11 +84,11 @@ class State:
     off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
     missed: float = 0.0  #: Sum of such errors since all tangents were taken [nats]
     most: np.ndarray | None = None  #: Largest steps of tangents, (single,)
-    #: Largest places of the model error's size and of the machines' spread; None for no limit.
+    #: Largest indices of the model error's scale and of machines' deviation; None for no limit.
     places: tuple[int, int] | None = None
     turn: int = 0  #: Number of turns
     renewed: int = 0  #: Number of renewals of all tangents
-    damping: float = 0.0  #: Of the last step
+    damping: float = 0.0  #: Damping of the last step
     slow: bool = False  #: Whether the last step gained little or was damped
     gained: float = 0.0  #: Gain of all steps [nats]
     unkept: float = 0.0  #: Gain that tangents predict at the end and no replay reached [nats]
@@ -97,9 +97,9 @@ class State:
 
 
 class Fitter:
-    """Fits sets of effects on windows, under priors of all but the errors.
+    """Fitter of sets of effects to windows, under priors of all but the errors.
 
-    `fixed` is the pattern of the model's own error, where healthy recordings have shown it.
+    `fixed` is the covariance of the model error by healthy recordings; None without.
     """
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
@@ -110,22 +110,22 @@ class Fitter:
         self._of_noise: Spread | None = None
 
     def level(self, errors: np.ndarray) -> float:
-        """Median error of windows in noise levels of the sensors."""
+        """Computes the median error of windows in noise levels of the sensors."""
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
 
     def rms(self, errors: np.ndarray) -> float:
-        """Root mean square of errors in noise levels of the sensors: few windows may show it."""
+        """Computes the RMS error in noise levels of the sensors, which few windows may raise."""
         return float(rms(self._white(errors)))
 
     def explains(self, fit: Fit) -> bool:
-        """Whether noise, or errors as the healthy specimen has them, are left."""
+        """Tests whether a fit leaves only noise, or errors as large as the healthy specimen's."""
         if self.fixed is None:
             return fit.level <= EXPLAINED
         white = self.fixed.whitening(self.at).white(fit.columns.errors, 1.0, 1.0)[:, : self.at.size]
         return float(np.median(np.mean(white**2, axis=1))) <= EXPLAINED**2
 
     def clear(self, errors: np.ndarray) -> bool:
-        """Whether each recording is left noise alone."""
+        """Tests whether the errors of each recording are noise alone."""
         return noise_alone(np.mean(self._white(errors) ** 2, axis=1), self.at.recording)
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
@@ -140,13 +140,13 @@ class Fitter:
         priors: Priors | None = None,
         places: Sequence[int] | None = None,
     ) -> Evidence:
-        """Evidence of sets at a linearisation; arguments as of `Evidence`."""
+        """Builds the evidence of sets at a linearisation; arguments as in `Evidence`."""
         return Evidence(self.at, columns, spread, weight, kappa, priors or self.priors, places)
 
     def own_spread(self, errors: np.ndarray) -> Spread:
-        """Pattern of the model's own error: what healthy recordings say, else these errors.
+        """Returns the model-error covariance, by healthy recordings or else by these errors.
 
-        Where noise alone is left the first such pattern is as good as any later one.
+        If noise alone is left, the first such covariance is used again: later ones are no better.
         """
         if self.fixed or not self.clear(errors):
             return self.fixed or Spread.of(self.at, errors)
@@ -154,14 +154,14 @@ class Fitter:
         return self._of_noise
 
     def about(self, errors: np.ndarray) -> tuple[Spread, np.ndarray]:
-        """Pattern of the model's own error about a point, and weights where it has that size."""
+        """Returns the model-error covariance at a point, and window weights at its scale 1."""
         spread = self.own_spread(errors)
         return spread, self.weights(errors, spread, self.priors.sizes.index(1.0))
 
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
-        """Weights of windows by how unusual their errors are (Huber 1964), (windows,).
+        """Computes robust weights of windows (Huber 1964), (windows,).
 
-        `place` is that of a size of the model's own error.
+        `place` is the index of the model error's scale.
         """
         size, forces = self.priors.sizes[place], self.priors.force_size(place)
         square = np.mean(spread.whitening(self.at).white(errors, size, forces) ** 2, axis=1)
@@ -180,11 +180,11 @@ class Fitter:
         """Fits a set.
 
         Args:
-            new: The set; the tangents of its linearisation are corrected on the way.
+            new: The set; the tangents of its linearisation are corrected by the fit.
             kappa: 1/design effect at first.
-            renewals: All tangents are taken anew so often at most.
-            give_up: Level of the errors beyond which the fit is not finished.
-            beside: Whether the rest of the machine starts where another set has left it, and moves
+            renewals: Largest number of times that all tangents are computed anew.
+            give_up: Median error beyond which the fit is abandoned, in noise levels.
+            beside: Whether all other parameters start at the values of another set's fit and move
                 with the members from the first turn on.
         """
         turns = _Turns(self, new.members, renewals, give_up)
@@ -215,7 +215,7 @@ class Fitter:
         members: Sequence[int],
         values: np.ndarray | None = None,
     ) -> Point:
-        """A point; where no values are given, the members' are all that their unknowns depart."""
+        """Builds a point; by default members' values are the whole departures of their unknowns."""
         u = self.at.unknowns
         x = u.departures(hypothesis)
         if values is None:
@@ -234,12 +234,12 @@ class Fitter:
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
-        """Tries a step by each damping: its predicted gain [nats], and what it reached.
+        """Tries a step by each damping; returns the undamped predicted gain [nats] and the best.
 
-        The latter is the damping, the gain [nats], what the step changed beyond the tangents, and
-        where it leads; None where no cost fell. Where `lower`, errors may not grow beside the
-        sensors' noise either: while a gross fault is there, its own shape is in the pattern of
-        errors, and the cost is low wherever that is left.
+        The best step has its damping, its gain [nats], its error beyond the tangents, and its
+        point; None if no step lowers the cost. If `lower`, the median error in noise levels may not
+        grow either: until a gross fault is explained, the model-error covariance contains its
+        shape, and the cost is low for any errors of that shape.
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
@@ -269,12 +269,12 @@ class Fitter:
                     best, lowest = (damping, moved, errors, values, spikes), after
                 if before - after > own:
                     break
-                # What a step showed beyond the tangents, its bend, is there at its end: the next
-                # one meets it (second-order correction; Fletcher 1982).
+                # The next step includes the curvature of errors seen at the end of this step
+                # (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
                 bend[np.abs(errors).max(axis=1) > thresholds.BLOWN] = 0.0
                 values, spikes, by = step(damping, bend)
-            # A step that keeps little of its promise is too long (Conn, Gould and Toint 2000).
+            # A step that gains little of its prediction is too long (Conn, Gould and Toint 2000).
             if 0.5 * (before - lowest) > SMALL * own:
                 break
         if best is None:
@@ -290,7 +290,7 @@ class Fitter:
     def _by(
         self, members: Sequence[int], values: np.ndarray, spikes: np.ndarray, point: Point
     ) -> np.ndarray:
-        """By how much single unknowns move to members' values and spikes, (single,)."""
+        """Computes the moves of single unknowns to members' values and `spikes`, (single,)."""
         u = self.at.unknowns
         goal = spikes.copy()
         for q, value in zip(members, values, strict=True):
@@ -305,7 +305,7 @@ class Fitter:
         values: np.ndarray,
         spikes: np.ndarray,
     ) -> float:
-        """Twice the negative log posterior at a score's size and spread."""
+        """Computes twice the negative log posterior at a score's size and spread."""
         square = self._square(evidence, score, errors)
         spread = evidence.priors.spreads[score.spread]
         precision, _ = evidence.priors.precision(self.at.unknowns, spread)
@@ -313,12 +313,12 @@ class Fitter:
         return square + float(spikes @ precision @ spikes) + fault
 
     def _square(self, evidence: Evidence, score: Score, errors: np.ndarray) -> float:
-        """Square of errors at a score's size, as much as it counts."""
+        """Computes the weighted squared error at a score's model-error scale."""
         white = evidence.white(errors, score)
         return evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
 
     def _shapes(self, members: Sequence[int]) -> list[int]:
-        """Shapes of the members' effects; a shape of a spike means nothing."""
+        """Returns shapes of the members' effects; those of other effects are irrelevant."""
         u = self.at.unknowns
         keys = frozenset[Key]().union(*(u.library_keys(q) for q in members))
         return [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
@@ -326,7 +326,7 @@ class Fitter:
     def _own_tangents(
         self, point: Point, members: Sequence[int], coarse: bool, most: np.ndarray | None = None
     ) -> Point:
-        """With the tangents of the members and their shapes taken anew."""
+        """Returns the point with new tangents of the members and their shapes."""
         at, u = self.at, self.at.unknowns
         which = [q for q in members if q < u.single] + self._shapes(members)
         step = thresholds.COARSE if coarse else thresholds.FINE
@@ -341,7 +341,7 @@ class Fitter:
     def _all_tangents(
         self, point: Point, members: Sequence[int], telling: np.ndarray, most: np.ndarray | None
     ) -> Point:
-        """With all tangents taken anew, but of unknowns of which the data hardly tell anything."""
+        """Returns the point with new tangents of members and of the unknowns in `telling`."""
         u = self.at.unknowns
         own = {i for q in members for i in u.singles(q)} | set(self._shapes(members))
         which = [
@@ -355,7 +355,7 @@ class Fitter:
         return replace(point, tangents=out)
 
     def _on_ladder(self, evidence: Evidence, score: Score, point: Point) -> Point | None:
-        """The best size of each member that is not smooth, all else as it is; None for no other."""
+        """Moves each nonlinear member to the best of a ladder of values; None if none is better."""
         u, begun, members = self.at.unknowns, point, score.unknowns
         lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
         for n, q in enumerate(members):
@@ -369,7 +369,7 @@ class Fitter:
             ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
             tried = self._at_sizes(point, members, n, ends)
             low, high = (self._white(tried[y].errors - point.errors) / (y - now) for y in ends)
-            # Where the slope hardly changes turns find the size: a ladder would only take time.
+            # If the slope hardly changes, Gauss-Newton finds the value without further replays.
             if np.linalg.norm(high - low) < 0.2 * np.linalg.norm(low):
                 continue
             tried |= self._at_sizes(point, members, n, [y for y in sizes if y not in tried])
@@ -382,7 +382,7 @@ class Fitter:
     def _at_sizes(
         self, point: Point, members: Sequence[int], n: int, sizes: Sequence[float]
     ) -> dict[float, Point]:
-        """With the n-th member at other sizes, by size."""
+        """Returns the points with the n-th member at other values, by value."""
         u, now = self.at.unknowns, float(point.values[n])
         moved = [u.moved(point.hypothesis, {members[n]: size - now}) for size in sizes]
         found = {}
@@ -392,7 +392,7 @@ class Fitter:
         return found
 
     def _ended(self, members: Sequence[int], x: np.ndarray, values: np.ndarray) -> tuple[int, ...]:
-        """Members that stand at a bound; zero is none: no friction is an answer."""
+        """Returns members at a bound; a lower bound of 0, as no friction, is a valid result."""
         u, found = self.at.unknowns, []
         for q, value in zip(members, values, strict=True):
             v = float(value if q >= u.single else x[q])
@@ -437,7 +437,7 @@ class _Turns:
         )
 
     def judged(self, s: State, *, stiff: bool = False) -> tuple[Evidence, Score]:
-        """Evidence at a state; if `stiff`, under the priors of a machine that hardly departs."""
+        """Scores a state; if `stiff`, under priors that nearly fix all other parameters."""
         fitter = self.fitter
         priors = fitter._stiff if stiff else None
         made = fitter.evidence(s.point.columns, s.spread, s.weight, s.kappa, priors)
@@ -459,10 +459,10 @@ class _Turns:
         if not first:
             s = replace(s, most=evidence.visible(score))
         if s.renewed:
-            # From here on both sizes can only fall: alternating ones keep a fit oscillating.
+            # From here on both can only fall: if they alternated, the fit would oscillate.
             s = replace(s, places=(score.size, score.spread))
-        # Damping begins one below that of the last step; with fresh tangents, and for members
-        # alone, at none.
+        # Dampings begin one below that of the last step; with fresh tangents, and in the first
+        # turns, at 0.
         begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)
         dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
         promise, then = fitter._stepped(evidence, score, s.point, dampings, lower=first)
@@ -518,7 +518,7 @@ class _Turns:
         weight = fitter.weights(point.errors, spread, score.size)
         s = replace(s, damping=damping, off=off, point=point, spread=spread, weight=weight)
         if not first:
-            # The better a set explains, the less errors correlate.
+            # The better a set explains the recordings, the less its errors correlate.
             kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             s = replace(s, gained=s.gained + gain, kappa=kappa)
         if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
@@ -534,7 +534,7 @@ class _Turns:
 
 
 def _beyond(columns: Columns, point: Point) -> np.ndarray:
-    """Errors at a point beyond what a linearisation has them, (windows, rows)."""
+    """Computes errors at a point less those predicted by a linearisation, (windows, rows)."""
     single = point.spikes.size
     moved = (point.x - columns.x)[:single]
     return np.asarray(point.errors - columns.errors - columns.tangents[:, :, :single] @ moved)
@@ -543,9 +543,9 @@ def _beyond(columns: Columns, point: Point) -> np.ndarray:
 def _broyden(
     tangents: np.ndarray, change: np.ndarray, moved: np.ndarray, members: Sequence[int], single: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tangents corrected by what a step showed, along the members if they moved.
+    """Corrects tangents by the errors of a step, along the members if they moved (Broyden 1965).
 
-    And what it showed beyond them, (windows, rows).
+    Also returns the error of the tangents' prediction, (windows, rows).
     """
     direction = moved[:single].copy()
     along = np.zeros(single)

@@ -1,7 +1,7 @@
-"""Confidence of names: against every rival, by every part, and against unknown causes.
+"""Confidence of names: against rival sets, over parts of the recordings, against unknown causes.
 
-How much an impostor of an unknown cause would explain is computed: every effect of the library in
-turn plays that cause, and the best effect of another kind its impostor.
+The share that an impostor of an unknown cause would explain is computed: each effect of the library
+in turn plays the cause, and the best effect of another group its impostor.
 """
 
 import math
@@ -27,17 +27,17 @@ class Judged:
     """One effect, or several of which one may be the cause."""
 
     confidence: float  #: Probability that the name is right
-    among: float  #: The same, in the mean without each part, of sets in which it is sound
-    possible: float  #: The same without the part of the recordings that speaks most against it
+    among: float  #: Mean over leaving out each part, by sets without a parameter at a bound
+    possible: float  #: Largest probability over leaving out each part of the recordings
     evidence: float  #: Probability by evidence alone
-    ties: tuple[frozenset[Key], ...]  #: Sets without it that the data do not tell apart from it
+    ties: tuple[frozenset[Key], ...]  #: Sets without it that the data do not distinguish from it
 
 
 class Judgement:
-    """Claims of a search from all its sets, the most probable first.
+    """Verdict of a search, with its names or its confusion set, from all fitted sets.
 
-    Effects are `named`, surest first, or else in a confusion set of those that are not told apart,
-    the most probable by all recordings first.
+    Effects are `named`, surest first, or else in a confusion set of effects that the data do not
+    distinguish, the most probable by all recordings first.
     """
 
     def __init__(self, sets: Sets, specimen: Specimen | None) -> None:
@@ -49,7 +49,7 @@ class Judgement:
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
         named = most("confidence", thresholds.NAMED, "confidence")
-        # Three equal ones have a third each: what is not told from the most possible one counts.
+        # Three equal rivals have a third each, so all effects near the most possible one count.
         top = max((e.possible for e in effects.values()), default=0.0)
         confused = not named and top > thresholds.POSSIBLE
         confusion = (
@@ -77,17 +77,17 @@ class Judgement:
         self.verdict, self.named, self.confusion, self.among = verdict, named, confusion, among
 
     def cleared(self) -> "Judgement":
-        """The same without a claim."""
+        """Returns a copy with the verdict "nothing_missing" and without names."""
         other = copy(self)
         other.verdict, other.named, other.confusion = "nothing_missing", (), ()
         return other
 
 
 def _unchanged(sets: Sets, specimen: Specimen) -> bool:
-    """Tests whether a specimen errs as it did, whatever sets gain.
+    """Tests whether a specimen errs as it did before, whatever sets gain.
 
-    As its healthy recordings have it, or, where that is more probable than any fault, within what
-    these leave open.
+    Its parameters are those of the healthy recordings or, if the empty set is more probable than
+    all others together, those of its fit, within what the healthy recordings leave uncertain.
     """
     problem = sets.at.problem
     own = _shares(np.array([r.score.log for r in sets.rows]))
@@ -118,28 +118,28 @@ def _within_tolerances(row: Row) -> bool:
 
 
 def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
-    """Whether errors of every recording are those of noise: no recording makes up for another.
+    """Tests whether the errors are those of noise in each recording separately.
 
-    By mean squares of the windows in noise levels, and their recordings, each (windows,).
+    `squares` are mean squares of windows in noise levels, `recording` their recordings, (windows,).
     """
     largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
     return largest**0.5 <= EXPLAINED
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:
-    """Probabilities of sets, (sets, ...), from log evidences."""
+    """Computes probabilities of sets, (sets, ...), from log evidences."""
     share = np.exp(logs - logs.max(axis=0))
     return np.asarray(share / share.sum(axis=0))
 
 
 def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) -> Judged:
-    """How sure an effect is, or that the cause is one of several."""
+    """Judges how sure an effect is, or that the cause is one of several."""
     rows = sets.rows
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
     has = np.array([bool(names & r.keys) for r in rows])
-    # Where an effect ends at a bound, the machine is another one: no name of that set is sure, and
-    # what ended is not even possible.
+    # If an effect ends at a bound, the truth lies beyond: no name of that set is sure, and the
+    # effect at the bound is not even possible.
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = np.array([bool(names & r.keys - r.ended) for r in rows])
     ways = (0.0 * drive, drive)
@@ -163,9 +163,9 @@ def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) ->
 
 
 def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:
-    """Probability that an effect of a set stands for itself and claims what is so.
+    """Computes the probability that an effect of a set is the cause and its claim is true.
 
-    By the share that it explains of what is left without it.
+    It follows from the share that the effect explains of the errors without it.
     """
     (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
@@ -175,11 +175,11 @@ def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> fl
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
-    """Sets without an effect that the data do not tell from the best one with it, in both ways.
+    """Returns the rival effects of sets without `key` that the data do not rule out.
 
-    They are nearly as probable. A drive that pushes less and a joint that resists more move alike
-    whatever the motion: there a set that fits as well is a rival however simple the other one is.
-    What holds the effect as a special case always fits as well, and says nothing against it.
+    Such sets are nearly as probable in units of the drive. A weaker drive and more resistance move
+    a joint alike: for a drive's gain, a set that fits as well is a rival even with more parameters.
+    A set that contains the effect as a special case always fits as well and is no rival.
     """
     library, shared = first.evidence.unknowns.library, first.keys - {key}
     numbers = len(first.score.members) - 1 + thresholds.RESISTING
@@ -197,7 +197,7 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
 
 
 def _claimed(row: Row, key: Key) -> float:
-    """Probability that directions differ by more than is noticeable, where a name says so."""
+    """Computes the probability that directions differ noticeably, if a name claims so; else 1."""
     u, score = row.evidence.unknowns, row.score
     places = [] if key in row.renamed.values() else row.places(key)
     if not places:
@@ -214,7 +214,7 @@ def _claimed(row: Row, key: Key) -> float:
 
 
 def impostors(sets: Sets) -> tuple[float, float]:
-    """Mean and standard deviation of the logit of the share that the best impostor explains."""
+    """Computes mean and standard deviation of the logit of the best impostor's explained share."""
     u, first, best = sets.unknowns, sets.found.first, sets.best
     evidence = sets.fitter.evidence(first, best.spread, best.weight, best.kappa, places=[sets.size])
     product = evidence.likeness(sets.found.ranks[0].score)
@@ -239,10 +239,10 @@ def impostors(sets: Sets) -> tuple[float, float]:
 
 
 def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float]:
-    """Share of the errors beyond noise that an effect explains where it acts; how far it does.
+    """Computes the share of errors beyond noise that an effect explains where it acts; its action.
 
-    It acts by what it changes, beside what is left with it: where it changes much and explains
-    little it is wrong, where it changes little nothing is known.
+    The action is its change of errors over this change plus the errors left with it. An effect that
+    acts much and explains little is wrong; where it hardly acts, nothing is known.
     """
     with_, without, change = blocks
     count = np.array([(at.recording == r).sum() for r in np.unique(at.recording)])
@@ -255,10 +255,10 @@ def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float
 
 
 def _inside(share: float, impostor: tuple[float, float], top: float) -> float:
-    """Probability that an effect stands for itself and not for a cause outside of the library.
+    """Computes the probability that an effect is the cause, and not one outside of the library.
 
-    By the share that it explains of what is left without it, mean and standard deviation of that of
-    impostors, as logits, and the largest logit that noise lets tell.
+    `share` is what it explains of the errors without it, `impostor` mean and standard deviation of
+    impostors' shares as logits, `top` the largest logit that can be determined in noise.
     """
     mean, deviation = impostor
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)

@@ -1,4 +1,4 @@
-"""The next experiment: the excitation that would tell two rivals apart best."""
+"""Next experiment: the excitation that best discriminates two rivals."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from leglab.diagnosis.result import Proposal
 
 
 def excitations(samples: int, period: float) -> dict[str, np.ndarray]:
-    """Excitations of unit amplitude by name, each (samples,)."""
+    """Returns excitations of unit amplitude by name, each (samples,)."""
     time, tones = period * np.arange(samples), (0.7, 1.9, 4.3, 8.9)
     multisine = sum(np.sin(2.0 * np.pi * f * time + i) for i, f in enumerate(tones))
     return {
@@ -21,11 +21,11 @@ def excitations(samples: int, period: float) -> dict[str, np.ndarray]:
 
 
 def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
-    """T-optimal choice (Atkinson and Fedorov 1975) between two rivals.
+    """Chooses the T-optimal excitation (Atkinson and Fedorov 1975) between two rivals.
 
-    Both, with the parameters that fit the present recordings, answer every excitation from a calm
-    moment of those; the one in which they differ most, in noise levels, is proposed; None where
-    none separates them.
+    Both rivals, with the parameters that fit the present recordings, are simulated under every
+    excitation from a calm moment in these. The excitation with the largest difference in noise
+    levels is proposed; None if none separates them.
     """
     (one, first), (other, second) = rivals.items()
     replay, period = problem.replay, problem.series[0].period
@@ -34,7 +34,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     commands = np.concatenate(rows)
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    # For 1 s, with small and large commands, as shares of the present range.
+    # Each lasts 1 s, with small and large commands, as shares of the present range.
     waves = excitations(round(1.0 / period), period)
     tried = [(name, amplitude) for name in waves for amplitude in (0.3, 1.0)]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]

@@ -1,4 +1,4 @@
-"""Notes on recordings and fit that a reader of the verdict needs, a line each."""
+"""Notes on recordings and fit for the reader of a verdict, a line each."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,14 +15,14 @@ from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import NEGLIGIBLE
 
-# Fewest windows, with the value and without it, that are compared.
+# Fewest windows with a state's value, and without it, for a comparison.
 _FEWEST = 5
 # Significance level: one irrelevant state in a thousand is reported.
 _CHANCE = 1e-3
 
 
 def notes(problem: Problem) -> tuple[str, ...]:
-    """Remarks on missing pressures and samples, and on contacts."""
+    """Returns remarks on missing pressures and samples, and on contacts."""
     found = []
     touching = touching_share(problem.machine, problem.series)
     if touching:
@@ -47,7 +47,7 @@ def by_states(
     """Reports values of a state (mode, contact) during which the error is larger.
 
     Args:
-        problem: Whose windows are compared.
+        problem: Problem whose windows are compared.
         recordings: As logged, by name, with their states.
         squares: Mean squares of the errors of all windows, (windows,).
 
@@ -84,7 +84,7 @@ def by_states(
 
 
 def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
-    """A line for every parameter whose fit ended at the smallest or largest value of its effect.
+    """Reports each parameter whose fit ended at its smallest or largest value, in a line.
 
     `values` are those of the effects that were fitted, each (parameters,).
     """
@@ -105,7 +105,7 @@ def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, 
 
 
 def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
-    """Share of the measured poses in which bodies of the model touch."""
+    """Computes the share of the measured poses in which bodies of the model touch."""
     touched = []
     for one in series:
         some = np.linspace(0, one.time.size - 1, 50).astype(int)  # enough for a share

@@ -1,4 +1,4 @@
-"""A judged search: which hypotheses are told, and how sure their parameters are."""
+"""Judged search: the hypotheses that are reported, and the covariance of their parameters."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -20,9 +20,9 @@ from leglab.diagnosis.verdict.sets import Row
 
 
 class Outcome:
-    """A judged search, after names and confidence: what is told of it.
+    """Judged search with the hypotheses and parameters that are reported.
 
-    `result` is the verdict as it is told; `diagnose` sets it.
+    `result` is the reported diagnosis; `diagnose` sets it.
     """
 
     result: Diagnosis
@@ -38,19 +38,19 @@ class Outcome:
         row = next((r for r in rows if r.keys.issuperset(names) and not r.renamed), rows[0])
         if judged.verdict == "nothing_missing":
             row = nothing
-        self.row = row  #: the set whose values are told
-        #: Nothing missing: all parameters within what machines differ by.
+        self.row = row  #: the set whose values are reported
+        #: Fit of the empty set: all parameters within the tolerances of good machines.
         self.nothing = nothing.hypothesis
-        self.final = row.hypothesis  #: the told set, all parameters as fitted beside it
-        #: The problem where start states are as uncertain as the told set makes them.
+        self.final = row.hypothesis  #: the reported set with all other parameters as fitted
+        #: The problem with the noise model linearised at the reported set.
         self.about = problem.about(self.final)
         #: Covariance of all single unknowns there, in trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
-        if specimen is not None:  # both sizes of a difference are uncertain
+        if specimen is not None:  # both values of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
-        #: Effects that are told, named or in a confusion set.
+        #: Effects that are reported, named or in a confusion set.
         self.named = tuple(
-            dict.fromkeys(  # A part in all joints may stand beside that of one joint.
+            dict.fromkeys(  # An effect on all joints may accompany the one on a single joint.
                 key
                 for name, element in names
                 for key in sorted(problem.library.sites)
@@ -59,7 +59,7 @@ class Outcome:
         )
         #: The model recalibrated: fitted within tolerances, without the named effects' parameters.
         self.baseline = self.nothing
-        #: What an improved model carries is the told effects, and what has a tolerance.
+        #: The improved model, `written`, has the reported effects and parameters with a tolerance.
         if specimen is not None:
             self.written = self.final.only(self.named)
             if judged.verdict == "nothing_missing" and not self.named:
@@ -74,7 +74,7 @@ class Outcome:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
             tuning = _within(problem.library, tuned.columns.base).without(*self.named)
-            # Under a gross fault tuning may improve most windows and worsen the others.
+            # With a gross fault, recalibration may improve most windows and worsen the others.
             self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
         #: Of effects that begin during a recording, the earliest and the latest time [s] at which
         #: they can have begun, (recordings, 2), inf where an effect begins in none.
@@ -92,17 +92,17 @@ class Outcome:
 
     @property
     def unnamed(self) -> Hypothesis:
-        """Rest of the told set without the named effects; empty where none is named."""
+        """The reported set without the named effects; empty if none is named."""
         return self.final.without(*self.named) if self.named else Hypothesis()
 
     @cached_property
     def compared(self) -> Problem:
-        """The same as `about` where errors as the healthy specimen has them count as noise."""
+        """The problem `about` with the healthy specimen's error covariance added to the noise."""
         fixed = self.judged.sets.fitter.fixed
         return self.about.beside(fixed.replays) if fixed else self.about
 
     def floors(self) -> np.ndarray:
-        """Mean square that noise, or the healthy specimen, gives in each window, (windows,)."""
+        """Computes the mean square of noise, or of the healthy specimen, by window, (windows,)."""
         problem = self.problem
         if self.specimen is None:
             return np.ones(problem.replay.windows)
@@ -142,20 +142,20 @@ def _lean(
     *,
     fixed: tuple[Key, ...] = (),
 ) -> tuple[Fit, np.ndarray]:
-    """The told members where the rest of the machine is as its model, but for tolerances.
+    """Fits the reported members with all other parameters at the model's values or in tolerance.
 
-    What else departs a little takes a part of each effect's size with it. Effects that are `fixed`
-    depart by none. Beside the fit, the covariance of all single unknowns there.
+    Small deviations of other parameters would take over a part of each effect. Effects in `fixed`
+    do not move. Also returns the covariance of all single unknowns.
     """
     u, old, kappa = fitter.at.unknowns, row.evidence.columns, row.evidence.kappa
     values = zip(row.score.unknowns, row.score.values.tolist(), strict=True)
     kept = {q: value for q, value in values if u.library_keys(q) <= set(named)}
-    # Shapes stay as they were found.
+    # Shapes keep their fitted values.
     goal = np.where(u.shape, old.x, 0.0)
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
-    # Bounds fix all that the written model does not get: a thousandth of a trial may change errors
-    # by five noise levels.
+    # Bounds fix all parameters that the written model omits: a thousandth of a trial may change
+    # errors by five noise levels.
     own = frozenset[Key]().union(*map(u.library_keys, kept))
     held = np.array(
         [
@@ -178,10 +178,10 @@ def _lean(
 
 
 def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
-    """Covariance of all single unknowns, (single, single): posterior, or between parts.
+    """Computes the single unknowns' covariance, posterior or by jackknife, (single, single).
 
-    What all windows of a recording share no posterior sees: of the members the larger of it and a
-    jackknife over parts of the recordings.
+    The posterior ignores errors that all windows of a recording share, so members have the larger
+    variance of the posterior and of a jackknife over parts of the recordings.
     """
     spread, u = evidence.posterior(score), evidence.unknowns
     parts = int(evidence.part.max()) + 1

@@ -19,9 +19,9 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.machine.mjcf_patch import MjcfPatch, difference_lines, differences
 
-# Of what changes, and of what the compiler derives from that: a servo's damping, from inertia.
+# Passes of patching: changes, then values that the compiler derives, as a servo's damping.
 _PASSES = 2
-# A longer difference is read in the file.
+# Largest number of lines of a difference in the terminal; longer ones are in the file.
 _SHOWN = 20
 
 
@@ -36,13 +36,13 @@ def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
 def write_model(
     problem: Problem, hypothesis: Hypothesis, folder: Path, parts: Sequence[Part] = ()
 ) -> tuple[Path, tuple[str, ...]]:
-    """Writes DIR/improved.xml: the model under a hypothesis, with learned parts; it loads.
+    """Writes DIR/improved.xml, the model under a hypothesis with learned parts, and loads it.
 
-    Its text is the model's own but for what changes; as MuJoCo writes it where the file is no
-    MJCF, or replicates or attaches what changes. Learned parts of the problem's own do not count.
+    The text is that of the model with the changes. It is written by MuJoCo if the file is no MJCF,
+    or replicates or attaches changed elements. Learned parts of the problem's library are left out.
 
     Returns:
-        Its path, and what differs from the model, as a unified diff.
+        Its path, and its differences from the model, as a unified diff.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
@@ -94,7 +94,7 @@ def write_model(
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
-    """Verdict, effects and gaps for the terminal."""
+    """Builds tables of verdict, effects and gaps for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
     before = "model" if result.calibration is None else result.nominal_words
     words = (word for e, _ in result.all_effects for word in (e.name, e.element))
@@ -131,7 +131,7 @@ def summary_tables(result: Diagnosis) -> list[Table]:
 
 
 def summary_lines(result: Diagnosis) -> list[str]:
-    """Lines for the terminal beside the tables: onsets, rivals, balances, notes."""
+    """Returns lines for the terminal in addition to the tables: onsets, rivals, balances, notes."""
     lines: list[str] = []
     if len(result.changed) <= _SHOWN:
         lines += result.changed

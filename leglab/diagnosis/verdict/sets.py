@@ -1,6 +1,6 @@
-"""Sets of effects as a verdict compares them: whole, by parts, and in units of the drive.
+"""Sets of effects for a verdict: evidence in total, without each part, in units of the drive.
 
-Each effect of every good set is also taken out by a replay: every name has a rival.
+Each effect of every good set is also removed by a replay, so that every name has a rival.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,24 +25,24 @@ class Row:
 
     keys: frozenset[Key]  #: Its effects
     ended: frozenset[Key]  #: Those that ended at a bound
-    score: Score  #: Where the set is most probable
-    evidence: Evidence  #: Linearisation there
+    score: Score  #: Score at the linearisation where the set is most probable
+    evidence: Evidence  #: Evidence at this linearisation
     apart: np.ndarray  #: Log evidence without each part of the recordings in turn, (parts,)
     left: np.ndarray  #: Errors that it leaves, (windows, rows)
-    hypothesis: Hypothesis  #: Where it leaves them
+    hypothesis: Hypothesis  #: Hypothesis that leaves these errors
     level: float  #: Median of these in noise levels
-    #: Effects that go by the name of a twin.
+    #: New names of effects that are renamed, to a twin's or a simpler effect's.
     renamed: Mapping[Key, Key] = field(default_factory=dict)
-    drive: float = 0.0  #: Nats by which it loses in units of the drive, 0 and less
+    drive: float = 0.0  #: Change of log evidence in units of the drive [nats], at most 0
 
     def places(self, key: Key) -> list[int]:
-        """Places among the members of an effect's parameters."""
+        """Returns the indices of an effect's parameters among the members."""
         u = self.evidence.unknowns
         names = [self.renamed.get(u.keys[q], u.keys[q]) for q in self.score.unknowns]
         return [i for i, name in enumerate(names) if name == key]
 
     def size(self, key: Key) -> float:
-        """How far an effect departs at most, in trials."""
+        """Returns the largest departure of an effect's parameters, in trials."""
         return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
 
 
@@ -55,7 +55,7 @@ class Sets:
         self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
         self.channels = len(problem.channels)
         self._roots = self._whiteners(self.at)
-        # Windows of recordings that nobody fitted; they do not tell when something began.
+        # Windows of held-out recordings; with onsets they are not used.
         held = thinned(problem.held, WINDOWS)
         shown = held.any() and found.onsets is None
         self.elsewhere = Errors(problem, self.unknowns, held) if shown else None
@@ -68,15 +68,15 @@ class Sets:
         self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
 
     def _whiteners(self, at: Errors) -> np.ndarray:
-        """Inverse roots of covariances in noise, or errors as healthy, (windows, size, size)."""
+        """Computes inverse roots of noise, or noise and healthy errors, (windows, size, size)."""
         if self.fitter.fixed:
             return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Windows that are fitted, then those that nobody fitted; with squares of errors of each.
+        """Yields fitted windows, then held-out ones, with median squares of errors of each.
 
-        Medians with an effect, without, and of the difference, (3, recordings, channels).
+        Squares are with the effect, without it, and of the change, (3, recordings, channels).
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:
@@ -94,7 +94,7 @@ class Sets:
             yield at, np.array(middles)
 
     def channel_squares(self, errors: np.ndarray, roots: np.ndarray | None = None) -> np.ndarray:
-        """Mean squares by window and channel, in noise or errors as healthy.
+        """Computes mean squares of errors by window and channel, whitened by `_whiteners`.
 
         `roots` are those of the windows, see `_whiteners`; None for the windows of the search.
         """
@@ -103,10 +103,10 @@ class Sets:
         return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
     def _row(self, evidence: Evidence, members: Sequence[int], ended: Sequence[int]) -> Row:
-        """A set by what replays show.
+        """Builds the row of a set, with its evidence corrected by replays.
 
-        Where first order leads or where the linearisation stands, whoever was fitted there, with
-        any spread of machines: what these err beyond first order counts against the set.
+        The replay is that of the first-order fit, or that of the linearisation point, with each
+        deviation between machines; its loss against first order is subtracted. The best one counts.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
@@ -118,7 +118,7 @@ class Sets:
             tries.append((score, None, there, led, 0.0))
         for spread in range(len(evidence.priors.spreads)):
             score = evidence.score(chosen, spread=spread)
-            if not np.isfinite(score.log):  # no machine departs so far beside such faults
+            if not np.isfinite(score.log):  # no such deviation beside such faults
                 continue
             precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
@@ -137,7 +137,7 @@ class Sets:
             keys=u.names(members),
             ended=u.names(q for q in ended if q in members),
             score=replace(score, log=score.log - lost, fit=score.fit - lost),
-            evidence=evidence.with_kappa(evidence.kappa),  # what it worked out is large
+            evidence=evidence.with_kappa(evidence.kappa),  # without its large caches
             apart=parts - np.maximum(all_parts - beyond[best], 0.0),
             left=errors,
             hypothesis=hypothesis,
@@ -145,7 +145,7 @@ class Sets:
         )
 
     def _beyond(self, evidence: Evidence, score: Score, errors: np.ndarray) -> np.ndarray:
-        """By how much errors are less probable than first order promises, by part [nats]."""
+        """Computes the loss of log likelihood against first order, by part [nats]."""
         squares = [
             (evidence.white(one, score) ** 2).sum(axis=1) for one in (errors, evidence.left(score))
         ]
@@ -153,12 +153,12 @@ class Sets:
         return np.bincount(evidence.part, weights=lost)
 
     def _all(self) -> list[Row]:
-        """All sets, each where it is most probable, most probable first."""
+        """Returns all sets, each at its most probable linearisation, most probable first."""
         u = self.unknowns
         rows: dict[tuple[frozenset[Key], bool], Row] = {}
 
         def enter(row: Row) -> None:
-            # What nobody would notice is no fault: such a set is the one without it.
+            # An effect too small to be noticed is no fault: the set is the one without it.
             row = replace(row, keys=frozenset(k for k in row.keys if row.size(k) >= NO_FAULT))
             names = row.keys, bool(row.renamed)
             if names not in rows or row.score.log > rows[names].score.log:
@@ -180,13 +180,13 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
-                # What several sets leave is a rival from the most probable of them.
+                # A set that is left of several ones is fitted once, from the most probable one.
                 if frozenset(members) in rivals:
                     continue
                 rivals.add(frozenset(members))
                 less = Candidate(members, {}, columns, pattern, best.weight)
                 rest = fitter.fit(less, best.kappa, renewals=0, beside=True)
-                # What it is without the effect has a pattern of its own.
+                # Without the effect the errors have another covariance.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     enter(self._row(there, members, fit.ended))
@@ -203,9 +203,9 @@ class Sets:
         return sorted(rows.values(), key=lambda r: -r.score.log)
 
     def _since(self, rows: Sequence[Row], specimen: Specimen) -> list[Row]:
-        """Sets by what they gain beyond what they gain on healthy recordings.
+        """Ranks sets by their gain of log evidence beyond that on healthy recordings.
 
-        As many of these count as of the new ones, and what a set costs counts once.
+        Healthy windows are weighted to the number of new ones; a set's prior odds count once.
         """
         count = self.at.recording.size / specimen.at.recording.size
         members = {q for row in rows for q in row.score.unknowns}
@@ -220,10 +220,10 @@ class Sets:
         return sorted(found, key=lambda r: -r.score.log)
 
     def _alike(self, row: Row) -> Row | None:
-        """A set whose effect by direction does the same in both, named as the one that says so.
+        """Renames a direction-dependent effect that is equal both ways to the symmetric one.
 
-        No law of friction is exactly the machine's: that directions differ by less than laws are
-        off is no claim. None where they differ by more.
+        No friction law is exactly the machine's, so a difference of directions below `LAW` is not
+        claimed. Returns None if the difference is larger.
         """
         u, members, values = self.unknowns, row.score.unknowns, row.score.values
         simpler = both_ways(u, members, values.tolist())
@@ -237,7 +237,7 @@ class Sets:
         return replace(row, keys=names, renamed={old: next(iter(new))})
 
     def without(self, row: Row, key: Key) -> np.ndarray:
-        """Errors with an effect taken out and the other members fitted anew; spikes stay."""
+        """Computes errors without an effect, other members refitted, all else unchanged."""
         gone, removed = row.places(key), self.removed.get((row.keys, key))
         columns, errors = row.evidence.columns, row.left
         if removed is not None:
@@ -258,12 +258,12 @@ class Sets:
         return np.asarray(errors)
 
     def _in_units_of_the_drive(self, rows: Sequence[Row]) -> np.ndarray:
-        """Nats by which sets lose in units of the drive, (sets,), 0 and less.
+        """Computes changes of log evidence by errors in units of the drive, (sets,), at most 0.
 
         Any misfit shrinks the influence of a drive on the motion that a fit predicts, as noise in
-        a regressor shrinks its slope. Errors counted in units of the drive, motion error over how
-        much motion a command makes, do not profit from that: the other direction of the same
-        regression. Only errors beyond the sensors' noise count.
+        a regressor shrinks its slope. Errors in units of the drive, motion error over the motion by
+        a command, do not gain from that: they are those of the inverse regression. Only errors
+        beyond the sensors' noise count.
         """
         at, size = self.at, self.fitter.priors.sizes[self.size]
         noise = at.covariance
@@ -271,7 +271,7 @@ class Sets:
         beyond = np.einsum("wij,wji->wi", np.linalg.inv(noise + own), own).clip(0.0, 1.0)
         numbers = beyond.reshape(len(beyond), self.channels, -1).sum(axis=2)
         lost = np.zeros(len(rows))
-        # A set whose replay blows up where first order leads is no better than any other.
+        # A set whose replay blows up gets the largest loss of all sets.
         blown = np.array([np.abs(row.left).max() > BLOWN for row in rows])
         for actuator in at.problem.machine.actuators:
             change = at.at(Hypothesis(), actuator) - self.found.first.errors

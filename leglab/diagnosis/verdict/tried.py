@@ -22,7 +22,7 @@ def ranking(found: Found) -> tuple[Rank, ...]:
 
 
 def _added(found: Found) -> dict[Key, float]:
-    """Evidence of the best neighbour of a good set with each effect, over the best set [nats]."""
+    """Computes log evidence of the best neighbour with each effect over the best set [nats]."""
     pool, best = found.pool, dict[Key, float]()
     for one in neighbours(pool):
         ahead = one.score.log - pool.sound[0].score.log

@@ -55,16 +55,16 @@ def diagnose(
 
     Args:
         model: MJCF file, the name of a model that ships with leglab, or its machine.
-        recordings: By name.
+        recordings: Recordings by name.
         held_out: Names of the recordings on which the verdict is judged; None for the choice of
             `split_held_out`, which cuts the end off a single recording.
-        healthy: Recordings of the same specimen before it changed, by name: what is named is what
-            changed since.
-        settings: How.
+        healthy: Recordings of the same specimen before it changed, by name; then the diagnosis
+            names changes since these.
+        settings: Settings of the diagnosis; None for defaults.
         progress: Called with a line on what is being done.
 
     Returns:
-        The verdict, and the judged search that it rests on.
+        The diagnosis, and the judged search from which it follows.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -86,14 +86,14 @@ def diagnose(
         outcome = Outcome(judgement.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judgement.as_it_was:
-        # The names close less than half of the gap, and the errors are those of a healthy machine.
+        # The names close less than half of the gap, and the errors are as healthy as before.
         outcome = Outcome(judgement.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Whether noise is left without what is told, which hardly lessens it where nobody fitted."""
+    """Tests whether errors are noise without the reported effects, which hardly lessen them."""
     problem = outcome.about
     if not problem.held.any():
         return False
@@ -103,9 +103,9 @@ def _lacks_nothing(outcome: Outcome) -> bool:
 
 
 def _clear_elsewhere(outcome: Outcome) -> bool:
-    """Whether a machine of the kind, within what machines differ by, is left noise elsewhere.
+    """Tests whether the empty set's fit leaves only noise on held-out recordings.
 
-    Where nobody fitted; the specimen as it was has been asked everywhere.
+    True without held-out recordings, and with healthy ones: `as_it_was` compared all recordings.
     """
     problem = outcome.problem
     if outcome.specimen or not problem.held.any():
@@ -117,7 +117,7 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
 def _told(
     outcome: Outcome, logged: Mapping[str, Recording], remarks: Sequence[str], began: float
 ) -> result.Diagnosis:
-    """The verdict of a judged search; `remarks` are those on the recordings."""
+    """Builds the diagnosis of a judged search; `remarks` are those on the recordings."""
     final, problem, floors = outcome.final, outcome.about, outcome.floors()
     errors = errors_of(problem, outcome.baseline, final)
     remarks = [*remarks, *notes(problem), *by_states(problem, logged, problem.noise_levels(final))]
@@ -127,7 +127,7 @@ def _told(
         unnamed = result.root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
-            # A slow motion that nobody fitted cannot tell what a fast one would show.
+            # A slow held-out motion does not show the effects of a fast one.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
@@ -156,7 +156,7 @@ def _told(
 
 
 def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict[str, Any]:
-    """Errors of a model as it was, recalibrated and after, as fields of a `Diagnosis`."""
+    """Computes errors of a model before, recalibrated and after, as fields of a `Diagnosis`."""
     models = {"before": Hypothesis(), "baseline": baseline, "after": final}
     squares = {name: problem.noise_levels(h) for name, h in models.items()}
 
@@ -180,10 +180,10 @@ def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict
 
 
 def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
-    """Whether effects move the predictions far less in the windows that are judged than in all.
+    """Tests whether effects change predictions far less in the judged windows than in all.
 
-    Or errors without the effects, `without` (windows,), are as large there as a healthy specimen's
-    may be on another day.
+    It is also True if errors without the effects in judged windows, `without` (windows,), are no
+    larger than a healthy specimen's on another day.
     """
     problem = outcome.about
     if outcome.specimen and result.root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
@@ -197,9 +197,9 @@ def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
 def _effects(
     outcome: Outcome, gap: result.Gap, shown: np.ndarray
 ) -> tuple[result.Verdict, tuple[result.NamedEffect, ...], tuple[result.NamedEffect, ...]]:
-    """Verdict, named effects and smaller differences, the largest contribution first.
+    """Returns verdict, named effects and smaller differences, the largest contribution first.
 
-    `shown` are the windows that tell what the effects explain.
+    `shown` masks the windows on which the explained share is computed.
     """
     judged, problem, final = outcome.judged, outcome.about, outcome.final
     unnamed, after, floor = gap.shown
@@ -215,7 +215,7 @@ def _effects(
         gone = final.without(key)
         without = result.root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
-        # Of a set that is not told apart none is surer than not.
+        # No member of a confusion set is more probable than not.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < EXPLANATION:
             # A name does not stand while most of the error is left.
@@ -242,17 +242,17 @@ def _effects(
             )
         )
     effects.sort(key=lambda e: -e.contribution)
-    # Beside a cause that has a name.
+    # Smaller effects are listed separately in addition to a named cause only.
     small = SMALL if judged.named and len(effects) > 1 else 0.0
     smaller = tuple(e for e in effects if e.contribution < small)
     return verdict, tuple(e for e in effects if e not in smaller), smaller
 
 
 def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
-    """Parameters of a told effect, then differences of directions, with 95 % intervals.
+    """Returns an effect's parameters, then differences of directions, with 95 % intervals.
 
-    A parameter of another law than the machine's is one thing in a slow motion and another in a
-    fast one: on a rough machine by a share of the change, which no spread of errors shows.
+    If the machine obeys another law, an estimate depends on the motion: on a machine that is not
+    exactly its model the interval also allows a share `LAW` of the change, which no error shows.
     """
     evidence, site = outcome.row.evidence, outcome.about.library.sites[key]
     u, parameters = evidence.unknowns, site.parameters
@@ -261,12 +261,12 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     values = outcome.final[key].tolist()
     scaled = told * np.array([p.step(v) for p, v in zip(parameters, values, strict=True)])
     spread = np.diag(scaled @ outcome.spread[np.ix_(own, own)] @ scaled.T)
-    # Few parts say how errors scatter.
+    # The scatter is estimated from few parts, so the interval is Student's.
     width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > EXPLAINED else 0.0) * change
-    # Of a limit by a share of itself: what it departs from is the largest that was recorded.
+    # Of a limit, a share of its value: it departs from the largest recorded command or force.
     limits = [i for i, p in enumerate(parameters) if p.limit_of]
     law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
@@ -303,7 +303,7 @@ def _rivals(rows: Sequence[Row]) -> result.Rivals:
 
 
 def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, ...]:
-    """Errors at the end of the windows that are judged, before and after."""
+    """Computes errors at the end of the judged windows, before and after."""
     before, after = (problem.raw_errors(h)[problem.judged][:, :, -1] for h in (Hypothesis(), final))
     noise = np.median(problem.sensor_noise, axis=0)
     return tuple(
@@ -320,7 +320,7 @@ def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, .
 
 
 def _calibration(specimen: Specimen) -> result.Calibration:
-    """The calibration for the page: what departed most."""
+    """Returns the calibration for the page, the largest departures first."""
     problem, rows = specimen.problem, []
     for key, site in problem.library.sites.items():
         values = site.model.tolist(), specimen.values[key].tolist()
@@ -337,7 +337,7 @@ def _calibration(specimen: Specimen) -> result.Calibration:
 
 
 def _next_experiment(outcome: Outcome) -> result.Proposal | None:
-    """Experiment that would tell the first effect of a confusion set from its rival."""
+    """Proposes an experiment that discriminates the first two effects of a confusion set."""
     rivals: dict[str, Hypothesis] = {}
     for key in outcome.judged.confusion:
         if key[0] not in rivals:
@@ -346,7 +346,7 @@ def _next_experiment(outcome: Outcome) -> result.Proposal | None:
 
 
 def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
-    """Effects that the recordings do not show, or that are over between two samples."""
+    """Lists effects below the recordings' sensitivity, or faster than the sampling period."""
     found, problem = outcome.found, outcome.problem
     first, spread, u = found.first, found.ranks[0].evidence.spread, found.fitter.at.unknowns
     evidence = found.fitter.evidence(first, spread, np.ones(len(first.errors)), 1.0, places=[0])
@@ -367,10 +367,10 @@ def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[result.ResidualTrace, ...]:
-    """Replay errors before and after, of every recording and channel."""
+    """Returns replay errors before and after, of every recording and channel."""
     replay = problem.replay
     before, after = (problem.raw_errors(h) for h in (Hypothesis(), final))
-    # A channel's sample after the step is what a replay predicts.
+    # A replay predicts the samples after each step, so the first sample is left out.
     measured = replay.measured()[:, :, 1:].reshape((*before.shape, -1)).mean(axis=3)
     rows = []
     for i, series in enumerate(problem.series):

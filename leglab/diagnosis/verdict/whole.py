@@ -1,4 +1,4 @@
-"""The whole recording that a page shows: as it was measured, before and after."""
+"""Whole recording on the page of a diagnosis: measured, and simulated before and after."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from leglab.diagnosis.result import WholeRecording
 
 
 def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:
-    """Open-loop simulation of one held-out recording by the nominal and the improved model.
+    """Simulates a held-out recording by the nominal and the improved model, see `follow`.
 
-    Of several joints the one that strays most is told, in noise levels of its sensor. None where no
-    window lies after the onsets of the final effects, or nothing is driven.
+    The joint with the largest deviation in noise levels of its sensor is shown. Returns None if no
+    window lies after the onsets of the final effects, or no joint is driven.
     """
     owner, levels = problem.replay.recording, problem.noise_levels(Hypothesis())
     judged = np.unique(owner[problem.judged]).tolist()

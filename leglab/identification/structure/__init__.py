@@ -1,4 +1,4 @@
-"""Structures chosen from data: `leglab identify`."""
+"""Choice of model structures from data: `leglab identify`."""
 
 from leglab.identification.structure.identified import Errors, Identified, identify
 from leglab.identification.structure.plans import Candidate, Plan

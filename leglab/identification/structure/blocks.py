@@ -1,4 +1,4 @@
-"""Blocks of records that are held out, and stretches of the others, on which models are fitted."""
+"""Blocks of records that are held out, and stretches of the remaining data for the fits."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,7 +14,7 @@ Table = tuple[tuple[float, ...], ...]
 
 
 def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
-    """About so many blocks of all records, which are held out in turn."""
+    """Splits all records into about `count` blocks, which are held out in turn."""
     out = []
     total = sum(map(len, problem.records))
     for k, record in enumerate(problem.records):
@@ -29,7 +29,7 @@ def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
 
 
 def lead_in(problem: Problem, block: Stretch, depth: int) -> int:
-    """Sample at which the free run begins whose error is that of a block."""
+    """Returns the sample at which the free run begins that scores a block."""
     usable = np.flatnonzero(startable(problem.records[block.record], depth))
     return int(usable[np.searchsorted(usable, max(0, block.start - _LEAD_IN))])
 
@@ -37,7 +37,7 @@ def lead_in(problem: Problem, block: Stretch, depth: int) -> int:
 def stretches(
     problem: Problem, depth: int, length: int, budget: int, without: Stretch | None = None
 ) -> list[Stretch]:
-    """Stretches of a fit, outside of a block that is held out."""
+    """Returns the stretches of a fit, outside of the block `without` that is held out."""
     out: list[Stretch] = []
     while not out and length > 1:
         for k, record in enumerate(problem.records):
@@ -66,7 +66,7 @@ def _touches(stretch: Stretch, block: Stretch | None, depth: int) -> bool:
 
 
 class Held:
-    """Blocks that are held out: eighths and thirds of all records, or others."""
+    """Blocks that are held out: by default eighths and thirds of all records."""
 
     def __init__(self, problem: Problem, depth: int, counts: tuple[int, ...] = BLOCKS) -> None:
         self._problem = problem
@@ -76,7 +76,7 @@ class Held:
         self._ends = np.cumsum([len(part) for part in parts])
 
     def errors(self, fits: Sequence[Fit]) -> Table:
-        """Mean square of the error over each block, of the model that was fitted without it."""
+        """Returns the mean squared error over each block, of the model fitted without the block."""
         found = [
             self._problem.error_of(*one) for one in zip(fits, self.all, self._firsts, strict=True)
         ]

@@ -19,20 +19,20 @@ from leglab.identification.spline_state_space import (
 )
 
 Array = NDArray[np.float64]
-# Of a model: features of lags, or one state space.
+# Structure of a model: features of lags, or one state space.
 Features = Sequence[Feature | StateSpace]
 Settings = SplineNarxSettings | SplineStateSpaceSettings
 Model = SplineNarx | SplineStateSpace
 # Prior precision of second differences of a spline's weights, relative to that of a weight. Signals
-# are scaled to [-1, 1], so it and all numbers here are free of units.
+# are scaled to [-1, 1], so all constants of this file are dimensionless.
 SMOOTHNESS = 10.0
 ITERATIONS = 25
-_CONVERGED = 2e-4  # relative fall of the squared error at which a fit ends
-LEAST_SHARE = 1e-20  # of the variance: an error below is that of rounding
+_CONVERGED = 2e-4  # decrease of the cost in an iteration below which a fit ends
+LEAST_SHARE = 1e-20  # of the variance: a smaller squared error is rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
 SHORTEST = 60  # samples of a stretch: a free run must go on beyond the past that it starts from
-_MOST_STARTS = 5000  # one-step errors from which a fit starts
-# Mean squared error of a run that diverges, in variances of the output.
+_MOST_STARTS = 5000  # one-step errors of the least squares from which a fit starts
+# Mean squared error assigned to a run that diverges, in variances of the output.
 DIVERGED = 1e9
 
 
@@ -43,7 +43,7 @@ class Record:
     Attributes:
         u: Inputs, finite, (N, M).
         y: Output, (N,); NaN where it is missing.
-        name: The recording.
+        name: Name of the recording.
     """
 
     u: Array
@@ -63,7 +63,7 @@ class Stretch(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums over stretches, in scaled units; see csrc/identification/free_run.h."""
+    """Sums of a Gauss-Newton step over stretches, scaled; see csrc/identification/free_run.h."""
 
     error: float
     samples: int
@@ -73,14 +73,14 @@ class Sums(NamedTuple):
 
 
 class Further:
-    """Features that a model may take, with their blocks for the core."""
+    """Candidate features that a model may take next, with their blocks for the C++ core."""
 
     def __init__(self, template: SplineNarxSettings, features: Sequence[Feature]) -> None:
         self.features = tuple(features)
         self.blocks = replace(template, features=self.features).blocks if features else ()
 
     def without(self, index: int) -> "Further":
-        """All but one."""
+        """Returns all candidates but one."""
         out = object.__new__(Further)
         out.features = self.features[:index] + self.features[index + 1 :]
         out.blocks = self.blocks[:index] + self.blocks[index + 1 :]
@@ -100,7 +100,7 @@ class Simulator:
         self._runs = [Runs(settings, further, r.u, r.y) for r in records]
 
     def sums(self, theta: Array, stretches: Sequence[Stretch], *, sensitivities: bool) -> Sums:
-        """Sums over the stretches; those of sensitivities are zero where they are not wanted."""
+        """Returns the sums over the stretches; those of sensitivities are zero if not wanted."""
         total: tuple | None = None
         for number, runs in enumerate(self._runs):
             own = [(s.start, s.length) for s in stretches if s.record == number]
@@ -116,11 +116,11 @@ class Simulator:
 
 
 class Problem:
-    """Records, and what all models of them share.
+    """Training records and the settings that all models of them share.
 
     Args:
-        records: To learn from.
-        template: Signals with their ranges, limits and estimator; its features are exchanged.
+        records: Training records.
+        template: Signals with their ranges, limits and estimator; each model replaces its features.
     """
 
     def __init__(self, records: Sequence[Record], template: SplineNarxSettings) -> None:
@@ -136,19 +136,19 @@ class Problem:
 
     @cached_property
     def samples(self) -> dict[str, Array]:
-        """Finite values of each signal over all records."""
+        """Finite values of each signal over all records, by name."""
         columns = [np.concatenate([r.y for r in self.records])]
         columns += list(np.concatenate([r.u for r in self.records]).T)
         names = self.template.names
         return {n: c[np.isfinite(c)] for n, c in zip(names, columns, strict=True)}
 
     def lagged(self, features: Features) -> SplineNarxSettings:
-        """Settings of a model of features of lags."""
+        """Returns the settings of a model of features of lags."""
         chosen = tuple(f for f in features if not isinstance(f, StateSpace))
         return replace(self.template, features=chosen)
 
     def model(self, features: Features) -> Settings:
-        """Settings of a model of these features."""
+        """Returns the settings of a model of these features."""
         first = features[0]
         if not isinstance(first, StateSpace):
             return self.lagged(features)
@@ -158,7 +158,7 @@ class Problem:
         )
 
     def identifier(self, fit: "Fit") -> Model:
-        """A model with fitted parameters."""
+        """Returns an identifier with the fitted parameters."""
         settings = self.model(fit.features)
         if isinstance(settings, SplineNarxSettings):
             model: Model = SplineNarx(settings)
@@ -168,10 +168,10 @@ class Problem:
         return model
 
     def error_of(self, fit: "Fit", block: Stretch, first: int) -> float:
-        """Mean square of the free run's error in a block, as a share of the output's variance.
+        """Returns the mean squared free-run error in a block, as a share of the output's variance.
 
-        The run begins at the sample `first` or before: what the model remembers of it is wrong by
-        then as it is in any longer run.
+        The run begins at the sample `first`, long before the block where possible, so that the
+        measured initial outputs help the model no more than in any longer run.
         """
         model, record = self.identifier(fit), self.records[block.record]
         end = block.start + block.length
@@ -183,13 +183,13 @@ class Problem:
 
 
 def single(u: Array) -> Array:
-    """Inputs (N, M) as an identifier takes them: (N,) where there is one."""
+    """Returns inputs (N, M) in the shape that an identifier takes: (N,) if M is 1."""
     return u[:, 0] if u.shape[1] == 1 else u
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A model that was fitted.
+    """A fitted model.
 
     Attributes:
         features: Features of lags, or one state space.
@@ -205,13 +205,13 @@ class Fit:
 
 @cache
 def roughness(splines: int) -> Array:
-    """Prior of a curve's weights: each is zero within one, second differences more closely."""
+    """Returns the prior precision of a curve's weights: 1, and SMOOTHNESS of 2nd differences."""
     second = np.diff(np.eye(splines), 2, axis=0)
     return np.eye(splines) + SMOOTHNESS * second.T @ second
 
 
 def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Array:
-    """Quadratic form of a prior of strength one, (n, n): each parameter is zero within one."""
+    """Returns the precision matrix of the prior of unit strength, (n, n): 1 for each parameter."""
     out = np.eye(sum(block.count for block in blocks))
     at = 0
     for feature, block in zip(features, blocks, strict=True):
@@ -223,7 +223,7 @@ def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Arra
 
 
 def solve(matrix: Array, right: Array) -> Array:
-    """Solution of a linear system; that of least norm where it is singular."""
+    """Solves a linear system, by the least-norm solution if it is singular."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), float)
     except np.linalg.LinAlgError:
@@ -231,7 +231,7 @@ def solve(matrix: Array, right: Array) -> Array:
 
 
 class HasSums(Protocol):
-    """Sums from which a Gauss-Newton step is made."""
+    """Sums of which a Gauss-Newton step is computed."""
 
     @property
     def error(self) -> float: ...  # noqa: D102
@@ -251,21 +251,21 @@ def descend(
     iterations: int,
     centre: Array | float = 0.0,
 ) -> tuple[Array, float]:
-    """Maximum a posteriori of the free run by damped Gauss-Newton steps (Marquardt 1963).
+    """Fits the free run, maximum a posteriori, by damped Gauss-Newton steps (Marquardt 1963).
 
-    With the mean square E of the error and a prior's form R it minimises
+    With the mean squared error E and the prior's quadratic form R it minimises
     log E + (theta - centre)' R (theta - centre); the unknown variance of the error is eliminated.
 
     Args:
-        sums: For parameters, with sensitivities or without.
-        theta: Start, (n,).
+        sums: Returns the sums for parameters, with sensitivities or without.
+        theta: Initial parameters, (n,).
         form: R, (n, n).
-        variance: Of the output, in the units of the sums.
-        iterations: At most.
+        variance: Variance of the output, in the units of the sums.
+        iterations: Largest number of iterations.
         centre: Mean of the prior.
 
     Returns:
-        Parameters, and the RMS error as a share of the output's deviation.
+        Parameters, and the RMS error as a share of the output's standard deviation.
     """
     found = sums(theta, True)
     scale = variance * max(found.samples, 1)
@@ -310,7 +310,7 @@ def fit(
     strength: float,
     iterations: int = ITERATIONS,
 ) -> Fit:
-    """Fits a model of lags by `descend`, with the `prior` of some strength."""
+    """Fits a model of lags by `descend`, with `strength` times the `prior`."""
     settings = problem.lagged(features)
     simulator = Simulator(settings, problem.records)
     form = strength * prior(features, settings.blocks) / problem.count
@@ -325,14 +325,14 @@ def fit(
 def one_step(
     problem: Problem, features: Sequence[Feature], without: Stretch | None = None
 ) -> Array:
-    """Least squares of the one-step error, from which output-error fits start."""
+    """Fits the one-step error by least squares; output-error fits start from the result."""
     settings = problem.lagged(features)
     simulator = Simulator(settings, problem.records)
     stretches = one_step_stretches(problem, settings.lags, without, _MOST_STARTS)
     theta = np.zeros(sum(block.count for block in settings.blocks))
     found = simulator.sums(theta, stretches, sensitivities=True)
     scale = problem.variance * max(found.samples, 1)
-    # Prior at a one-step error of a thousandth of the output's deviation.
+    # Prior as for a one-step error of a thousandth of the output's standard deviation.
     form = 1e-6 * prior(features, settings.blocks) / problem.count
     return solve(found.products / scale + form, found.gradient / scale)
 
@@ -340,13 +340,13 @@ def one_step(
 def one_step_stretches(
     problem: Problem, depth: int, without: Stretch | None = None, most: int | None = None
 ) -> list[Stretch]:
-    """Free runs of one sample from starts whose past is measured: one-step predictions.
+    """Returns free runs of one sample, one-step predictions, from starts whose past is measured.
 
     Args:
         problem: Records.
-        depth: Samples of the past.
+        depth: Number of past samples.
         without: Stretch that is held out.
-        most: About so many starts, evenly; None takes all.
+        most: Approximate number of starts, evenly spaced; None takes all.
     """
     every = 1 if most is None else max(1, problem.count // most)
     out = []
@@ -359,7 +359,7 @@ def one_step_stretches(
 
 
 def whole_runs(problem: Problem, depth: int) -> list[Stretch]:
-    """A free run of each record from its first sample that has a measured past."""
+    """Returns a free run of each record from its first sample that has a measured past."""
     out = []
     for k, record in enumerate(problem.records):
         usable = np.flatnonzero(startable(record, depth))
@@ -369,7 +369,7 @@ def whole_runs(problem: Problem, depth: int) -> list[Stretch]:
 
 
 def startable(record: Record, depth: int) -> NDArray[np.bool_]:
-    """Tests which samples have `depth` measured outputs before them, (N,)."""
+    """Tests for each sample whether `depth` measured outputs precede it, (N,)."""
     gaps = np.concatenate([[0], np.cumsum(~np.isfinite(record.y))])
     out = np.zeros(len(record), dtype=bool)
     at = np.arange(depth, len(record))

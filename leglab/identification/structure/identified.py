@@ -30,12 +30,12 @@ from leglab.identification.structure.plans import Candidate, Plan
 from leglab.identification.structure.signals import Signals, signals_of
 from leglab.identification.structure.states import information_of, refitted
 
-# The free run is held within the range of the training output, widened on each side by this share:
-# far enough for a test beyond it, near enough for an unstable model to be bounded.
+# Limits of the free run: the range of the training output, widened on each side by this share. That
+# leaves room for test data beyond the range and still bounds an unstable model.
 _REACH = 0.3
-_INITIAL_GAIN = 1e4  # F(0) of a pass from nothing, and of what the data do not show
-_DEPARTURE = 0.1  # of a state-space model's parameters from those of a linear one, where it begins
-_DISTURBANCES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # process noise, in variances of the sensor's
+_INITIAL_GAIN = 1e4  # F(0) of an untrained model, and in directions that the data do not excite
+_DEPARTURE = 0.1  # prior deviation of a state-space model's parameters from its linear start
+_DISTURBANCES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # process noise, in variances of sensor noise
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class Errors:
     """Errors of a model on one recording.
 
     Attributes:
-        recording: Its name.
+        recording: Name of the recording.
         free_run: RMS of the free run from the first measured samples on [unit of the output].
         one_step: RMS of the one-step prediction.
         fit: 100 (1 - |y - free run| / |y - mean of y|) [%].
         linear: RMS free run of the best linear model.
         mean: RMS of the output about the mean of the training data.
-        online: RMS free run of the same structure, learned in one pass from nothing, or of a
-            state-space model from straight curves.
+        online: RMS free run of the same structure, learned online in one pass from zero
+            parameters; for a state-space model from straight curves.
         measured: Output, (N,).
         simulated: Free run, (N,), the first samples measured.
         predicted: One-step prediction, (N,), the first samples measured.
@@ -70,17 +70,17 @@ class Errors:
 
 @dataclass(frozen=True)
 class Identified:
-    """A model of one output and the candidates it was chosen from.
+    """A model of one output and the candidates from which it was chosen.
 
     Attributes:
         output: Name of the output.
         inputs: Names of the inputs.
         period: Sampling period [s].
-        model: Goes on learning where the training data ended.
+        model: The identifier, ready to continue learning where the training data ended.
         candidates: All structures, the chosen one first.
         problem: Training records.
-        tests: Records that no fit has seen.
-        notes: What was left out, bridged or is doubtful about the data.
+        tests: Test records, which no fit uses.
+        notes: Messages about data that were left out, bridged or are doubtful.
     """
 
     output: str
@@ -94,7 +94,7 @@ class Identified:
 
     @property
     def chosen(self) -> Candidate:
-        """The structure that won."""
+        """The chosen structure."""
         return self.candidates[0]
 
     @property
@@ -109,25 +109,25 @@ class Identified:
 
     @property
     def kind(self) -> str:
-        """What a field calls the model."""
+        """Name of the model class in the literature."""
         kind = library.kind_of(self.problem, self.chosen.fit)
         how = {"linear": ", fitted to the free run", "one step": ", fitted to one step (ARX)"}
         return kind + how.get(self.chosen.plan.kind, "")
 
     @property
     def better_than_mean(self) -> bool:
-        """Whether the free run over unseen blocks beats a constant."""
+        """True if the free run over held-out blocks beats a constant."""
         return self.chosen.plan.kind != plans.CONSTANT
 
     def at_rest(self, signal: str, values: Array) -> Array:
-        """Output where a signal has one value and the others their means, (n,).
+        """Returns the output with one signal at given values, the others at their means, (n,).
 
-        Of lags it is the one-step prediction with all lags at these values, of a state-space model
-        what it comes to under such inputs.
+        For a model of lags this is the one-step prediction with all lags at these values, for a
+        state-space model the steady output under these inputs.
 
         Args:
-            signal: The output, if the model is one of lags, or an input.
-            values: In its units, (n,).
+            signal: An input or, for a model of lags, the output.
+            values: Values of the signal in its units, (n,).
         """
         model = self.model
         names = model.settings.names
@@ -143,10 +143,10 @@ class Identified:
 
     @cached_property
     def online(self) -> tuple[Model, Array]:
-        """The structure learned in one pass, and its parameters over the first record, scaled.
+        """The structure learned online in one pass, and its parameters over the first record.
 
-        It begins with nothing, a state-space model with straight curves: linear. The parameters
-        have shape (N, P).
+        A model of lags starts from zero parameters, a state-space model as a linear one, with
+        straight curves. The parameters are scaled, (N, P).
         """
         model = _from_nothing(self.model)
         trajectory = np.zeros((0, 0))
@@ -159,7 +159,7 @@ class Identified:
 
     @cached_property
     def trained(self) -> tuple[Errors, ...]:
-        """Errors on the training records, each simulated from its beginning."""
+        """Errors on the training records, each simulated from its first samples on."""
         return self._all_errors(self.problem.records)
 
     @cached_property
@@ -168,7 +168,7 @@ class Identified:
         return self._all_errors(self.tests)
 
     def _all_errors(self, records: Sequence[Record]) -> tuple[Errors, ...]:
-        """Errors on the records that are long enough for a past."""
+        """Computes the errors on the records that have enough measured samples to start from."""
         lags = max(self.model.lags, self._linear.lags)
         usable = [record for record in records if startable(record, lags).any()]
         if records and not usable:
@@ -211,25 +211,25 @@ class Identified:
 
 
 def rms(residual: Array, given: int = 0) -> float:
-    """Root mean square behind the given samples, of those that are measured."""
+    """Returns the RMS of a residual without its first `given` samples and without NaN."""
     rest = residual[given:]
     rest = rest[np.isfinite(rest)]
     return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
 
 
 def _break_off(model: Model) -> None:
-    """Takes a sample of NaN: the next record does not follow on the last one."""
+    """Feeds a sample of NaN to the model: the next record does not continue the last one."""
     missing = np.full((1, model.inputs), np.nan)
     model.run(single(missing), np.full(1, np.nan), missing="skip")
 
 
 def _from_nothing(model: Model) -> Model:
-    """A model of the same structure that has learned nothing."""
+    """Returns an untrained model of the same structure."""
     settings = model.settings
     if isinstance(settings, SplineNarxSettings):
         rls = Rls(initial_gain=_INITIAL_GAIN)
         return SplineNarx(replace(settings, rls=rls, output_error_after=0))
-    # Without curves nothing is left of a feedback; straight ones leave a linear model.
+    # Zero curves would remove the feedback through them; straight ones leave a linear model.
     structure = settings.structure
     out = SplineStateSpace(
         replace(settings, rls=Rls(initial_gain=_DEPARTURE**2), process_noise=0.0)
@@ -257,13 +257,13 @@ def identify(
     """Chooses delays, lags and features from recordings, and fits them.
 
     Args:
-        recordings: To learn from, by name.
+        recordings: Training recordings, by name.
         inputs: Columns that drive the machine; default: those that begin with u.
         outputs: Columns to be modelled; default: those that begin with y.
-        tests: To test with; nothing is chosen by them.
+        tests: Test recordings; they do not affect the choice.
         period: Sampling period to resample to [s].
         jobs: Structures tried at a time; the result does not depend on it.
-        progress: Told after each structure: how many are done, of how many, which stage.
+        progress: Called after each structure with the number done, their total and the stage.
         kept: Results of an interrupted search, by output.
         keep: Called with each new result and its output.
 
@@ -342,7 +342,7 @@ def _problem(learned: Signals, k: int) -> Problem:
     for j, name in enumerate(learned.inputs):
         column = np.concatenate([r.u[:, j] for r in records])
         signals.append(Signal(name=name, lower=float(column.min()), upper=float(column.max())))
-    # After N further samples, N of the training data, these weigh 1/e of what they did.
+    # Forgetting: after N further samples, N that of the training data, their weight is 1/e.
     kept = 1 - 1 / max(int(np.isfinite(y).sum()), 2)
     template = SplineNarxSettings(
         output=Signal(name=learned.outputs[k], lower=low, upper=high),
@@ -360,11 +360,11 @@ def _problem(learned: Signals, k: int) -> Problem:
 
 
 def _going_on(problem: Problem, best: Candidate) -> Model:
-    """An identifier that has the model's parameters, and the gain that all samples leave it.
+    """Returns an identifier with the fitted parameters and the gain after all training samples.
 
-    It minimises the error of the free run or that of one step: whichever leaves the model better
-    after another pass over the training data. One-step learning moves a model of a machine with a
-    noisy sensor away from the machine, learning by the free run one of a disturbed machine.
+    It learns by the error of the free run or of one step: by the one that leaves the smaller
+    free-run error after another pass over the training data. Sensor noise biases one-step
+    learning, disturbances of the machine bias learning by the free run.
     """
     tried: list[tuple[float, Model]] = []
     for model, information in _learners(problem, best):
@@ -377,7 +377,7 @@ def _going_on(problem: Problem, best: Candidate) -> Model:
         left = _free_run_error(problem, again)
         tried.append((left if np.isfinite(left) else np.inf, model))
     model = min(tried, key=lambda one: one[0])[1]
-    # The past of the last samples; a frozen identifier takes them in without learning.
+    # Fills the regressor with the last samples; a frozen identifier does not learn from them.
     last = problem.records[-1]
     model.freeze()
     model.run(single(last.u[-model.lags - 1 :]), last.y[-model.lags - 1 :], missing="skip")
@@ -386,7 +386,7 @@ def _going_on(problem: Problem, best: Candidate) -> Model:
 
 
 def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]]:
-    """Identifiers that learn by the free run and by one step, with what all samples tell."""
+    """Yields identifiers that learn by free run and by one step, and the information of each."""
     theta, settings = best.fit.theta, problem.model(best.fit.features)
     if isinstance(settings, SplineNarxSettings):
         simulator = Simulator(settings, problem.records)
@@ -397,7 +397,7 @@ def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]
             yield narx, simulator.sums(theta, own, sensitivities=True).products
         return
     information = information_of(problem, best.fit, best.plan.strength)
-    # Many parameters change nothing together: their gain would grow while the samples forget them.
+    # Many combinations of parameters have no effect; exponential forgetting would let F wind up.
     rls = replace(settings.rls, forgetting="directional")
     settings = replace(settings, rls=rls)
     for disturbed in (False, True):
@@ -409,7 +409,7 @@ def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]
 
 
 def disturbed_model(problem: Problem, model: SplineStateSpace) -> SplineStateSpace:
-    """The same model with the process noise that leaves the least one-step error."""
+    """Returns the model with the process noise of least one-step error."""
     tried: list[tuple[float, int, SplineStateSpace]] = []
     for share in _DISTURBANCES:
         noise = share * model.settings.structure.noise
@@ -420,7 +420,7 @@ def disturbed_model(problem: Problem, model: SplineStateSpace) -> SplineStateSpa
 
 
 def _one_step_error(problem: Problem, model: Model) -> float:
-    """Mean square over all records, in squares of the output's unit."""
+    """Returns the mean squared one-step error over all records, in the output's unit squared."""
     left = model.copy()
     left.freeze()
     total = count = 0.0
@@ -432,7 +432,7 @@ def _one_step_error(problem: Problem, model: Model) -> float:
 
 
 def _free_run_error(problem: Problem, model: Model) -> float:
-    """Sum of squares over all records, each from its first samples that are measured."""
+    """Returns the sum of squared free-run errors over all records, from where a run can start."""
     total = 0.0
     for record in problem.records:
         usable = startable(record, model.lags)
@@ -447,7 +447,7 @@ def _free_run_error(problem: Problem, model: Model) -> float:
 def _drift(
     learned: Sequence[Record], tested: Sequence[Record], inputs: Sequence[str], output: str
 ) -> tuple[str, ...]:
-    """Reports test data beyond the range of the training data, or with another mean."""
+    """Returns notes on test data beyond the range of the training data, or with another mean."""
     if not tested:
         return ()
     notes = []

@@ -13,10 +13,10 @@ from leglab.identification.structure.plans import Candidate, Plan
 
 
 class Journal:
-    """Keeps candidates in a file, and finds those of an earlier search with the same key.
+    """Candidates in a file, with those of an interrupted search that had the same key.
 
     Args:
-        path: The file; one with another key is begun anew.
+        path: The file; one with another key is overwritten.
         key: Digest of data and code.
     """
 
@@ -24,7 +24,7 @@ class Journal:
         self.path = path
         self.kept: dict[str, dict[Plan, Candidate]] = defaultdict(dict)
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        self._whole = [key]  # lines that the file has from now on, written with the next result
+        self._whole = [key]  # valid lines, with which `keep` rewrites the file at the next result
         if lines[:1] != [key]:
             return
         for line in lines[1:]:
@@ -36,7 +36,7 @@ class Journal:
             self._whole.append(line)
 
     def keep(self, output: str, candidate: Candidate) -> None:
-        """Writes a result."""
+        """Appends a result to the file."""
         with self.path.open("w" if self._whole else "a", encoding="utf-8") as stream:
             stream.writelines(f"{line}\n" for line in (*self._whole, _line(output, candidate)))
         self._whole = []

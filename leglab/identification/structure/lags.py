@@ -1,4 +1,4 @@
-"""Models of lags that grow by one feature after the other, fitted to the free run."""
+"""Forward selection of features for models of lags, fitted to the free run."""
 
 from collections.abc import Sequence
 
@@ -18,13 +18,13 @@ from leglab.identification.structure.fit import (
     solve,
 )
 
-_TRIED = 3  # features of the largest promise that are fitted, of which the best is taken
-_GLANCE, _STEPS = 3, 10  # iterations of their fits, and further ones of the best
-_WORTH = 0.997  # a feature that leaves more of the RMS error of the fit ends a path
+_TRIED = 3  # features of largest expected gain that are fitted; the best of them is added
+_GLANCE, _STEPS = 3, 10  # iterations of their fits, and further iterations for the best
+_WORTH = 0.997  # largest ratio of RMS errors, with to without a feature, at which it is added
 
 
 class LagPath:
-    """Models that grow by the feature that promises to explain most of the free run's error."""
+    """Forward selection: adds the feature expected to explain most of the free-run error."""
 
     def __init__(
         self,
@@ -39,7 +39,7 @@ class LagPath:
         self.fit, self.ended = start, False
 
     def grow(self) -> None:
-        """Takes one more feature, or ends where none is worth it."""
+        """Adds one feature, or ends the path if none reduces the error enough."""
         self.ended = self.ended or not self._further.features
         if self.ended:
             return
@@ -67,7 +67,7 @@ class LagPath:
 def promises(
     problem: Problem, now: Fit, further: Further, own: Sequence[Stretch], strength: float
 ) -> Array:
-    """Computes the share of the squared error that each feature explains in addition to the model.
+    """Estimates the share of the remaining squared error that each candidate feature explains.
 
     To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
     the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
@@ -91,7 +91,7 @@ def promises(
     single = sizes == 1
     at = ends[single] - 1
     gram = found.squares[corners[single] - 1] / scale + share - beside[at]
-    # Rounding may leave less than the prior.
+    # Exactly, gram is at least the prior's share; rounding may leave less.
     gains[single] = left[at] ** 2 / np.maximum(gram, share)
     for k in np.flatnonzero(~single):
         n = sizes[k]

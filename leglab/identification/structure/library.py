@@ -1,4 +1,4 @@
-"""Features that a structure may take, made from the lags of its signals."""
+"""Library of candidate features of a structure, made from the lags of its signals."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +12,10 @@ from leglab.identification.spline_state_space import Curve, SplineStateSpace, St
 from leglab.identification.structure.fit import Array, Fit, Model, Problem
 from leglab.identification.structure.states import variances
 
-HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges stand
-SPLINES, FINE = 8, 16  # of a curve
+HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges have their kinks
+SPLINES, FINE = 8, 16  # number of splines of a curve, and of a fine one
 _SPLINE_RANGE = (0.005, 0.995)  # quantiles of a signal between which a curve has its knots
-# Widths of smooth signs, in standard deviations: nearly a jump, and how friction and valves bend.
+# Widths of smooth signs, in standard deviations: nearly a jump, to those of friction and valves.
 WIDTHS = (0.01, 0.1, 0.5)
 
 
@@ -34,7 +34,7 @@ class Orders:
     delays: tuple[int, ...]
 
     def lags(self, problem: Problem) -> Iterator[tuple[str, int]]:
-        """All lags, by signal."""
+        """Yields (signal, lag) for all lags."""
         template = problem.template
         for k in range(1, self.outputs + 1):
             yield template.output.name, k
@@ -43,7 +43,7 @@ class Orders:
                 yield signal.name, k
 
     def linear(self, problem: Problem) -> tuple[Feature, ...]:
-        """The linear model of these lags; without any, a constant."""
+        """Returns the features of the linear model of these lags; without lags, a constant."""
         template = problem.template
         parts: list[Feature] = []
         if self.outputs:
@@ -55,7 +55,7 @@ class Orders:
 
 
 def terms(problem: Problem, orders: Orders) -> list[Feature]:
-    """Products, cubes and hinges of all lags, signs of signals and of their changes."""
+    """Returns products, cubes and hinges of all lags, signs of signals and of their changes."""
     lags = list(orders.lags(problem))
     out: list[Feature] = []
     for i, (name, lag) in enumerate(lags):
@@ -81,7 +81,7 @@ def _signs(name: str, lag: int, values: np.ndarray) -> Iterator[Term]:
 
 
 def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Feature]:
-    """Smooth curves of all lags."""
+    """Returns spline curves of all lags."""
     out: list[Feature] = []
     for name, lag in orders.lags(problem):
         low, high = map(float, np.quantile(problem.samples[name], _SPLINE_RANGE))
@@ -91,15 +91,15 @@ def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Fea
     return out
 
 
-_SMALL = 0.01  # share of a variance that hardly matters
-# Those that are tried first, and what the best one may become.
+_SMALL = 0.01  # share of a variance that counts as negligible
+# Libraries that are tried first, and refinements of the best one.
 Maker = Callable[[Problem, Orders], list[Feature]]
 KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
 REFINED: dict[str, Maker] = {"fine curves": partial(curves, splines=FINE)}
 
 
 def kind_of(problem: Problem, fit: Fit) -> str:
-    """What a field calls a model."""
+    """Names the model class in the literature's terms."""
     first = fit.features[0]
     if isinstance(first, StateSpace):
         return _state_space(first, first.parts(fit.theta).curves, variances(problem, fit))
@@ -124,7 +124,7 @@ def _state_space(structure: StateSpace, curves: Sequence[Curve], spread: Array) 
     many = "a static curve" if len(curves) == 1 else f"{len(curves)} static curves"
     n = structure.states
     heights = np.array([np.ptp(c.e) for c in curves])
-    # Of the curves' arguments, and of what they add to states and output, weighted by heights.
+    # Variances of the curves' arguments, and of their effects on states and output, by heights.
     into = heights @ np.array([c.v**2 * spread for c in curves])
     out = heights @ np.array([np.append(c.w, c.o) ** 2 for c in curves])
     if into[:n].sum() < _SMALL * into.sum():
@@ -135,7 +135,7 @@ def _state_space(structure: StateSpace, curves: Sequence[Curve], spread: Array) 
 
 
 def name_of(feature: Feature) -> str:
-    """A feature as a formula."""
+    """Returns the formula of a feature."""
     if isinstance(feature, Constant):
         return "1"
     if isinstance(feature, Spline):
@@ -168,9 +168,9 @@ def _term(term: Term) -> str:
 
 
 def named_parameters(model: Model) -> Iterator[tuple[str, list[str], Array]]:
-    """Names of a model's features, names of their parameters, and these in scaled units.
+    """Yields each feature's name, the names of its parameters, and their values in scaled units.
 
-    Of a state-space model the features are its matrices, by rows, and its curves.
+    The features of a state-space model are its matrices, by rows, and its curves.
     """
     if isinstance(model, SplineStateSpace):
         yield from _matrices(model)

@@ -1,7 +1,7 @@
-"""Structures that are searched, in which order, and which of them is taken.
+"""Plans of the structure search, their order, and the ranking of their results.
 
-A nonlinear model is taken only if it is better than the linear ones between the data, over
-eighths, and beyond them, over thirds.
+A nonlinear model is taken only if it beats the linear ones in interpolation, over held-out eighths,
+and in extrapolation, over held-out thirds.
 """
 
 from collections.abc import Sequence
@@ -13,29 +13,29 @@ from leglab.identification.structure import library
 from leglab.identification.structure.fit import SHORTEST, Array, Fit, Problem
 from leglab.identification.structure.library import Orders
 
-# Simulated samples of a fit. Parameters hardly depend on more; the last fit has all up to LAST.
+# Simulated samples of a fit: more hardly change the parameters. The last fit has up to LAST.
 SKETCH, FULL, LAST = 4000, 12000, 100_000
 MOST_TERMS, FEW_TERMS = 20, 5
 MOST_CURVES = 4  # of a state-space model
-STATES_BUDGET = 3000  # samples of its fits, which cost more than those of lags
+STATES_BUDGET = 3000  # samples of state-space fits, which cost more than fits of lags
 _STATES = (1, 2, 3, 4, 6)
 STATES_STRENGTHS = (10.0, 100.0, 1000.0)
 _KEPT = 3  # structures of the first search that are searched in full
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
 _BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
-# Samples per parameter of a linear structure, at least: it bounds the time of the search; the prior
-# and the unseen blocks decide above it.
+# Least number of samples per parameter of a linear structure. It bounds the time of the search;
+# the prior and the held-out blocks prevent overfitting.
 _SAMPLES = 5
-_MOST_LAGS = 24  # of all signals, from which terms are made
-# Samples of a stretch; the best length is the memory of the machine, which the blocks decide.
+_MOST_LAGS = 24  # largest number of lags, of all signals, of which terms are made
+# Samples of a stretch; the best is the machine's memory, so the held-out blocks choose it.
 LENGTHS = (SHORTEST, 200, 600)
-# Precision of the prior. With white errors and parameters of about one it would be one; errors of
-# a free run are correlated, which makes N samples worth a tenth or a hundredth.
+# Precision of the prior. For white errors and parameters of about one it would be one; errors of
+# a free run are correlated, so that N samples weigh as N/10 or N/100 independent ones.
 _STRENGTHS = (1.0, 10.0, 100.0)
 USUAL = 10.0
-# Linear models, by the free run or by least squares of one step, which is better where the machine
-# is disturbed rather than its sensor.
+# Linear models, fitted to the free run or to one step by least squares. The latter is better if
+# disturbances act on the machine rather than on its sensor.
 LINEAR = ("linear", "one step")
 STATES = "states"  # state-space models with curves
 CONSTANT = "constant"
@@ -47,13 +47,13 @@ class Plan:
     """A structure that is searched.
 
     Attributes:
-        kind: Of `SIMPLE`, of the library, or `STATES`.
-        orders: Its lags; of a state-space model outputs are its states.
+        kind: One of `SIMPLE`, a kind of the library, or `STATES`.
+        orders: Lags; for a state-space model `outputs` is the number of states.
         length: Samples of a stretch of its fits.
-        strength: Of the prior of its parameters.
-        most: Features beyond the linear ones.
+        strength: Strength of the prior of its parameters.
+        most: Largest number of features beyond the linear ones.
         budget: Samples that a fit simulates.
-        sketch: Whether it only finds out, on thirds, if the structure is worth more.
+        sketch: Whether this is a cheap preselection over thirds, before a search in full.
     """
 
     kind: str
@@ -72,8 +72,8 @@ class Candidate:
     Attributes:
         plan: The plan.
         fit: The model, fitted to all records.
-        held_out: Mean square of the error over each eighth, and each third, of the records, as a
-            share of the output's variance; of a sketch over each third.
+        held_out: Mean squared error over each held-out eighth and each third of the records, as a
+            share of the output's variance; for a sketch over the thirds only.
         path: Score at each number of features.
     """
 
@@ -84,27 +84,27 @@ class Candidate:
 
     @property
     def scores(self) -> tuple[float, ...]:
-        """RMS error over eighths and thirds, geometric mean, in deviations of the output."""
+        """Geometric mean of the RMS errors, over eighths and over thirds, in output deviations."""
         return tuple(map(score_of, self.held_out))
 
     @property
     def score(self) -> float:
-        """Geometric mean of both."""
+        """Geometric mean of `scores`."""
         return mean_score(self.held_out)
 
 
 def score_of(held_out: Sequence[float] | Array) -> float:
-    """Geometric mean of RMS errors, from their squares."""
+    """Returns the geometric mean of RMS errors, given their squares."""
     return float(np.exp(np.mean(np.log(held_out)) / 2))
 
 
 def mean_score(held_out: Sequence[Sequence[float]]) -> float:
-    """Geometric mean of the scores of eighths and thirds."""
+    """Returns the geometric mean of the scores of eighths and thirds."""
     return float(np.exp(np.mean([np.log(score_of(part)) for part in held_out])))
 
 
 def longest(problem: Problem) -> int:
-    """Samples of the longest record."""
+    """Returns the number of samples of the longest record."""
     return max(map(len, problem.records))
 
 
@@ -114,7 +114,7 @@ def _lengths(problem: Problem) -> list[int]:
 
 
 def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
-    """Linear structures, and the constant that they have to beat."""
+    """Returns the plans of linear structures, and of the constant that they have to beat."""
     lengths = _lengths(problem)
     return [
         Plan(CONSTANT, Orders(0, 0, lead), lengths[0]),
@@ -129,7 +129,7 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
 
 
 def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
-    """The best linear structures, with other stretches and priors."""
+    """Returns plans of the best linear structures with other stretches and priors."""
     return [
         replace(c.plan, length=length, strength=strength)
         for c in sorted(_of("linear", linear), key=_score)[:_KEPT]
@@ -140,7 +140,7 @@ def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
-    """Structures of lags with a few nonlinear features."""
+    """Returns plans of structures of lags with a few nonlinear features."""
     best = [min(_of(kind, linear), key=_score).plan for kind in LINEAR]
     inputs = len(problem.template.inputs)
     orders = [p.orders for p in best if p.orders.outputs + inputs * p.orders.inputs <= _MOST_LAGS]
@@ -155,7 +155,7 @@ def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
-    """State-space models of all orders."""
+    """Returns sketches of state-space models of all orders."""
     lead = min(linear, key=_score).plan.orders.delays
     return [
         Plan(STATES, Orders(n, 0, delays), 0, _STRENGTHS[-1], MOST_CURVES, STATES_BUDGET, True)
@@ -165,7 +165,7 @@ def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
-    """The best once more: sketches in earnest, lags with all samples and many features."""
+    """Returns the best plans in full: sketches as searches, lags with more samples and features."""
     best = [c.plan for c in sorted(candidates, key=_score)[:_KEPT]]
     return [
         replace(plan, sketch=False)
@@ -177,7 +177,7 @@ def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
-    """The best of lags and the best state-space model, unless the other beats it, varied."""
+    """Returns variants of the best model of lags and of states, each unless the other beats it."""
     families = (_of(STATES, bent), [c for c in bent if c.plan.kind != STATES])
     best = [min(family, key=_score) for family in families if family]
     plans = []
@@ -189,7 +189,7 @@ def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
 
 
 def _variants(problem: Problem, plan: Plan) -> list[Plan]:
-    """The same structure with other stretches, then priors and finer curves."""
+    """Returns plans of the structure with other stretches, then priors and finer curves."""
     if plan.kind == STATES:
         return [replace(plan, strength=s) for s in STATES_STRENGTHS]
     kinds = [plan.kind, *(library.REFINED if plan.kind == "curves" else ())]
@@ -212,9 +212,9 @@ def _of(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
 def chosen_first(linear: Sequence[Candidate], bent: Sequence[Candidate]) -> list[Candidate]:
     """Sorts candidates by score; those that do not beat every simpler one come last.
 
-    A linear model has to beat the constant, a nonlinear one every linear one: by more than a
-    standard error over the eighths, and over the thirds. A state-space model has to beat those of
-    lags that have fewer parameters, and the other way round.
+    A linear model has to beat the constant, a nonlinear one every linear one: over the eighths by
+    more than a standard error, and over the thirds. A state-space model also has to beat the
+    nonlinear models of lags that have fewer parameters, and vice versa.
     """
     constant, simple = _of(CONSTANT, linear), list(linear)
 

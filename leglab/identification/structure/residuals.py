@@ -16,10 +16,10 @@ class ResidualTest:
     """Correlations of a residual over lags.
 
     Attributes:
-        name: The signal it is correlated with, or "itself".
+        name: Name of the signal with which the residual is correlated, or "itself".
         lags: (L,).
         correlation: (L,).
-        band: Bound of 99 % of the values where there is no correlation.
+        band: Bound within which 99 % of the values lie if there is no correlation.
     """
 
     name: str
@@ -35,7 +35,7 @@ class ResidualTest:
 
     @property
     def white(self) -> bool:
-        """Whether a residual's correlations with itself are those of white noise, at 99 %.
+        """True if the autocorrelation passes the test of whiteness at the 99 % level.
 
         N times the sum of their squares is chi-square distributed (Ljung 1999, section 16.6).
         """
@@ -44,7 +44,7 @@ class ResidualTest:
 
 
 def residual_tests(residual: Array, inputs: dict[str, Array]) -> tuple[ResidualTest, ...]:
-    """Correlation of one-step residuals with themselves and with past inputs.
+    """Computes correlations of one-step residuals with themselves and with past inputs.
 
     Args:
         residual: (N,), NaN where the output is missing.
@@ -61,7 +61,7 @@ def residual_tests(residual: Array, inputs: dict[str, Array]) -> tuple[ResidualT
         u = column - column.mean()
         scale = power * (float(np.sqrt(np.sum(u**2))) or 1.0)
         cross = np.array([np.sum(e[k:] * u[: n - k]) for k in lags]) / scale
-        # Of correlated series: var = sum_k R_e(k) R_u(k) / N (Ljung, eq. 16.69).
+        # Variance for correlated series: sum_k R_e(k) R_u(k) / N (Ljung, eq. 16.69).
         auto = np.array([np.sum(u[k:] * u[: n - k]) for k in lags]) / max(
             float(np.sum(u**2)), 1e-300
         )

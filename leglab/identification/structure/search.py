@@ -1,9 +1,9 @@
-"""Choice of a structure by the free run over blocks that no fit has seen.
+"""Choice of a structure by cross-validation of the free run over held-out blocks.
 
-A structure is scored by the mean logarithm of its error over the blocks, each simulated in one go
-by a model that was chosen and fitted on the others. So neither lags nor the number of features can
-be fitted to the block. The mean of logarithms keeps a single block that exceeds the range of the
-others from deciding. Eighths test interpolation, thirds extrapolation; a nonlinear model is taken
+The score of a structure is the mean logarithm of its error over the blocks. Each block is simulated
+in one run by a model whose features and parameters come from the other blocks, so that neither is
+fitted to the block. The mean of logarithms keeps a single block beyond the range of the others from
+deciding the choice. Eighths test interpolation, thirds extrapolation; a nonlinear model is taken
 only if it is better than the linear ones in both.
 """
 
@@ -46,15 +46,15 @@ from leglab.identification.structure.plans import (
 )
 from leglab.identification.structure.states import StatePath, refitted
 
-# A path ends after _PATIENCE features in a row that leave more than this share of the score; the
-# last of them are not taken.
+# A path ends after _PATIENCE features in a row, none of which lowers the best score to this share
+# of it; these features are not taken.
 _PATIENCE, _PROGRESS = 3, 0.99
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
-Each = Callable[..., Iterable]  # `map`, or one that has threads
+Each = Callable[..., Iterable]  # `map`, or that of a thread pool
 
 
 def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
-    """Carries out a plan: paths in step with each block held out, then one on all records.
+    """Carries out a plan: grows one path per held-out block, in step, then one on all records.
 
     Args:
         problem: Records and signals.
@@ -87,9 +87,9 @@ def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
 
 
 def _best_minimum(problem: Problem, plan: Plan, first: Fit, others: Sequence[Fit]) -> Fit:
-    """The first fit, unless one that begins at another is likelier by more than a nat.
+    """Returns the first fit, or a refit from another start that is likelier by more than a nat.
 
-    The strength of the prior says how many samples tell as much as one independent error.
+    `plan.strength` is the number of samples that are worth one independent error.
     """
     fits = [refitted(problem, one, plan.strength, plan.budget) for one in others]
     best = min(fits, key=lambda one: one.error)
@@ -104,7 +104,7 @@ def _counts(plan: Plan) -> tuple[int, ...]:
 def _beginning(
     problem: Problem, plan: Plan
 ) -> tuple[int, Callable[[Stretch | None], LagPath | StatePath]]:
-    """Samples that a model needs to start, and its path with a block held out."""
+    """Returns the samples that a start needs, and a function that starts a path without a block."""
     orders = plan.orders
     if plan.kind == STATES:
         structure = StateSpace(states=orders.outputs, delays=orders.delays)
@@ -113,7 +113,7 @@ def _beginning(
     linear = orders.linear(problem)
     makers = {**library.KINDS, **library.REFINED}.get(plan.kind)
     further = Further(problem.template, makers(problem, orders) if makers else ())
-    depth = problem.model(linear).lags + 1  # that of a change, too
+    depth = problem.model(linear).lags + 1  # one more, for features of a change
 
     def begun(block: Stretch | None) -> LagPath:
         own = stretches(problem, depth, plan.length, plan.budget, block)
@@ -126,10 +126,10 @@ def _beginning(
 
 
 def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
-    """A path on all records, fitted anew at each size with each block held out.
+    """Grows one path on all records and refits it without each block at every size.
 
-    The fits without a block begin at that with it and take a tenth of the time. They still know a
-    little of the block, so this ranks state-space models among each other and nothing else.
+    The fits without a block start from the fit with it and take a tenth of the time. The start
+    leaks information of the block, so the scores only rank state-space models among each other.
     """
     structure = StateSpace(states=plan.orders.outputs, delays=plan.orders.delays)
     held = Held(problem, problem.model((structure,)).lags, _counts(plan))
@@ -145,7 +145,7 @@ def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
 
 
 def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float, ...]]:
-    """Errors up to the smallest number of features that is nearly the best, and scores of all."""
+    """Returns errors up to the fewest features within 1 % of the best score, and all scores."""
     table: list[Table] = []
     scores: list[float] = []
     best, since = np.inf, 0
@@ -161,7 +161,7 @@ def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float,
 
 
 def delays(problem: Problem) -> tuple[int, ...]:
-    """Delay of each input, by the free run of a second-order linear model."""
+    """Estimates the delay of each input by the free run of a second-order linear model."""
     allowed = [d for d in _DELAYS if d <= longest(problem) // 20]
     found = [0] * len(problem.template.inputs)
     for j in range(len(found)):
@@ -172,13 +172,13 @@ def delays(problem: Problem) -> tuple[int, ...]:
             own = stretches(problem, problem.model(features).lags, LENGTHS[1], SKETCH)
             start = one_step(problem, features)
             errors.append(fit(problem, features, start, own, USUAL).error)
-        # The shortest of nearly equal ones: a delay that is too long cannot be made up for.
+        # The shortest delay within 1 % of the least error: lags cannot make up for one too long.
         least = min(errors)
         found[j] = next(d for d, e in zip(allowed, errors, strict=True) if e <= 1.01 * least)
     return tuple(found)
 
 
-# Told after each structure: how many are done, how many there will be in this stage, the stage.
+# Called after each structure with the number done, the number in this stage, and the stage.
 Progress = Callable[[int, int, str], None]
 
 
@@ -190,12 +190,12 @@ def search(
     kept: Mapping[Plan, Candidate] | None = None,
     keep: Callable[[Candidate], None] | None = None,
 ) -> list[Candidate]:
-    """All candidates, the chosen one first.
+    """Searches all structures; returns the candidates, the chosen one first.
 
     Args:
         problem: Records and signals.
         jobs: Structures at a time; the result does not depend on it.
-        progress: Told after each structure.
+        progress: Called after each structure.
         kept: Results of an interrupted search.
         keep: Called with each new result.
     """
@@ -204,7 +204,7 @@ def search(
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
         done = []
-        # Blocks have threads of their own: the last structure of a stage is not left to one.
+        # A second pool serves the blocks: the last structure of a stage then uses several threads.
         pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
         try:
             results = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), wanted)

@@ -1,4 +1,4 @@
-"""Signals for the identification: one period, unusable columns left out, gaps marked by NaN."""
+"""Preparation of signals: one period, unusable columns left out, gaps marked by NaN."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from leglab.identification.structure.fit import SHORTEST, Record
 
 Array = NDArray[np.float64]
 LEAST_SAMPLES = 100
-# Intervals count as one period within this share of it, and as several with samples missing.
+# Relative deviation within which an interval counts as one period, or as several (missing samples).
 _JITTER = 0.05
 # A sample farther from the median than _WILD interquartile ranges is no measurement; a column with
 # more than the share _MOST_WILD of them is left out.
@@ -28,11 +28,11 @@ class Signals:
     """Signals of all recordings.
 
     Attributes:
-        records: One a recording, inputs in the order of `inputs`; one tuple for each output.
+        records: A tuple of records for each output, each with the inputs in the order of `inputs`.
         inputs: Names of the columns that are used.
         outputs: Names of the columns to be modelled.
         period: Sampling period [s].
-        notes: What was left out, bridged or is doubtful.
+        notes: Messages about data that were left out, bridged or are doubtful.
     """
 
     records: tuple[tuple[Record, ...], ...]
@@ -45,7 +45,7 @@ class Signals:
 def columns_of(
     recordings: Mapping[str, Recording], inputs: Sequence[str], outputs: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Columns to be used: those that are named, or `u...` and `y...` where none are.
+    """Returns the columns to be used: those that are named or, if none are, `u...` and `y...`.
 
     Raises:
         SettingsError: A name is unknown, stands on both sides, or none can be guessed.
@@ -76,19 +76,19 @@ def signals_of(
     period: float | None = None,
     resting: bool = False,
 ) -> Signals:
-    """Reads signals on one uniform time axis a recording.
+    """Reads signals on one uniform time axis per recording.
 
     Args:
         recordings: By name.
         inputs: Columns; see `columns_of`.
         outputs: Columns.
-        period: To resample to [s]; None takes that of the recordings.
-        resting: Whether constant columns are signals as well, as in a test they are; all columns
-            have to be named then.
+        period: Period to resample to [s]; None takes that of the recordings.
+        resting: Whether constant columns count as signals, as in test data; all columns have to
+            be named then.
 
     Raises:
         RecordingError: A recording is too short or not uniformly sampled, lacks a column, or a
-            column that is needed holds no signal.
+            required column holds no signal.
         SettingsError: As `columns_of`, or the period is no positive number.
     """
     if period is not None and not (np.isfinite(period) and period > 0):
@@ -137,7 +137,7 @@ def _check_recording(name: str, recording: Recording, columns: Sequence[str]) ->
 
 
 def _period(recording: Recording) -> float:
-    """Usual interval [s], without the rounding of single stamps."""
+    """Returns the usual interval [s], averaged over the rounding of time stamps."""
     steps = np.diff(recording.time)
     if not len(steps):
         return 1.0
@@ -147,7 +147,7 @@ def _period(recording: Recording) -> float:
 
 
 def _is_uniform(time: Array, period: float) -> bool:
-    """Tests whether all intervals are multiples of a period, and not too long."""
+    """Tests whether all intervals are multiples of a period and gaps are not too long in total."""
     steps = np.diff(time) / period
     whole = np.maximum(np.round(steps), 1)
     few = whole.sum() <= _LONGEST_GAP + len(steps)
@@ -157,7 +157,7 @@ def _is_uniform(time: Array, period: float) -> bool:
 def _on_grid(
     name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
 ) -> dict[str, Array]:
-    """Columns on the recording's own uniform axis, NaN where samples are missing."""
+    """Returns columns on the recording's uniform time axis, NaN where samples are missing."""
     steps = np.diff(recording.time)
     if not _is_uniform(recording.time, period):
         told = f"{name}: sampled every {steps.min():.4g} to {steps.max():.4g} s, one period is "
@@ -177,7 +177,7 @@ def _on_grid(
 def _resampled(
     name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
 ) -> dict[str, Array]:
-    """Columns interpolated linearly to a period."""
+    """Interpolates columns linearly to a period."""
     time = recording.time
     axis = np.arange(time[0], time[-1] + 0.5 * period, period)
     axis = axis[axis <= time[-1]]
@@ -195,7 +195,7 @@ def _resampled(
             out[column] = np.full(len(axis), np.nan)
             continue
         out[column] = np.interp(axis, time[good], recording[column][good])
-        # What lies in a gap of the column, or of the rows, is not measured.
+        # Samples in a gap of the column, or between rows far apart, count as not measured.
         gap = np.interp(axis, time, (~good).astype(float)) > 0.5
         out[column][gap | (between > 2 * usual)] = np.nan
     return out
@@ -204,7 +204,7 @@ def _resampled(
 def _sound(
     column: str, tables: Mapping[str, dict[str, Array]], notes: list[str], resting: bool
 ) -> bool:
-    """Tests whether a column holds a signal; its wild samples become NaN."""
+    """Tests whether a column holds a signal; sets its outliers (`_WILD`) to NaN."""
     values = np.concatenate([table[column] for table in tables.values()])
     finite = values[np.isfinite(values)]
     if len(finite) < len(values) / 2:
@@ -233,10 +233,10 @@ def _sound(
 def _records(
     name: str, table: Mapping[str, Array], inputs: Sequence[str], output: str
 ) -> list[Record]:
-    """Records of one recording: the parts between gaps of its inputs.
+    """Splits one recording into records: the parts between gaps of its inputs.
 
-    The input in a gap is unknown, and so is the free run behind it. The gaps are bridged by
-    straight lines only if parts that are too short would take more than half of the samples.
+    The input in a gap is unknown, and so is the free run after it. The gaps are bridged by
+    straight lines only if too short parts would make up more than half of the samples.
     """
     u = np.column_stack([table[column] for column in inputs])
     good = np.asarray(np.isfinite(u).all(axis=1))
@@ -249,7 +249,7 @@ def _records(
 
 
 def _parts(good: NDArray[np.bool_]) -> list[slice]:
-    """Runs of good samples that are long enough; none where they are not most of the samples."""
+    """Returns runs of good samples that are long enough; none if they make up less than half."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST]
     return runs if sum(r.stop - r.start for r in runs) >= len(good) / 2 else []

@@ -1,10 +1,10 @@
 """State-space models with static curves, fitted to the free run; see `StateSpace`.
 
-The best linear model of an order is found first (high-order ARX, its impulse response realised,
-output-error fit). Then curves are added one by one: of many combinations of states and inputs that
-one whose curve promises to explain most of the free run's error. All parameters are fitted anew
-after each. Schoukens and Toth (2020) begin nonlinear LFR models so, Paduart et al. (2010)
-polynomial ones.
+First the best linear model of an order is fitted: high-order ARX, realisation of its impulse
+response, output-error fit. Then curves are added one by one: of many combinations of states and
+inputs the one whose curve is expected to explain most of the free-run error. All parameters are
+refitted after each. Schoukens and Toth (2020) initialise nonlinear LFR models from a linear one in
+this way, Paduart et al. (2010) polynomial models.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,26 +28,26 @@ from leglab.identification.structure.fit import (
     solve,
 )
 
-_ARX = 20  # lags of the ARX model whose impulse response is realised, at most
+_ARX = 20  # largest number of lags of the ARX model whose impulse response is realised
 _RESPONSE = 60  # samples of the response in either direction of the Hankel matrix
-_LINEAR = 0.01  # prior precision of A, B, C, D and of a start, relative to that of a curve
-_RANDOM = 8  # combinations of states and inputs that are drawn
-_TRIED = 2  # curves of the largest promise that are fitted, of which the best is taken
-_GLANCE, _STEPS = 5, 25  # iterations of their fits, and further ones of the best
-_ANEW = 6  # iterations of a fit without a block that starts at the fit with it
-_WORTH = 0.997  # a curve that leaves more of the RMS error of the fit ends a path
-_SHORTEST = 500  # samples of a segment where a record is too long for the budget
-# Segments of a fit, of each of which the initial state is fitted as well: one for this many samples
-# of the budget, and at most.
+_LINEAR = 0.01  # prior precision of A, B, C, D and initial states, relative to that of a curve
+_RANDOM = 8  # number of random combinations of states and inputs
+_TRIED = 2  # curves of largest expected gain that are fitted; the best of them is added
+_GLANCE, _STEPS = 5, 25  # iterations of their fits, and further iterations for the best
+_ANEW = 6  # iterations of a fit without a block, which starts from the fit with the block
+_WORTH = 0.997  # largest ratio of RMS errors, with to without a curve, at which it is added
+_SHORTEST = 500  # least samples of a segment if the records exceed the budget
+# Segments of a fit, whose initial states are fitted as well: samples of the budget per segment, and
+# largest number of segments.
 _FOR_A_START, _MOST = 125, 200
-_NONE = np.zeros(0)  # no further curve
-_RIDGE = 1e-9  # smallest singular value and reach of a state
+_NONE = np.zeros(0)  # no candidate curve
+_RIDGE = 1e-9  # lower bound of singular values and of the largest value of a state
 
 
 class Sums(NamedTuple):
     """Sums over segments, in scaled units; see csrc/identification/state_run.h.
 
-    Of parameters, then of the starts of all segments, then of the weights of a further curve.
+    Order of rows: parameters, initial states of all segments, weights of a candidate curve.
     """
 
     error: float
@@ -57,13 +57,13 @@ class Sums(NamedTuple):
 
 
 def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -> list[Stretch]:
-    """Parts of the records outside of a block that is held out, evenly where they are too long."""
+    """Returns segments outside of a held-out block, evenly spread if the records are too long."""
     whole: list[Stretch] = []
     for k, record in enumerate(problem.records):
         ends = [(0, len(record))]
         if without is not None and without.record == k:
             ends = [(0, without.start), (without.start + without.length, len(record))]
-        # Simulation needs no measured outputs; what has hardly any teaches nothing.
+        # A simulation needs no measured outputs, but segments with fewer than two have no use.
         whole += [Stretch(k, a, b - a) for a, b in ends if np.isfinite(record.y[a:b]).sum() > 1]
     total, most = sum(s.length for s in whole), min(_MOST, budget // _FOR_A_START)
     if total <= budget and len(whole) <= most:
@@ -82,7 +82,7 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
 def runs_of(
     problem: Problem, structure: StateSpace, of: Sequence[Stretch], further: Array = _NONE
 ) -> StateRuns:
-    """Simulations of segments in the core, for one structure and the argument of another curve."""
+    """Builds the core's simulations of segments, optionally with a candidate curve's argument."""
     segments = []
     for s in of:
         record, first = problem.records[s.record], max(0, s.start - max(structure.delays))
@@ -93,7 +93,7 @@ def runs_of(
 
 @dataclass(frozen=True)
 class _Model:
-    """A model while it is fitted: parameters, then the start of each segment."""
+    """Variables of a fit: the model's parameters, then the initial state of each segment."""
 
     structure: StateSpace
     theta: Array
@@ -104,15 +104,15 @@ class _Model:
 
 
 class StatePath:
-    """A model that grows by the curve that promises to explain most of the free run's error.
+    """Forward selection of curves: adds the one expected to explain most of the free-run error.
 
     Args:
         problem: Records.
-        structure: States and delays. It may have curves if it starts somewhere.
-        strength: Of the prior of the parameters.
+        structure: States and delays; curves only together with `start`.
+        strength: Strength of the prior of the parameters.
         budget: Samples that a fit simulates.
-        block: What is held out.
-        start: Parameters, (count,); the best linear model by default.
+        block: Block that is held out.
+        start: Initial parameters, (count,); by default those of the best linear model.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class StatePath:
     ) -> None:
         self._problem, self._strength, self._budget = problem, strength, budget
         self._of = tuple(segments_of(problem, budget, block))
-        # The same directions for all blocks.
+        # The seed makes the random directions the same for all blocks.
         self._rng = np.random.default_rng(structure.states)
         self.ended = False
         theta = realised(problem, structure, self._of) if start is None else start
@@ -140,7 +140,7 @@ class StatePath:
         self.fit = self._told(error)
 
     def grow(self) -> None:
-        """Takes one more curve, or ends where none is worth it."""
+        """Adds one curve, or ends the path if none reduces the error enough."""
         if self.ended:
             return
         best: tuple[_Model, float] | None = None
@@ -157,11 +157,11 @@ class StatePath:
         self.fit = self._told(best[1])
 
     def without(self, block: Stretch) -> Fit:
-        """Fits the model to the samples outside of a block; the fit begins at this model."""
+        """Fits the model to the samples outside of a block, from its current parameters on."""
         return self._elsewhere(segments_of(self._problem, self._budget, block), _ANEW)
 
     def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
-        """Fits the model to other segments, each from the state that the model has there."""
+        """Fits the model to other segments, initialised with the model's states at their starts."""
         structure = self._model.structure
         x = self._runs(structure).states(self._model.theta)
         ends = np.cumsum([s.length for s in self._of])
@@ -205,7 +205,7 @@ class StatePath:
         return out
 
     def _scaled(self, structure: StateSpace, theta: Array) -> Array:
-        """The same linear model with states whose largest value is one."""
+        """Rescales the states of a linear model so that their largest magnitude is one."""
         x = self._runs(structure).states(theta)
         reach = np.maximum(np.abs(x).max(axis=0), _RIDGE)
         parts = structure.parts(theta)
@@ -219,7 +219,7 @@ class StatePath:
         ])  # fmt: skip
 
     def _promising(self) -> list[_Model]:
-        """Models with one more curve, those first that explain most to first order."""
+        """Returns models with one more curve, sorted by the error it explains to first order."""
         now = self._model.structure
         structure = replace(now, curves=now.curves + 1)
         at = self._model.theta
@@ -235,9 +235,9 @@ class StatePath:
         return [_Model(structure, theta) for _, theta in found[:_TRIED]]
 
     def _gains(self, sums: Sums, form: Array) -> Iterator[tuple[float, Array]]:
-        """Share of the squared error that a curve explains, and its splines, by what it adds to.
+        """Yields gain and spline weights of a curve for each target: next states, then output.
 
-        To first order, as `promises` of the search.
+        The gain is the share of the squared error explained to first order, as in `lags.promises`.
         """
         structure, width = self._model.structure, len(form)
         scale = max(sums.error, LEAST_SHARE)
@@ -253,9 +253,9 @@ class StatePath:
             yield float(left[own] @ splines), splines
 
     def _directions(self) -> list[Array]:
-        """Combinations of states and inputs: each alone, the output, its rate, and random ones.
+        """Returns combinations of states and inputs as arguments of a curve.
 
-        They are scaled to a largest value of one.
+        Each signal alone, the output, its rate, and random ones, each scaled to a peak of one.
         """
         structure = self._model.structure
         parts = structure.parts(self._model.parameters)
@@ -286,7 +286,7 @@ class StatePath:
 
 
 def prior_of(structure: StateSpace) -> Array:
-    """Quadratic form, (count, count): about zero for splines, about the fit's start for others."""
+    """Returns the prior precision, (count, count), about 0 for splines, else about the start."""
     out = np.diag(np.full(structure.count, _LINEAR))
     curves = np.arange(structure.linear, structure.count)
     out[curves, curves] = 1.0
@@ -296,9 +296,9 @@ def prior_of(structure: StateSpace) -> Array:
 
 
 def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> Array:
-    """Parameters of a linear model: balanced realisation of a high-order ARX model.
+    """Returns the parameters of a balanced realisation of a high-order ARX model, (count,).
 
-    Ho and Kalman's realisation of the impulse response (Kung 1978), (count,).
+    The method of Ho and Kalman realises the impulse response (Kung 1978).
     """
     n, inputs = structure.states, len(structure.delays)
     lags = max(n, min(_ARX, problem.count // (10 * (1 + inputs))))
@@ -337,20 +337,20 @@ def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> 
 
 
 def _hankel(response: Array, first: int) -> Array:
-    """Responses from `first` on: row i, column block k has that of sample first + i + k."""
+    """Returns the Hankel matrix: row i, column block k is the response at sample first + i + k."""
     at = first + np.arange(_RESPONSE)[:, None] + np.arange(_RESPONSE)
     return response[at].reshape(_RESPONSE, -1)
 
 
 def refitted(problem: Problem, fit: Fit, strength: float, budget: int) -> Fit:
-    """Fits a model once more, to as many samples."""
+    """Refits a model, from its parameters, to `budget` samples."""
     return StatePath(problem, _structure(fit), strength, budget, start=fit.theta).fit
 
 
 def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
-    """Sum of psi psi' over all records from rest, and what the prior of some strength weighs.
+    """Returns the information, sum of psi psi' over all records from rest plus that of the prior.
 
-    In squares of the output's error, (count, count); psi = d y / d theta, scaled.
+    The unit is the variance of the output's error, (count, count); psi = d y / d theta, scaled.
     """
     structure = _structure(fit)
     total = strength * fit.error**2 * problem.variance * prior_of(structure)
@@ -362,7 +362,7 @@ def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
 
 
 def variances(problem: Problem, fit: Fit) -> Array:
-    """Of the scaled states and inputs over all records, (n + M,)."""
+    """Returns the variances of the scaled states and inputs over all records, (n + M,)."""
     structure, records = _structure(fit), _whole(problem)
     rest = np.zeros(structure.states * len(records))
     x = runs_of(problem, structure, records).states(np.append(fit.theta, rest))

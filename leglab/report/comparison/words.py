@@ -9,12 +9,12 @@ from leglab.report.page.wording import listed
 from leglab.runs.clock import NOTHING_CHANGES
 
 HEAD = ("before", "after", "ratio", "end", "undone, %", "90 % undone, s")
-# More controllers than this make no sentence.
+# Most controllers that a sentence lists.
 _MOST_TOLD = 3
 
 
 def title(summary: dict[str, Any]) -> str:
-    """Meaning of the numbers of the table."""
+    """Returns the title of the table: the meaning of its numbers."""
     return (
         f"RMS tracking error of all joints in {summary['unit']}, mean and half of the 95 % "
         f"interval, {seeds(summary)}: {drawn(summary)}"
@@ -22,7 +22,7 @@ def title(summary: dict[str, Any]) -> str:
 
 
 def explained(summary: dict[str, Any]) -> str:
-    """Columns of the table that their names do not explain."""
+    """Explains the columns of the table whose names are not clear."""
     return (
         f"ratio: error after the change, of {summary['controllers'][0]}'s; end: the last whole "
         "strides of a quarter of the run; undone: share of the damage at the end, and when 90 % "
@@ -31,7 +31,7 @@ def explained(summary: dict[str, Any]) -> str:
 
 
 def rows(summary: dict[str, Any]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Scenario, controller and the cells below `HEAD`."""
+    """Yields scenario, controller and the cells of the columns `HEAD`."""
     for scenario, controllers in summary["results"].items():
         for controller, cell in controllers.items():
             failed, runs = len(cell["failures"]), cell["runs"]
@@ -48,7 +48,7 @@ def rows(summary: dict[str, Any]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
 
 
 def failures(summary: dict[str, Any]) -> list[str]:
-    """Why runs of a comparison failed, a line a reason."""
+    """Returns why runs of a comparison failed, a line a reason."""
     lines = []
     for scenario, controllers in summary["results"].items():
         for controller, cell in controllers.items():
@@ -59,7 +59,7 @@ def failures(summary: dict[str, Any]) -> list[str]:
 
 
 def untold(summary: dict[str, Any]) -> list[str]:
-    """Why figures of the change are missing, a line a scenario and reason."""
+    """Returns why adaptation metrics are missing, a line for each scenario and reason."""
     who: dict[tuple[str, str], list[str]] = {}
     for scenario, controllers in summary["results"].items():
         for controller, cell in controllers.items():
@@ -74,12 +74,12 @@ def untold(summary: dict[str, Any]) -> list[str]:
 
 
 def seeds(summary: dict[str, Any]) -> str:
-    """Number of seeds."""
+    """Returns the number of seeds in words."""
     return f"{summary['seeds']} seed{'s' * (summary['seeds'] != 1)}"
 
 
 def drawn(summary: dict[str, Any]) -> str:
-    """Differences between seeds."""
+    """Describes the differences between seeds."""
     tolerance = summary["tolerance"]
     found = [f"machine (tolerance {tolerance:g})"] if tolerance else []
     found += ["time of the change and phase"] if summary["vary"] else []
@@ -89,11 +89,11 @@ def drawn(summary: dict[str, Any]) -> str:
 
 
 def ranked(summary: dict[str, Any], scenario: str) -> tuple[list[str], list[str]]:
-    """Controllers by their error after the change, the least first.
+    """Ranks the controllers by their error after the change, the smallest first.
 
     Returns:
-        Those whose intervals overlap that of the first, with it; and the others. Controllers of
-        which no run came to the end are in none.
+        The best controller and those whose intervals overlap with its interval; and the others.
+        Controllers without a completed run are in neither list.
     """
     known = {
         name: (cell["after_rad"]["mean"], cell["after_rad"]["half_width"] or 0.0)
@@ -109,7 +109,7 @@ def ranked(summary: dict[str, Any], scenario: str) -> tuple[list[str], list[str]
 
 
 def closest(summary: dict[str, Any], scenario: str) -> str:
-    """Who follows most closely after the change, and whether the intervals tell it apart."""
+    """Returns who has the least error after the change, and whose intervals overlap with it."""
     alike, _ = ranked(summary, scenario)
     if not alike:
         return "no run came to the end"
@@ -118,7 +118,7 @@ def closest(summary: dict[str, Any], scenario: str) -> str:
 
 
 def farther(summary: dict[str, Any], scenario: str) -> str:
-    """The other controllers, some of them where they are many; empty for none."""
+    """Returns the other controllers, at most `_MOST_TOLD` by name; empty for none."""
     _, rest = ranked(summary, scenario)
     told = [_told(summary, scenario, name) for name in rest[:_MOST_TOLD]]
     told += [f"{len(rest) - _MOST_TOLD} more"] * (len(rest) > _MOST_TOLD)
@@ -131,10 +131,10 @@ def _told(summary: dict[str, Any], scenario: str, name: str) -> str:
 
 
 def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
-    """Mean and half of the 95 % interval; "-" for none."""
+    """Formats the mean and the half width of its 95 % interval; "-" without a mean."""
     if estimate["mean"] is None:
         return "-"
-    # Rounding leaves no negative zero.
+    # Adding 0.0 removes the sign of -0.0.
     text = f"{round(unit * estimate['mean'], digits) + 0.0:.{digits}f}"
     if estimate["half_width"] is not None:
         text += f" ± {_half(unit * estimate['half_width'], digits)}"
@@ -142,7 +142,7 @@ def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
 
 
 def with_half(middle: float, half: float) -> str:
-    """A mean and half of its interval, in the decimals of its first four digits."""
+    """Formats a mean and the half width of its interval, to four digits of the larger one."""
     size = max(abs(middle), half)
     decimals = max(0, 3 - math.floor(math.log10(size))) if size else 0
     return f"{round(middle, decimals) + 0.0:.{decimals}f} ± {_half(half, decimals)}"

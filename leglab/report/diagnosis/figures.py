@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: gaps, effects alone, sets, and the errors of replays that are left."""
+"""Figures of a diagnosis: gaps, single effects, sets of effects, and remaining replay errors."""
 
 import math
 import re
@@ -36,14 +36,14 @@ _VALUE: dict[str, Any] = {
     "color": DARK_GREY,
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
 }
-# Residuals: at most so many channels, recordings of a channel, points of a cloud.
+# Residuals: most channels, recordings of a channel, points of a scatter plot.
 _MOST_CHANNELS, _MOST_ROWS = 6, 6
 _MOST_POINTS = 3000
-_INNER = 0.99  # share of the points within the axes of a cloud: outliers would set the scale
+_INNER = 0.99  # share of the points within the axes of a scatter plot: outliers would set the scale
 _BAR = 1e-5  # bar/Pa
-# A replay that has left its recording altogether is not drawn [SI].
+# Replays that reach this value have diverged and are not drawn [SI].
 _DIVERGED = 1e11
-# Points of a curve over a whole recording.
+# About the most points of a curve over a whole recording.
 _MOST_SAMPLES = 3000
 _BEFORE_AFTER: tuple[dict[str, Any], ...] = (
     {"color": VERMILION, "linestyle": "--", "linewidth": 1.0},
@@ -55,7 +55,7 @@ _ALIKE = 4.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CaptionedFigure:
-    """A figure with its caption, its name as a file without suffix, and what one would see."""
+    """A figure with its caption, its file name without suffix, and its alternative text."""
 
     name: str
     figure: Figure
@@ -64,13 +64,13 @@ class CaptionedFigure:
 
 
 def short(name: str, most: int = _LONGEST) -> str:
-    """A name that fits beside an axis: without its file type, cut in the middle."""
+    """Shortens a name for an axis: removes the file type, and cuts it in the middle."""
     name = re.sub(r"\.(parquet|csv|mcap)$", "", printable(" ".join(name.split())))
     return shortened(name, most)
 
 
 def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
-    """All figures that the diagnosis has content for, in the order of the page."""
+    """Draws all figures that the diagnosis has content for, in the order of the page."""
     makers = (overlay_picture, whole_picture, gap_picture, ranking_picture, rivals_picture)
     found: list[CaptionedFigure] = []
     for make in (*makers, residual_pictures):
@@ -81,10 +81,10 @@ def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
 
 
 def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Measured over simulated in the worst and the median held-out window; None without any.
+    """Draws measured and simulated signals in the worst and median held-out window; None if none.
 
-    Windows are judged by the first channel's error at the end, of the model as it was; where
-    another is the worst one afterwards, that one is shown as well.
+    Windows are ranked by the original model's error of the first channel at the end; the improved
+    model's worst window is shown as well if it is a different one.
     """
     channels = words.main_channels(result)
     held = set(result.gap.held_out) or {r.name for r in result.recordings}
@@ -133,7 +133,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
 def _windows(
     result: Diagnosis, channels: Sequence[str], held: set[str]
 ) -> list[dict[str, ResidualTrace]]:
-    """Single windows of the traces, by channel; those that have all channels with finite values."""
+    """Returns the windows of the traces, by channel, in which all channels are finite."""
     found: dict[tuple[str, int], dict[str, ResidualTrace]] = {}
     for trace in result.traces:
         if trace.recording not in held or trace.channel not in channels:
@@ -149,7 +149,7 @@ def _windows(
 
 
 def _lay_out(figure: Figure, title: str, result: Diagnosis) -> None:
-    """Places title, legend and axes of a figure that lays simulations over what was measured."""
+    """Places title, legend and axes of a figure of measured and simulated signals."""
     lines = [
         Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
         Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
@@ -166,7 +166,7 @@ def _length(window: ResidualTrace) -> float:
 
 
 def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
-    """Draws a channel of a window; returns what it shows."""
+    """Draws a channel of a window; returns a description for the alternative text."""
     factor, unit = shown_unit(window.unit)
     measured = factor * window.measured
     errors = [factor * e for e in (window.before, window.after)]
@@ -193,7 +193,7 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
 
 
 def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> None:
-    """Draws how far the simulations of a window are from what was measured."""
+    """Draws the errors of the simulations of a window, simulated less measured."""
     factor, unit = shown_unit(window.unit)
     axes.axhline(0.0, color=LIGHT_GREY, linewidth=4.0)
     for look, error in zip(_BEFORE_AFTER, (window.before, window.after), strict=True):
@@ -204,7 +204,7 @@ def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> Non
 
 
 def _tick(axes: Axes, across: int | None, up: int) -> None:
-    """Sets about how many round ticks there are in x, unless None, and in y."""
+    """Sets the approximate number of round ticks in x, unless None, and in y."""
     for axis, most in ((axes.xaxis, across), (axes.yaxis, up)):
         if most is not None:
             axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
@@ -260,7 +260,7 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Replay error of every recording before, recalibrated and after; None without any."""
+    """Draws the replay error of each recording before, recalibrated and after; None without any."""
     rows = [r for r in words.in_order(result) if math.isfinite(r.before) and math.isfinite(r.after)]
     rows = rows[:_MOST_RECORDINGS]
     if not rows:
@@ -298,8 +298,8 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws how much more probable each effect alone makes the recordings; None if none does."""
-    # Gains of rounding would stretch the axis over ten decades.
+    """Draws the gain in log probability by each effect alone; None if no effect has a gain."""
+    # Gains as small as rounding errors would stretch the axis over ten decades.
     useful = [r for r in result.ranking if math.isfinite(r.gain) and r.gain > _LEAST_GAIN]
     ranks = sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
     if not ranks:
@@ -331,7 +331,7 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Probability of each set of effects against each other; None where there is but one."""
+    """Draws the probability of each set of effects against each other; None for a single set."""
     rivals = next((r for r in result.rivals if len(r.names) > 1), None)
     if rivals is None:
         return None
@@ -375,7 +375,7 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def _rows(labels: Sequence[str]) -> tuple[Figure, Axes]:
-    """A figure with one labelled line a row."""
+    """Makes a figure with one labelled line per row."""
     left = max(1.5, 0.075 * max(len(label) for label in labels) + 0.2)
     height = _ROW * 1.35 * len(labels) + 0.2
     figure = Figure(figsize=(_WIDTH, _HEAD + height + _FOOT))
@@ -387,14 +387,14 @@ def _rows(labels: Sequence[str]) -> tuple[Figure, Axes]:
 
 
 def _axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Axes at left, bottom, width and height [inch]."""
+    """Adds axes at left, bottom, width and height [inch]."""
     width, height = figure.get_size_inches()
     left, bottom, across, up = place
     return figure.add_axes((left / width, bottom / height, across / width, up / height))
 
 
 def _log(axes: Axes, values: Sequence[float]) -> None:
-    """A logarithmic axis with plain numbers that holds all values and room for their labels."""
+    """Makes the x axis logarithmic, with plain numbers and room for all values and labels."""
     held = [v for v in values if math.isfinite(v) and v > 0.0] or [1.0]
     axes.set_xscale("log")
     # An eighth of the axis on both sides, of half a decade at least.
@@ -414,7 +414,7 @@ def _mark(label: str, color: str, marker: str = "o") -> Line2D:
 
 
 def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
-    """Two figures a channel, over state and over time; channels that gained most come first."""
+    """Draws two figures a channel, over state and over time; the most improved channels first."""
     grouped: dict[str, list[ResidualTrace]] = {}
     for trace in result.traces:
         if np.isfinite(trace.before).any() and np.isfinite(trace.after).any():
@@ -442,7 +442,7 @@ def _errors(traces: Sequence[ResidualTrace]) -> tuple[list[np.ndarray], list[np.
 
 
 def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> CaptionedFigure:
-    """Errors of all recordings over position, velocity and, where measured, pressure."""
+    """Draws the errors of all recordings over position, velocity and, if measured, pressure."""
     factor, unit = shown_unit(traces[0].unit)
     before, after = (factor * np.concatenate(errors) for errors in _errors(traces))
     states = [
@@ -480,7 +480,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
 def _over_time(
     traces: Sequence[ResidualTrace], name: str, held: dict[str, bool]
 ) -> CaptionedFigure:
-    """Errors over time, a row a recording, in the order of `held`, which says what was kept."""
+    """Draws errors over time, a row a recording, in the order of `held`: whether held out."""
     factor, unit = shown_unit(traces[0].unit)
     worst = sorted(traces, key=lambda t: (not held.get(t.recording), -words.finite_rms([t.before])))
     places = {name: i for i, name in enumerate(held)}
@@ -515,7 +515,7 @@ def _over_time(
 
 
 def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float, float]:
-    """Half heights of the axes for a share of the points; common where both errors are alike."""
+    """Returns half heights of axes that show a share of the points; equal for similar errors."""
     low, high = (
         1.1 * float(np.quantile(np.abs(values[np.isfinite(values)]), share)) or 1.0
         for values in (before, after)
@@ -525,13 +525,13 @@ def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float,
 
 
 def _by_window(trace: ResidualTrace, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Time and values with a NaN after each window, since windows may overlap."""
+    """Returns time and values with a NaN after each window, since windows may overlap."""
     ends = np.arange(trace.bins, trace.time.size, trace.bins)
     return np.insert(trace.time, ends, np.nan), np.insert(values, ends, np.nan)
 
 
 def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> None:
-    """Points, thinned evenly, and the median of equally filled bins of the state."""
+    """Draws points, thinned evenly, and their medians in equally filled bins of the state."""
     finite = np.isfinite(state) & np.isfinite(values)
     state, values = state[finite], values[finite]
     step = max(1, math.ceil(state.size / _MOST_POINTS))

@@ -16,12 +16,12 @@ from leglab.report.page.shell import Table, inlined, render
 from leglab.report.page.wording import capital, number, readable
 
 _MOST_DEPARTED = 12
-# Figures that lay measured over simulated come before all others.
+# Figures of measured and simulated signals come before all others.
 _FIRST = ("overlay", "whole")
 
 
 def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
-    """Writes `DIR/diagnosis.html` and `DIR/figures/*.png`; figures of an earlier diagnosis go.
+    """Writes `DIR/diagnosis.html` and `DIR/figures/*.png`; deletes earlier figures.
 
     Args:
         result: The diagnosis.
@@ -49,7 +49,7 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
 
 
 def _drawn(picture: CaptionedFigure, place: Path) -> dict[str, str]:
-    """Writes a figure into a folder; returns it as the page shows it."""
+    """Writes a figure into a folder; returns its content for the page."""
     image = png(picture.figure)
     write_atomically(place / f"{picture.name}.png", lambda file: file.write(image))
     told = {"name": picture.name, "alt": picture.alt, "caption": picture.caption}

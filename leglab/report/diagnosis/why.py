@@ -1,4 +1,4 @@
-"""Explains why an effect is named or not, from the protocol of the search."""
+"""Explanations of why an effect is named or not, from the record of the search."""
 
 from collections.abc import Collection, Sequence
 

@@ -1,6 +1,6 @@
 """A diagnosis in words: what a reader learns in one minute, before any number or figure.
 
-All texts are plain: whoever puts them into a page escapes them.
+All texts are plain: the page escapes them.
 """
 
 import math
@@ -23,26 +23,26 @@ from leglab.diagnosis.result import (
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
-# Below this share of the gap, "closed" would mislead.
+# Closed share of the gap up to which texts say that the gap hardly closes.
 _HARDLY = 0.05
-# More channels than this make no sentence.
+# Most channels that a sentence lists.
 _CHANNELS = 6
-# Recalibrated parameters that are told.
+# Most recalibrated parameters that are listed.
 _RECALIBRATED = 5
-# Noise below this [mrad, mm or bar] is told as such.
+# Noise below this [mrad, mm or bar] is reported as "under" it.
 _UNRESOLVED = 0.001
-# Up to so many effects that cannot be told apart from nothing have a line each.
+# Up to this number, effects that the recordings hardly show have a line each.
 _UNTOLD = 4
-# Sets of effects that came closest without being named.
+# Most sets of effects that are listed as closest without being named.
 _CLOSEST = 3
 _CONFIDENCE = (
     "Confidence is the probability of the name among all sets of effects that were fitted: the "
     "least that is left without any one part of the recordings, and with errors counted in the "
     "motion or in units of the drive; lowered for causes that no effect here describes."
 )
-# Units that a rig's engineer reads, where all values are below a limit in SI: name, factor, limit.
+# Customary small units, used if all values are below a limit in SI: name, factor, limit.
 _SMALL = {"s": ("ms", 1e3, 1.0), "m": ("mm", 1e3, 1.0), "rad": ("mrad", 1e3, 0.1)}
-# Units of oil that nobody reads in SI, which is told beside them: name, factor.
+# Customary units of oil quantities, reported with the SI value in brackets: name, factor.
 _OIL = {
     "m^3": ("cm^3", 1e6),
     "m^3/s": ("cm^3/s", 1e6),
@@ -52,7 +52,7 @@ _OIL = {
 
 
 def percent(share: float) -> str:
-    """A confidence; no method gives certainty, so nothing above 99 or below 1 % is told apart."""
+    """Formats a confidence, from "under 1 %" to "over 99 %": no method gives certainty."""
     if not math.isfinite(share):
         return "unknown"
     if share < 0.01:
@@ -61,13 +61,13 @@ def percent(share: float) -> str:
 
 
 def finite_rms(arrays: Sequence[np.ndarray]) -> float:
-    """Root mean square of all finite values; NaN where there is none."""
+    """Returns the root mean square of all finite values; NaN without any."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     return float(rms(values[np.isfinite(values)]))
 
 
 def headline(result: Diagnosis) -> str:
-    """The verdict in one sentence."""
+    """Returns the verdict in one sentence."""
     found = listed(tuple(_at(e) for e in result.effects))
     since = result.calibration is not None
     if result.verdict == "fitted":
@@ -89,7 +89,7 @@ def headline(result: Diagnosis) -> str:
 
 
 def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
-    """The verdict where some of the effects have others that cannot be told apart from them."""
+    """Returns the verdict where some effects are indistinguishable from others."""
     sure = listed(tuple(_at(effect) for effect in effects if not effect.indistinguishable_from))
     sets: dict[tuple[str, ...], list[str]] = {}
     for effect in effects:
@@ -111,7 +111,7 @@ def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
 
 
 def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
-    """Effects that cannot be told apart from one; some only with friction beside them."""
+    """Names the effects indistinguishable from one, some of them only combined with friction."""
     tied = effect.indistinguishable_from
     friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
     beside = {"asymmetric_friction": "force_offset", "actuator_gain": "armature"}.get(effect.name)
@@ -124,14 +124,14 @@ def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
 
 
 def _tied(name: str, effect: NamedEffect) -> str:
-    """An effect that is not told apart from another, which may be the same elsewhere."""
+    """Names an effect indistinguishable from another: maybe the same effect at another element."""
     return "the same at another place" if name == effect.name else readable(name)
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
-    """Missing effect, confidence, explained share and remaining gap, as questions and answers.
+    """Returns missing effect, confidence, explained share and remaining gap, as terms and texts.
 
-    Of several effects each stands on a line of its own.
+    Several effects have a line each.
     """
     changed = "Changed" if result.calibration else "Missing"
     changed = "Fitted" if result.verdict == "fitted" else changed
@@ -164,7 +164,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
 
 
 def _mostly(result: Diagnosis) -> str:
-    """Where most of an error without a name is; empty where nobody knows."""
+    """Returns in words where most of an unexplained error is; empty if unknown."""
     if not result.where:
         return ""
     worst = result.where[0]
@@ -174,7 +174,7 @@ def _mostly(result: Diagnosis) -> str:
 
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
-    """Questions a reader has about the diagnosis of a model, in the order in which they ask."""
+    """Returns the sections on the diagnosis of a model, in the order in which readers ask."""
     before, unexplained = result.calibration, result.verdict == "unexplained"
     if result.verdict == "fitted":
         answers = {
@@ -199,14 +199,14 @@ def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
 
 
 def _answered(answers: Mapping[str, tuple[str, ...]]) -> tuple[Section, ...]:
-    """Those that have an answer."""
+    """Returns the sections that have an answer."""
     return tuple(Section(title=title, lines=lines) for title, lines in answers.items() if lines)
 
 
 def parameter_words(p: Estimate) -> tuple[str, str, str]:
-    """Value, 95 % interval and what the model has, each with the unit; the value also in SI.
+    """Returns value, 95 % interval and nominal value with units; oil quantities in SI as well.
 
-    As many digits as the interval allows, so that its ends do not read alike.
+    The number of digits follows the interval's width, so that its ends differ as text.
     """
     value, ends, nominal, unit = parameter_numbers(p)
     beside = f" ({number(p.value)} {p.unit})" if p.unit in _OIL else ""
@@ -215,7 +215,7 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
 
 
 def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
-    """Value, 95 % interval, what the model has, and the unit of them, empty for none."""
+    """Returns value, 95 % interval, nominal value, and their unit, empty for none."""
     factor, unit = _parameter_unit(p)
     low, high = (factor * end for end in p.interval)
     half, size = (high - low) / 2.0, max(abs(low), abs(high))
@@ -228,7 +228,7 @@ def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
 
 
 def uncertain(p: Estimate) -> bool:
-    """Whether an estimate says little: its interval holds what the model has, or is too wide."""
+    """Tests whether the interval contains the nominal value or is wider than the value's size."""
     low, high = p.interval
     if not (math.isfinite(low) and math.isfinite(high)):
         return True
@@ -236,7 +236,7 @@ def uncertain(p: Estimate) -> bool:
 
 
 def improved_words(result: Diagnosis) -> str:
-    """Contents of the improved model and how far to trust it; follows its name."""
+    """Describes content and reliability of the improved model; follows its name on the page."""
     effects = () if result.verdict == "unexplained" else result.effects
     holds = ["parameters recalibrated within their tolerance"] if result.moved else []
     if effects:
@@ -260,7 +260,7 @@ def improved_words(result: Diagnosis) -> str:
 
 
 def main_channels(result: Diagnosis) -> tuple[str, ...]:
-    """Position and pressures of the joint that matters most: with an effect, or most in error."""
+    """Returns position and pressures of the main joint: one with an effect, else largest error."""
     remaining = {one.channel: one for one in result.remaining}
     channels = list(dict.fromkeys([*remaining, *(t.channel for t in result.traces)]))
     elements = [e.element for e in result.effects]
@@ -279,29 +279,29 @@ def main_channels(result: Diagnosis) -> tuple[str, ...]:
 
 
 def in_order(result: Diagnosis) -> tuple[RecordingGap, ...]:
-    """Recordings in the order of every table and figure: those kept from the fits come first."""
+    """Returns the recordings in the order of all tables and figures: held-out ones first."""
     return tuple(sorted(result.recordings, key=lambda r: not r.held_out))
 
 
 def start(result: Diagnosis) -> str:
-    """Measured part of the state that replays start from."""
+    """Returns in words the measured part of the state from which replays start."""
     units = {one.unit for one in result.remaining} | {one.unit for one in result.traces}
     return "the measured motion" + " and pressures" * ("Pa" in units)
 
 
 def after_start(result: Diagnosis) -> str:
-    """Time at which errors of replays are told."""
+    """Returns in words the time in a replay at which errors are reported."""
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     return f"{horizon}after a start from {start(result)}"
 
 
 def joint_of(channel: str) -> str:
-    """The joint that a column belongs to."""
+    """Returns the joint of a column."""
     return re.sub(r"_(position|pressure_[ab]|velocity)$", "", channel)
 
 
 def after_words(result: Diagnosis) -> str:
-    """Additions of the simulation "after" to the nominal model."""
+    """Returns in words how the simulation "after" differs from the nominal model."""
     if not result.recalibrated:
         return "with the fitted parameters"
     if result.effects:
@@ -328,14 +328,14 @@ def _at(effect: NamedEffect) -> str:
 
 
 def _named(effect: NamedEffect) -> str:
-    """The effect with the scenarios' name of the same cause."""
+    """Returns effect and element, with the names of the scenarios of the same cause."""
     live = live_of(effect.name)
     also = f" [{listed(tuple(readable(name) for name in live), 'or')}]" if live else ""
     return f"{readable(effect.name)}{also} at {effect.element}"
 
 
 def _values(effect: NamedEffect, nominal: str) -> list[str]:
-    """Its fitted parameters; `nominal` says where their other values were."""
+    """Describes an effect's fitted parameters; `nominal` is "in the model" or "before"."""
     told = []
     for p in effect.estimates:
         value, interval, other = parameter_words(p)
@@ -345,7 +345,7 @@ def _values(effect: NamedEffect, nominal: str) -> list[str]:
 
 
 def _gap_of(result: Diagnosis) -> str:
-    """The gap that named effects may close, in words."""
+    """Returns in words the gap that named effects may close."""
     held = result.gap.held_out
     place = f" on {listed(held)}" if held else ""
     if result.calibration is not None:
@@ -354,7 +354,7 @@ def _gap_of(result: Diagnosis) -> str:
 
 
 def _left(result: Diagnosis) -> str:
-    """Errors at the end of a replay in units that a person knows, beside the sensors' noise."""
+    """Returns the errors at the end of a replay in customary units, with the sensor noise."""
     wanted = main_channels(result)
     rows = [one for one in result.remaining if one.channel in wanted]
     if not rows:
@@ -374,7 +374,7 @@ def _error_words(one: Remaining) -> str:
 
 
 def noise_words(one: Remaining) -> str:
-    """Sensor noise with its unit; what no rig resolves is not told apart."""
+    """Formats sensor noise with its unit; noise that no rig resolves as "under" a limit."""
     factor, unit = shown_unit(one.unit)
     if factor * one.noise < _UNRESOLVED:
         return f"under {_UNRESOLVED:g} {unit}"
@@ -400,7 +400,7 @@ def _looked_at(result: Diagnosis, model: str) -> tuple[str, ...]:
 
 
 def _before(calibration: Calibration) -> tuple[str, ...]:
-    """Result of the healthy recordings for this machine."""
+    """Describes the calibration of this machine from its healthy recordings."""
     told = "; ".join(
         f"{name} {number(before)}, calibrated {number(after)}"
         for name, before, after in calibration.recordings
@@ -439,7 +439,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
 
 
 def smaller_words(result: Diagnosis) -> tuple[str, ...]:
-    """Differences that are there and are not the cause; empty for none."""
+    """Describes the smaller differences, which are not the cause; empty for none."""
     if not result.smaller:
         return ()
     told = []
@@ -455,7 +455,7 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
 
 
 def confidence(result: Diagnosis, effect: NamedEffect) -> str:
-    """That of a name, or of a confusion set as a whole."""
+    """Returns the confidence of an effect's name, or of its confusion set as a whole."""
     return percent(effect.confidence if result.among is None else result.among)
 
 
@@ -481,7 +481,7 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _tried(result: Diagnosis) -> tuple[str, ...]:
-    """Treatment of an error that no effect explains."""
+    """Describes the attempts to explain an error that no effect explains."""
     sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
     closest = listed(tuple(dict.fromkeys(map(readable, sets)))[:_CLOSEST])
     gap = result.gap
@@ -528,7 +528,7 @@ def _costs(result: Diagnosis) -> tuple[str, ...]:
         share = f"{100.0 * closed:.0f} % of {_gap_of(result)} is explained."
         hardly = f"The gap hardly closes: {100.0 * closed:.0f} %."
         lines.append(share if closed > _HARDLY else hardly)
-    told = main_channels(result)  # They stand at the top of the page.
+    told = main_channels(result)  # `_left` reports them at the top of the page.
     rows = [_error_words(one) for one in result.remaining if one.channel not in told][:_CHANNELS]
     if rows:
         lines.append(f"Elsewhere, {after_start(result)}, RMS: {'; '.join(rows)}.")
@@ -543,7 +543,7 @@ _RESIDUALS = {
 
 
 def _where(result: Diagnosis) -> tuple[str, ...]:
-    """Where simulation and data disagree, a line an element."""
+    """Returns where simulation and data disagree, a line an element."""
     lines = []
     for w in result.where:
         place = w.region or "everywhere alike"

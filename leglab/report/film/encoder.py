@@ -14,13 +14,13 @@ from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes
 from leglab.base.output import cannot_write, new_file, regular_file
 
-# What explains a failure best comes first; ffmpeg is told to print nothing but errors.
+# Parts of ffmpeg's messages, the most informative first; "" matches any. It prints only errors.
 _TELLING = ("No space left", "Unknown encoder", "")
-# Longest time that ffmpeg may take nothing of a frame, or for its end [s].
+# Longest time for which ffmpeg may accept no data, or may take to finish [s].
 _PATIENCE = 120.0
-# Longest time that it may take to encode a film anew, or for a picture of it [s].
+# Longest time that it may take to re-encode a film, or to extract a picture [s].
 _PATIENCE_OF_A_FILM = 600.0
-# Share of the wanted size that is aimed at: one pass meets a bit rate roughly.
+# Target as a share of the wanted size: a single pass meets a bit rate only roughly.
 _AIM = 0.85
 _ATTEMPTS = 3
 _CODING = ("-an", "-c:v", "libx264", "-preset", "fast", "-pix_fmt", "yuv420p")
@@ -29,13 +29,13 @@ _STILL_WIDTH = 960  # at most [px]: as wide as a page shows a film on most scree
 
 @contextmanager
 def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[bytes], None]]:
-    """Writes a film beside its place and moves it there when it is whole.
+    """Writes a film to a temporary file and moves it into place when it is complete.
 
-    H.264 in yuv420p with its index at the front: any browser starts to play it at once. One thread,
-    so that the same frames give the same file.
+    H.264 in yuv420p with the index at the front, so that browsers play it at once. One thread
+    encodes, so that the same frames give the same file.
 
     Args:
-        out: The film; its folder is made.
+        out: Path of the film; its folder is made.
         size: Width and height [px].
         rate: Frames a second.
 
@@ -119,10 +119,10 @@ def _failure(out: Path, log: BinaryIO) -> LeglabError:
 
 
 def check_film(path: Path) -> None:
-    """Refuses a place where a film would replace something else, before any work is done.
+    """Refuses a path where a film would replace another kind of file, before any work is done.
 
     Raises:
-        LeglabError: The name does not end with .mp4, or a file stands there that is no film.
+        LeglabError: The name does not end with .mp4, or the path holds a file that is no film.
     """
     if path.suffix.lower() != ".mp4":
         told = f"{path}: a film needs a name that ends with "
@@ -153,7 +153,7 @@ def _ffmpeg() -> str:
 
 
 def film_bytes(film: Path, most: int) -> bytes:
-    """The film, encoded anew with fewer bits where it has more than `most` bytes.
+    """Returns the film, re-encoded with fewer bits if it has more than `most` bytes.
 
     Raises:
         LeglabError: It cannot be read or encoded.
@@ -174,7 +174,7 @@ def film_bytes(film: Path, most: int) -> bytes:
 
 
 def still_bytes(film: Path) -> bytes:
-    """One picture of the film, a JPEG from soon after its middle: seen before it is played.
+    """Returns a JPEG picture from soon after the film's middle, shown until the film is played.
 
     Raises:
         LeglabError: It cannot be read.
@@ -185,7 +185,7 @@ def still_bytes(film: Path) -> bytes:
 
 
 def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[str]) -> bytes:
-    """Makes a file from a film by ffmpeg, with options for reading and writing, and reads it."""
+    """Converts a film by ffmpeg, with options for input and output; returns the new file."""
     made = film.with_name(name)
     try:
         _ask(film, before=before, after=(*after, str(made)))
@@ -197,7 +197,7 @@ def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[
 
 
 def _seconds(film: Path) -> float:
-    """Length of a film."""
+    """Returns the length of a film [s]."""
     told = _ask(film, after=("-c", "copy", "-f", "null", "-progress", "pipe:1", "-"))
     times = re.findall(r"^out_time_us=(\d+)$", told, flags=re.MULTILINE)
     return 1e-6 * int(times[-1]) if times else 0.0

@@ -1,4 +1,4 @@
-"""Where the camera stands so that the moving parts fill their place in the picture."""
+"""Camera positions from which the moving parts fill their region of the picture."""
 
 import math
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ import numpy as np
 from leglab.base.errors import SettingsError
 from leglab.report.film.look import Rect
 
-FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that panels beside each other look alike
+FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that neighbouring panels look alike
 DEFAULT_CAMERA = "three_quarter"
 _MARGIN = 10  # px
 
 
 @dataclass(frozen=True)
 class Direction:
-    """Where a camera looks, by MuJoCo's angles [degrees]."""
+    """Viewing direction of a camera, in MuJoCo's angles [degrees]."""
 
     azimuth: float
     elevation: float
 
     def axes(self) -> np.ndarray:
-        """Right, up and forward of the picture as rows, (3, 3)."""
+        """Returns the unit vectors right, up and forward of the picture as rows, (3, 3)."""
         azimuth, elevation = math.radians(self.azimuth), math.radians(self.elevation)
         right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
         level = math.cos(elevation)
@@ -33,7 +33,7 @@ class Direction:
 
 
 def narrow(scene: mujoco.MjvScene, part: Rect, size: tuple[int, int]) -> None:
-    """Narrows the view of a scene to a part of its picture, which has this size [px]."""
+    """Narrows the view of a scene to `part` of its picture, which has the size `size` [px]."""
     width, height = size
     for eye in scene.camera:
         pixel = (eye.frustum_top - eye.frustum_bottom) / height
@@ -44,7 +44,7 @@ def narrow(scene: mujoco.MjvScene, part: Rect, size: tuple[int, int]) -> None:
 
 
 def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direction:
-    """Direction of a camera of the model; the model's free camera where it lacks the usual one.
+    """Returns a camera's direction; the free camera's if the model has no `DEFAULT_CAMERA`.
 
     Raises:
         LeglabError: The model has no camera of this name; lists those it has.
@@ -61,13 +61,13 @@ def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direct
 
 
 def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Indices of the geoms that are seen and can move."""
+    """Returns the indices of the geoms that are visible and can move."""
     moving = model.body_weldid[model.geom_bodyid] != 0
     return np.flatnonzero(moving & (model.geom_group < 3))
 
 
 def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
-    """Corners of the boxes around geoms [m], (8 geoms, 3)."""
+    """Returns the corners of the boxes around geoms [m], (8 geoms, 3)."""
     signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     boxes = model.geom_aabb[geoms]
     local = boxes[:, None, :3] + signs[None] * boxes[:, None, 3:]
@@ -76,7 +76,7 @@ def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np
 
 
 def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Rect:
-    """The part of a camera's picture in which points appear, with a margin.
+    """Returns the part of a camera's picture in which points appear, with a margin.
 
     Args:
         points: [m], (n, 3), all in front of the camera.
@@ -88,7 +88,7 @@ def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) ->
     width, height = size
     scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
     columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
-    # Even edges, for the larger picture it is made of to end with a whole pixel as well.
+    # Even edges, so that the supersampled picture, 1.5 times as large, has whole pixels as well.
     return Rect(
         left=max(2 * (math.floor(columns.min() - _MARGIN) // 2), 0),
         top=max(2 * (math.floor(rows.min() - _MARGIN) // 2), 0),
@@ -100,17 +100,17 @@ def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) ->
 def frame(
     points: np.ndarray, view: Direction, aspect: float, region: tuple[float, float, float, float]
 ) -> mujoco.MjvCamera:
-    """The nearest camera that sees all points inside a part of its picture.
+    """Returns the nearest camera that sees all points inside a region of its picture.
 
     A camera at c sees a point p inside x0 <= x <= x1 where p_x - x1 k p_z <= c_x - x1 k c_z and
-    p_x - x0 k p_z >= c_x - x0 k c_z in its own axes, k being half the width at unit distance. That
+    p_x - x0 k p_z >= c_x - x0 k c_z in camera axes, k being half the width at unit distance. That
     is linear in c, so the largest c_z follows in closed form, in each direction of the picture.
 
     Args:
-        points: What shall be seen [m], (n, 3).
-        view: Where to look.
+        points: Points to be visible [m], (n, 3).
+        view: Viewing direction.
         aspect: Width over height of the picture.
-        region: Left, right, bottom, top of the part, from -1 to 1.
+        region: Left, right, bottom, top of the region, from -1 to 1.
     """
     axes = view.axes()
     x, y, z = axes @ points.T

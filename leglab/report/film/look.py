@@ -1,4 +1,4 @@
-"""Places, inks and fonts of a frame, and the colour of a pressure."""
+"""Layout, colours and fonts of a frame, and the colour scale of pressures."""
 
 import functools
 import importlib.util
@@ -13,7 +13,7 @@ from leglab.report.style import BLUE, SERIES, VERMILION
 SIZE = (1280, 720)
 HEAD = 52  # height of the title above the panels
 HEADING = 36  # height of the heading of a panel, above its picture
-TRACES = 232  # height of the traces below them
+TRACES = 232  # height of the traces below the panels
 GAP = 4  # between panels
 GAUGES = 132  # width of the gauges at the left of a panel
 PRESSURES = 168  # width of the pressures at the right of a wide panel
@@ -36,17 +36,17 @@ class Rect:
 
     @property
     def width(self) -> int:
-        """[px]."""
+        """Width [px]."""
         return self.size[0]
 
     @property
     def height(self) -> int:
-        """[px]."""
+        """Height [px]."""
         return self.size[1]
 
 
 def panels(count: int) -> list[Rect]:
-    """Places of the machines, side by side and of one size."""
+    """Returns the panels of the machines, side by side and of equal size."""
     width = (SIZE[0] - GAP * (count - 1)) // count
     bottom = SIZE[1] - TRACES
     lefts = [round(i * (SIZE[0] - width) / max(count - 1, 1)) for i in range(count)]
@@ -54,24 +54,24 @@ def panels(count: int) -> list[Rect]:
 
 
 def has_pressures(panel: Rect) -> bool:
-    """Whether there is room for the pressures of every cylinder at the right of a panel."""
+    """Tests whether a panel has room for the pressures of every cylinder on its right."""
     return panel.width >= 600
 
 
 def leg_region(panel: Rect) -> tuple[float, float, float, float]:
-    """Left, right, bottom, top of what the leg may fill of a panel, from -1 to 1.
+    """Returns left, right, bottom, top of a panel's region for the leg, from -1 to 1.
 
-    Changes and gauges keep to the left of it, pressures to the right.
+    Changes and gauges are left of the region, pressures right of it.
     """
     left = 2.0 * (GAUGES + 16) / panel.width - 1.0
     right = 1.0 - 2.0 * (PRESSURES + 16) / panel.width if has_pressures(panel) else 0.94
-    if panel.width < 400:  # behind the gauges, which hide little of a leg's height
+    if panel.width < 400:  # partly behind the gauges, which hide little of a leg
         left = -0.25
     return left, right, -0.93, 0.93
 
 
 def traces() -> tuple[Rect, Rect]:
-    """Places of the axes of error and command, their labels outside."""
+    """Returns the rectangles of the axes of error and command, without their labels."""
     top, bottom = SIZE[1] - TRACES + 40, SIZE[1] - 34
     return Rect(64, top, 700, bottom), Rect(796, top, SIZE[0] - 24, bottom)
 
@@ -80,29 +80,29 @@ Rgb = tuple[int, int, int]
 
 
 def rgb(color: str) -> Rgb:
-    """Red, green, blue in 0..255 of a colour such as "#0072B2"."""
+    """Returns red, green, blue in 0..255 of a colour such as "#0072B2"."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 INK, SOFT, FAINT, PAPER = (24, 28, 34), (92, 100, 110), (222, 226, 231), (255, 255, 255)
 ALARM = rgb(VERMILION)
-NAMED = rgb(BLUE)  # what a controller says of a change
+NAMED = rgb(BLUE)  # changes named by a controller
 TIMES = "\N{MULTIPLICATION SIGN}"
 RUNS = tuple(rgb(color) for color in SERIES)  # one a run
 GHOST = (0.02, 0.62, 0.80, 0.42)
 UNKNOWN = (0.55, 0.57, 0.60)
 
-# Blue, pink, yellow: saturated against light and dark alike, and their lightness grows steadily,
-# so that colour-blind readers see the order.
+# Blue, pink, yellow: visible on light and dark ground; their lightness increases steadily, so that
+# colour-blind readers see the order.
 _STOPS = np.array([0.0, 0.5, 1.0])
 _COLORS = np.array([[0.09, 0.27, 0.86], [0.88, 0.28, 0.55], [1.0, 0.85, 0.10]])
 
 
 def pressure_color(level: float | np.ndarray) -> np.ndarray:
-    """Colour of a pressure.
+    """Returns the colour of a pressure.
 
     Args:
-        level: Pressure over that at the end of the colour bar, any shape; clipped to [0, 1].
+        level: Pressure divided by the end of the colour bar, any shape; clipped to [0, 1].
 
     Returns:
         Red, green, blue in 0..1, shape `(*level.shape, 3)`.
@@ -113,8 +113,8 @@ def pressure_color(level: float | np.ndarray) -> np.ndarray:
 
 @functools.cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """The font of Matplotlib, which is there wherever leglab is."""
-    # Found, not imported: Matplotlib takes longer to import than some films to render.
+    """Returns Matplotlib's font, which is installed with leglab."""
+    # The package is located, not imported: importing it takes longer than rendering some films.
     spec = importlib.util.find_spec("matplotlib")
     assert spec is not None
     assert spec.origin is not None
@@ -125,7 +125,7 @@ def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 @functools.lru_cache(maxsize=512)
 def fitted(text: str, size: int, width: float, bold: bool = False) -> str:
-    """The text, cut off with an ellipsis where it would be wider than `width` [px]."""
+    """Cuts a text off with an ellipsis if it is wider than `width` [px]."""
     face = font(size, bold)
     if face.getlength(text) <= width:
         return text
@@ -144,14 +144,14 @@ def write(
     bold: bool = False,
     anchor: str = "lt",
 ) -> None:
-    """Writes a line of text; `anchor` as in Pillow. Shapes of texts are kept: most come again."""
+    """Writes a line of text; `anchor` as in Pillow. Shapes of texts are cached: most recur."""
     shape, left, top = _shape(text, size, bold, anchor)
     draw.bitmap((int(place[0]) + left, int(place[1]) + top), shape, fill=fill)
 
 
 @functools.lru_cache(maxsize=512)
 def _shape(text: str, size: int, bold: bool, anchor: str) -> tuple[Image.Image, int, int]:
-    """Coverage of each pixel by a text, and where the text starts [px]."""
+    """Returns the coverage of each pixel by a text, and the offset of the text [px]."""
     face = font(size, bold)
     left, top, right, bottom = (int(edge) for edge in face.getbbox(text, anchor=anchor))
     shape = Image.new("L", (max(right - left, 1), max(bottom - top, 1)))

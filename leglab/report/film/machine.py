@@ -1,4 +1,4 @@
-"""A model as a picture: its pose, a ghost at the reference, cylinders in the colour of pressure."""
+"""Pictures of a model: its pose, a ghost at the reference, cylinders coloured by pressure."""
 
 import math
 
@@ -11,12 +11,12 @@ from leglab.report.film import framing
 from leglab.report.film.look import GHOST, UNKNOWN, Rect, pressure_color
 from leglab.report.film.track import Track
 
-# Rendered half again as large and averaged; twice as large takes an eighth longer and looks alike.
+# Rendered 1.5 times as large and averaged; a factor of 2 takes an eighth longer and looks alike.
 _SUPERSAMPLING = 1.5
 # Parts of a ghost that are smaller than this are left out [m].
 _SMALL_PART = 0.05
 # A ghost is moved away from the camera by this share of its distance, so that it does not flicker
-# on the surface of a leg that is where it should be.
+# on the surface of a leg that is at its reference.
 _GHOST_SHIFT = 0.003
 _SPRING = (0.88, 0.33, 0.06, 1.0)
 _MAX_GEOMS = 4000
@@ -25,12 +25,12 @@ _FLIP, _AVERAGE = Image.Transpose.FLIP_TOP_BOTTOM, Image.Resampling.HAMMING
 # Cylinders are drawn wider than they are, for their colours to be seen in a small picture.
 _WIDER = 1.5
 _WALL = 0.0035  # m
-# Half of a colour glows and half is lit, so that it looks as in the colour bar, and still round.
+# Emitted and lit share of a colour: cylinders match the colour bar and still look round.
 _GLOW, _LIT = 0.9, 0.55
 _CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
 _ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 _BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
-# Direction of the light, and colours of the sky above and below, of a model that has none.
+# For models without light or sky: direction of the light, colours of the sky above and below.
 _LIGHT, _SKY = (-0.35, 0.5, -0.8), ((0.93, 0.94, 0.96), (0.75, 0.77, 0.8))
 # Discs of the soft patch below the foot, and their colour.
 _DISCS = 6
@@ -38,11 +38,11 @@ _SHADOW = (0.10, 0.11, 0.13, 0.07)
 
 
 class DrawnMachine:
-    """A model with what is needed to draw it; runs of one model share it.
+    """Renderer of a model, shared by all runs of the model.
 
-    What cannot move is drawn once. After that only the part of the picture in which the machine is
-    at the time is rendered: in software pixels take the time, and a leg is narrow. `timestep` is
-    that of the runs [s], None for the model's own; `size` the width and height of the picture [px].
+    Fixed parts are drawn once. Each frame renders only the part of the picture that contains the
+    machine: the time of software rendering grows with the pixels, and a leg is narrow. `timestep`
+    is that of the runs [s], None for the model's; `size` is width and height of the picture [px].
     """
 
     def __init__(self, model: str, timestep: float | None, size: tuple[int, int]) -> None:
@@ -64,7 +64,7 @@ class DrawnMachine:
         _make_ghost(self._ghost)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         fixed = self.model.light_mode == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-        # With other lights, what stands still may look different later on.
+        # With moving lights, fixed parts may look different in later frames.
         still = self.model.body_weldid[self.model.light_bodyid] == 0
         self._fixed_lights = bool(np.all(fixed & still))
         self._moving = framing.moving_geoms(self.model)
@@ -77,7 +77,7 @@ class DrawnMachine:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
 
     def look(self, camera: mujoco.MjvCamera) -> None:
-        """Chooses the view, and draws what stands still."""
+        """Sets the camera, and draws the fixed parts."""
         self._camera = camera
         self._whole = Rect(0, 0, *self._size)
         data = self.simulation.data
@@ -91,20 +91,20 @@ class DrawnMachine:
         self._gl.free()
 
     def outline(self, data: mujoco.MjData) -> np.ndarray:
-        """Points around all that moves, but for its shadow [m], (n, 3)."""
+        """Returns points around all moving parts, without the shadow [m], (n, 3)."""
         corners = framing.corners(self.model, data, self._moving)
         return np.concatenate([corners, self.cylinders.pins(data)])
 
     def draw(
         self, data: mujoco.MjData, reference: mujoco.MjData, pressures: np.ndarray
     ) -> Image.Image:
-        """The picture.
+        """Returns the picture of the machine and its ghost.
 
         Args:
-            data: The true pose, as `DrawnRun.place` leaves it.
+            data: The true pose, as set by `DrawnRun.place`.
             reference: The pose of the ghost.
-            pressures: Of both sides of each cylinder over the end of the colour bar, NaN where
-                unknown, (actuators, 2).
+            pressures: Pressures of both sides of each cylinder, divided by the end of the colour
+                bar; NaN where unknown, (actuators, 2).
         """
         crop = self._whole
         if self._fixed_lights:
@@ -125,7 +125,7 @@ class DrawnMachine:
         scene.ngeom = 0
         mujoco.mjv_updateCamera(self.model, data, self._camera, scene)
         framing.narrow(scene, crop, self._size)
-        # Not mjv_updateScene: the plugins would add hundreds of shapes of their own.
+        # Not mjv_updateScene, in which the plugins would add hundreds of shapes.
         mujoco.mjv_addGeoms(
             self.model, data, self._option, self._perturbation, int(categories), scene
         )
@@ -157,7 +157,7 @@ def _larger(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _light(spec: mujoco.MjSpec) -> None:
-    """Adds a light to a model that has none, and a sky, without which both are black."""
+    """Adds a light and a sky to models without them: the machine or the sky would be black."""
     if not spec.lights:
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=_LIGHT, diffuse=[0.6] * 3
@@ -176,7 +176,7 @@ def _light(spec: mujoco.MjSpec) -> None:
 
 
 def _make_ghost(model: mujoco.MjModel) -> None:
-    """Leaves the large moving parts, see-through and of one colour."""
+    """Hides all but the large moving parts, and makes these transparent, in one colour."""
     kept = np.zeros(model.ngeom, dtype=bool)
     kept[framing.moving_geoms(model)] = True
     kept &= model.geom_rbound > _SMALL_PART
@@ -195,7 +195,7 @@ class DrawnRun:
         self._data, self._reference = mujoco.MjData(model), mujoco.MjData(model)
         for data in (self._data, self._reference):
             mujoco.mj_copyData(data, model, machine.simulation.data)
-        # Joints without a reference, such as a rail, stay where they truly are in the ghost too.
+        # Joints without a reference, such as a rail, have their true position in the ghost as well.
         self._truth = self._columns("truth", "position")
         self._wanted = self._columns("reference", "truth", "position")
         joints, unknown = machine.simulation.joints, np.full(len(track.recording), np.nan)
@@ -203,7 +203,7 @@ class DrawnRun:
         self._levels = np.stack([unknown if s is None else s / scale for s in sides], axis=1)
 
     def place(self, time: float) -> None:
-        """Moves the machine and its ghost to a time [s]."""
+        """Sets the machine and its ghost to their poses at a time [s]."""
         row = self._track.row(time)
         for data, columns in ((self._data, self._truth), (self._reference, self._wanted)):
             for address, values in columns:
@@ -214,7 +214,7 @@ class DrawnRun:
             mujoco.mj_tendon(self._machine.model, data)
 
     def extent(self, times: np.ndarray) -> np.ndarray:
-        """Points around machine and ghost at these times [s], (n, 3) [m]."""
+        """Returns points around machine and ghost at these times [s], (n, 3) [m]."""
         found = []
         for time in times:
             self.place(float(time))
@@ -222,17 +222,17 @@ class DrawnRun:
         return np.concatenate(found)
 
     def direction(self, camera: str) -> framing.Direction:
-        """Where a camera of the model looks."""
+        """Returns the viewing direction of a camera of the model."""
         return framing.direction(self._machine.model, self._data, camera)
 
     def draw(self, time: float) -> Image.Image:
-        """The machine at a time [s]."""
+        """Returns the picture of the machine at a time [s]."""
         self.place(time)
         levels = self._levels[self._track.row(time)].reshape(-1, 2)
         return self._machine.draw(self._data, self._reference, levels)
 
     def _columns(self, *suffixes: str) -> list[tuple[int, np.ndarray]]:
-        """Place in qpos and samples of every joint that was recorded."""
+        """Returns the index in qpos and the samples of every recorded joint."""
         model, found = self._machine.model, []
         for i in range(model.njnt):
             name = model.joint(i).name
@@ -243,10 +243,10 @@ class DrawnRun:
 
 
 class _CylinderShapes:
-    """Barrels split at the piston: the cap side and the rod side each in its own colour.
+    """Cylinders split at the piston: cap side and rod side in the colours of their pressures.
 
-    Cylinders that act on a joint directly have no place to be drawn, and are not. `tendons` holds
-    the names of those that actuators pull or push, the others being springs.
+    Cylinders that act on a joint directly have no position in space and are not drawn. `tendons`
+    holds the names of the tendons that actuators pull or push; the others are springs.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -259,7 +259,7 @@ class _CylinderShapes:
         self.tendons = {model.tendon(i).name for i in tendons[on_tendon].tolist()}
 
     def pins(self, data: mujoco.MjData) -> np.ndarray:
-        """Ends of all tendons, cylinders and springs [m], (n, 3)."""
+        """Returns the ends of all tendons, cylinders and springs [m], (n, 3)."""
         used = data.ten_wrapnum > 0
         first = data.ten_wrapadr[used]
         last = first + data.ten_wrapnum[used] - 1
@@ -316,9 +316,9 @@ def _segment(
 
 
 class _FloorShadow:
-    """Flat discs below the largest part of the last body; none where the model has no floor.
+    """Flat discs below the largest part of the last body; none if the model has no floor.
 
-    Real shadows are half the time of a frame.
+    Rendered shadows would take half the time of a frame.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -346,7 +346,7 @@ class _FloorShadow:
             scene.ngeom += 1
 
     def corners(self, data: mujoco.MjData) -> np.ndarray:
-        """Points around the discs [m], (n, 3)."""
+        """Returns points around the discs [m], (n, 3)."""
         if self._floor is None:
             return np.empty((0, 3))
         point, turn, radii = self._place(data)
@@ -356,10 +356,10 @@ class _FloorShadow:
         return point + (turn.reshape(3, 3)[:, :2] @ spread).T
 
     def _place(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Point below the part, rotation of the discs and their half axes [m]."""
+        """Returns the centre of the part, rotation of the discs and their half axes [m]."""
         turn = data.geom_xmat[self._part].reshape(3, 3)
         point = data.geom_xpos[self._part] + turn @ self._box[:3]
-        # The longest horizontal axis of the part's box, and how far the part reaches beside it.
+        # Longest horizontal axis of the part's box, and the extent of the box along and across it.
         reach = turn[:2] * self._box[3:]
         longest = reach[:, int(np.argmax(np.hypot(*reach)))]
         angle = float(np.arctan2(longest[1], longest[0]))

@@ -14,7 +14,7 @@ from leglab.report.film.track import Track, details, load_track
 from leglab.report.page.wording import readable
 
 _BAR = 1e5  # Pa
-_POSES = 24  # looked at to find what has to be in the picture
+_POSES = 24  # that the camera's view must contain
 _BAR_STEP = 20e5  # the colour bar ends at a multiple of this [Pa]
 _VEIL = (255, 255, 255, 200)  # over a run that has ended
 _TAG_CARD, _GAUGE_CARD = (255, 255, 255, 205), (255, 255, 255, 195)
@@ -31,7 +31,7 @@ class Picture:
     """Draws the frames of a film. Needs an OpenGL context; close it after use.
 
     Args:
-        folders: Of the runs, side by side.
+        folders: Folders of the runs, shown side by side.
         span: First and last time of the film [s].
         camera: Name of a camera of the models.
 
@@ -69,7 +69,7 @@ class Picture:
             machine.close()
 
     def draw(self, time: float) -> Image.Image:
-        """The frame at a time [s], RGB."""
+        """Returns the frame at a time [s], RGB."""
         image = self._base.copy()
         for stage, writer, panel in zip(self._stages, self._writers, self._panels, strict=True):
             image.paste(stage.draw(time), (panel.left, panel.top))
@@ -120,10 +120,10 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float | No
 
 
 class _PanelWriter:
-    """Writes heading, changes, gauges and the end into the panel of one run.
+    """Writer of heading, changes, gauges and end of one run into its panel.
 
-    `detail` tells it from runs with the same controller, `color` is that of its traces, `error` its
-    moving error [mrad or mm], `scale` the pressure at the end of the colour bar [Pa].
+    `detail` distinguishes runs with the same controller, `color` is that of the run's traces,
+    `error` its moving error [mrad or mm], `scale` the pressure at the end of the colour bar [Pa].
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class _PanelWriter:
         self._error, self._gauges = error, _Gauges(track, panel, scale)
 
     def draw(self, image: Image.Image, time: float) -> None:
-        """Draws all that belongs to a time [s]."""
+        """Draws the panel's texts and gauges at a time [s]."""
         draw, track, panel = ImageDraw.Draw(image, "RGBA"), self._track, self._panel
         over = time > track.end + 1e-6
         if over:
@@ -217,7 +217,7 @@ def _title_of(tracks: Sequence[Track]) -> tuple[str, str]:
 
 
 def _wrapped(text: str, width: float) -> list[str]:
-    """The text in lines no wider than `width` [px] unless a word is; at most four."""
+    """Wraps a text into at most four lines of `width` [px]; a longer word has a wider line."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else ""
@@ -229,7 +229,7 @@ def _wrapped(text: str, width: float) -> list[str]:
 
 
 class _Gauges:
-    """Supply, oil, seals, and pressures of every cylinder; the bars of pressures end at `scale`."""
+    """Gauges of supply, oil, seals and cylinder pressures, whose bars end at `scale` [Pa]."""
 
     def __init__(self, track: Track, panel: Rect, scale: float) -> None:
         self._panel, self._scale = panel, scale
@@ -263,7 +263,7 @@ class _Gauges:
             self._draw_pressures(draw, row)
 
     def _readings(self, row: int) -> list[tuple[str, str, float, bool]]:
-        """Name, value, share of the bar and whether it is a cause for alarm."""
+        """Returns name, value, filled share of the bar and alarm of each gauge."""
         found = []
         if self._supply is not None:
             value = float(self._supply[row])

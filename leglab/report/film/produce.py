@@ -1,4 +1,4 @@
-"""From the folders of runs to a film."""
+"""Rendering of films from the folders of runs."""
 
 import contextlib
 import os
@@ -31,15 +31,15 @@ def render_film(
 ) -> Path:
     """Renders runs side by side to an MP4 file: H.264, 1280 x 720, 30 frames a second.
 
-    MuJoCo chooses its OpenGL library when it is imported, so the rendering runs in processes of
-    its own: with EGL, or with OSMesa where EGL is missing; `MUJOCO_GL` set to one of them decides.
-    The same folders give the same frames.
+    MuJoCo chooses its OpenGL library when it is imported, so rendering runs in separate processes:
+    with EGL, or with OSMesa if EGL is missing; the variable `MUJOCO_GL` can select one of them. The
+    same folders give the same frames.
 
     Args:
         folders: Folders of one to four runs; models, scenarios and lengths may differ.
-        out: The film, replaced as a whole.
+        out: Path of the film; an earlier film is replaced when the new one is complete.
         start: First second shown; None for the beginning.
-        duration: Seconds shown; None for all that follow.
+        duration: Seconds shown; None up to the end of the runs.
         camera: Name of a camera of the models.
         progress: Called with the share that is done.
 
@@ -47,9 +47,9 @@ def render_film(
         `out`.
 
     Raises:
-        LeglabError: A folder is no run, the span lies outside the runs, no OpenGL library or
-            encoder is there (the message holds the line that installs one), or the film cannot be
-            written.
+        LeglabError: A folder is no run, the span lies outside the runs, an OpenGL library or the
+            encoder is missing (the message has the command that installs it), or the film cannot
+            be written.
     """
     folders, out = [Path(folder) for folder in folders], Path(out)
     if not 1 <= len(folders) <= MAX_RUNS:
@@ -67,7 +67,7 @@ def render_film(
         "camera": camera,
     }
     frames = _frames(job)
-    # The first frame shows whether a film comes about at all, before any file is touched.
+    # The first frame is drawn before any file is touched: if it fails, nothing is written.
     head = next(frames)
     with contextlib.closing(frames), encoding(out, SIZE, FRAME_RATE) as write:
         write(head)
@@ -95,10 +95,10 @@ def _frames(job: dict[str, Any]) -> Generator[bytes, None, None]:
 def _span(
     tracks: Sequence[Track], start: float | None, duration: float | None
 ) -> tuple[float, float]:
-    """First and last time of the film [s]; a run that stopped early lasts as long as planned."""
+    """Returns first and last time of the film [s], up to 2 s beyond a run that stopped early."""
     earliest = min(track.start for track in tracks)
     latest = max(track.end for track in tracks)
-    # A moment longer where a run stopped half way, for the picture to say so.
+    # Longer if a run stopped early, so that the picture can say so.
     if any(track.stopped and track.end > latest - 1.0 for track in tracks):
         latest = min(latest + 2.0, max(track.planned_end for track in tracks))
     first = earliest if start is None else start

@@ -38,7 +38,7 @@ class ErrorTrace:
         values = np.concatenate(shown)
         values = values[np.isfinite(values) & (values > 0)]
         low, high = (values.min(), values.max()) if values.size else (1.0, 10.0)
-        # Exponents of the axis: a little room, and a decade at least.
+        # Exponents of the axis, with a margin, over at least a decade.
         low, high = np.log10(float(low)) - 0.08, np.log10(float(high)) + 0.08
         missing = max(1.0 - (high - low), 0.0)
         self._low, self._high = low - 0.5 * missing, high + 0.5 * missing
@@ -48,25 +48,25 @@ class ErrorTrace:
         self._lines = _smooth_lines((rect.width + 6, rect.height + 6), self._paint)
 
     def x(self, time: float | np.ndarray) -> np.ndarray:
-        """Place of a time [px], from the left of the axes."""
+        """Returns the position of a time [px], from the left of the axes."""
         first, last = self._span
         return self._rect.width * (np.asarray(time) - first) / (last - first)
 
     def y(self, error: float | np.ndarray) -> np.ndarray:
-        """Place of an error [mrad or mm], in px from the top of the axes."""
+        """Returns the position of an error [mrad or mm], in px from the top of the axes."""
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (np.log10(error) - self._low) / (self._high - self._low)
         return self._rect.height * (1.0 - np.clip(share, -0.02, 1.02))
 
     def draw_static(self, image: Image.Image) -> None:
-        """Axes, and faint marks where something will change."""
+        """Draws the axes, and faint marks at the changes."""
         rect, draw = self._rect, ImageDraw.Draw(image)
         ticks = []
         for exponent in range(int(np.floor(self._low)), int(np.ceil(self._high)) + 1):
             for factor in (1, 2, 5):
                 value = factor * 10.0**exponent
                 if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
-                    # Within two decades there may be one power of ten alone.
+                    # Below two decades all ticks have labels: there may be one power of ten only.
                     wide = factor == 1 or self._high - self._low < 2.0
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
         _draw_frame(draw, rect, "tracking error", ticks, self._note)
@@ -77,7 +77,7 @@ class ErrorTrace:
             draw.line((x, rect.top, x, rect.bottom), fill=_ALARM_LIGHT, width=1)
 
     def draw(self, image: Image.Image, time: float) -> None:
-        """The traces up to a time [s]."""
+        """Draws the traces up to a time [s]."""
         rect = self._rect
         now = int(np.clip(round(float(self.x(time))), 0, rect.width))
         lines = self._lines.crop((0, 0, now + 1, self._lines.height))
@@ -101,9 +101,9 @@ class ErrorTrace:
 
 
 class CommandTrace:
-    """The feed-forward command of one joint, the last seconds of it moving past.
+    """The feed-forward command of one joint in the last seconds, as a moving trace.
 
-    Where no run has a feed-forward, the valve command is shown. `rect` and `span` are those of
+    If no run has a feed-forward, the valve command is shown. `rect` and `span` are those of
     `ErrorTrace`.
     """
 
@@ -135,14 +135,14 @@ class CommandTrace:
         self._tile = functools.lru_cache(maxsize=8)(self._drawn_tile)
 
     def draw_static(self, image: Image.Image) -> None:
-        """Axes."""
+        """Draws the axes."""
         rect = self._rect
         values = _nice_ticks(-self._limit, self._limit, 5)
         ticks = [(rect.top + float(self._y(v)), f"{v:.3g}") for v in values]
         _draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
 
     def draw(self, image: Image.Image, time: float) -> None:
-        """The last seconds before a time [s]; now is at the right."""
+        """Draws the last seconds before a time [s], which is at the right end."""
         rect = self._rect
         per_second = rect.width / self._window
         shift = round((time - self._window - self._origin) * per_second)
@@ -175,7 +175,7 @@ class CommandTrace:
         return self._rect.height * 0.5 * (1.0 - share)
 
     def _drawn_tile(self, index: int) -> Image.Image:
-        """Pixels `index * _TILE` on, counted from a window before the film."""
+        """Draws the tile from pixel `index * _TILE` on; pixel 0 is one window before the film."""
         return _smooth_lines((_TILE, self._rect.height), functools.partial(self._paint, index))
 
     def _paint(self, index: int, draw: ImageDraw.ImageDraw, scale: int) -> None:
@@ -189,7 +189,7 @@ class CommandTrace:
 
 
 def _change_starts(tracks: Sequence[Track], span: tuple[float, float]) -> list[float]:
-    """Returns when changes begin [s] that are not over before a span and begin within it."""
+    """Returns the start times [s] of all changes during the runs that overlap a span."""
     changes = (change for track in tracks for change in track.changes if change.start > 0)
     return sorted({c.start for c in changes if c.end >= span[0] and c.start <= span[1]})
 
@@ -226,7 +226,7 @@ def _smooth_dot(color: Rgb) -> Image.Image:
 
 
 def _nice_ticks(low: float, high: float, most: int) -> np.ndarray:
-    """At most `most` round values between two bounds, 1, 2 or 5 times a power of ten apart."""
+    """Returns up to `most` + 1 values between bounds, 1, 2 or 5 times a power of ten apart."""
     span = max(high - low, 1e-12)
     step = 10.0 ** math.floor(math.log10(span / most))
     for factor in (1, 2, 5, 10, 20):
@@ -260,7 +260,7 @@ def _draw_time(draw: ImageDraw.ImageDraw, rect: Rect, x: float, time: float) -> 
 def _smooth_lines(
     size: tuple[int, int], paint: Callable[[ImageDraw.ImageDraw, int], None]
 ) -> Image.Image:
-    """Returns a layer of a size [px]; `paint` draws it larger, by its second argument."""
+    """Returns a smooth layer of `size` [px]; `paint` draws it enlarged, by its second argument."""
     width, height = size
     layer = Image.new("RGBA", (width * _SMOOTH, height * _SMOOTH), (255, 255, 255, 0))
     paint(ImageDraw.Draw(layer), _SMOOTH)

@@ -1,4 +1,4 @@
-"""One run as a film shows it: its recording, its changes and what follows from them."""
+"""One run of a film: its recording, its changes, and signals computed from them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from leglab.report.page.wording import readable, readable_unit
 from leglab.runs import metrics, record
 from leglab.runs.folder import model_of
 
-# A run counts as stopped early where it lacks more than this [s].
+# A run counts as stopped early if it ends more than this before its planned end [s].
 _TOLERANCE = 0.05
 
-# Columns of a joint that follow slow wear: the fault's number, its size and what remains [s].
+# Columns of a joint that follow slow wear: the fault's number, its size and remaining life [s].
 _FOLLOWED = ("fault", "size", "remaining")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShownChange:
-    """A change of the machine from start to end [s], told as "internal leakage x 10"."""
+    """A change of the machine from start to end [s], with a text: "internal leakage x 10"."""
 
     start: float
     end: float
@@ -39,19 +39,19 @@ class Track:
 
     folder: Path
     settings: Mapping[str, Any]  #: As in `run.json`
-    model: str  #: That ran: a name, or the path of the folder's own copy
-    machine: tuple[str, float | None]  #: What decides it: the model's digest or name, time step
+    model: str  #: Name of the model, or path of the copy in the folder
+    machine: tuple[str, float | None]  #: Key of a renderer: the model's digest or name, time step
     recording: Recording
     joints: tuple[str, ...]  #: Driven joints with a reference
     actuators: tuple[str, ...]  #: The actuator of each of them
     changes: tuple[ShownChange, ...]  #: In the order of their start
     elements: Mapping[str, Mapping[str, float]]  #: Parameters of each actuator at the start
     window: float  #: Of the moving error [s]
-    failure: str  #: Why the run stopped early; empty if it did not, or nobody knows
-    #: From when on the film tells that nine tenths of the damage are undone [s], and how; None
-    #: where they never were.
+    failure: str  #: Why the run stopped early; empty if it did not, or if unknown
+    #: Time from which the film reports that 90 % of the damage are undone [s], and the text; None
+    #: if they never are.
     undone: tuple[float, str] | None = None
-    #: What the controller said of changes, from when it said so until it took it back [s].
+    #: Changes named by the controller, from the naming until the withdrawal [s].
     named: tuple[ShownChange, ...] = ()
 
     @property
@@ -66,33 +66,33 @@ class Track:
 
     @property
     def planned_end(self) -> float:
-        """When the run was to end [s]."""
+        """Planned end of the run [s]."""
         return float(self.settings.get("duration") or self.end)
 
     @property
     def stopped(self) -> bool:
-        """Whether the run ended before its time."""
+        """True if the run ended before its planned end."""
         return bool(self.failure) or self.end < self.planned_end - _TOLERANCE
 
     def row(self, time: float) -> int:
-        """Row of the sample that holds at a time [s], first or last one outside the run."""
+        """Returns the row of the last sample up to a time [s], clipped to the recording."""
         rows = self.recording.time
         return int(np.clip(np.searchsorted(rows, time + 1e-9, side="right") - 1, 0, len(rows) - 1))
 
     def column(self, *names: str) -> np.ndarray | None:
-        """The first of these columns that is there, its gaps filled with the last value, (n,)."""
+        """Returns the first of these columns that exists, gaps filled with the last value, (n,)."""
         for name in names:
             if name in self.recording:
                 return _filled(self.recording[name])
         return None
 
     def command(self, joint: str) -> np.ndarray | None:
-        """Commands of a joint in [-1, 1], gaps filled as in `column`, (n,); None without any."""
+        """Returns a joint's commands in [-1, 1], (n,), gaps filled as in `column`; None if none."""
         found = self.recording.command_of(joint)
         return None if found is None else _filled(found)
 
     def moving_error(self) -> np.ndarray:
-        """RMS tracking error of all joints over the window that ends at each sample [rad], (n,)."""
+        """Returns the RMS error of all joints over the window ending at each sample [rad], (n,)."""
         errors = []
         for joint in self.joints:
             true = f"{joint}_truth" if f"{joint}_truth" in self.recording else f"{joint}_position"
@@ -101,10 +101,10 @@ class Track:
         return metrics.sliding_rms(self.recording.time, np.stack(errors, axis=1), self.window)
 
     def seal_leakage(self) -> np.ndarray | None:
-        """Leakage of the seals over that of the new machine at one viscosity, (n, joints).
+        """Returns the seal leakage relative to the new machine at equal viscosity, (n, joints).
 
         C over C_new = internal_leakage / (its value at the start) x clearance^3,
-        docs/concepts/physics.md. None where neither was recorded.
+        docs/concepts/physics.md. None if neither leakage nor clearance was recorded.
         """
         factors, known = [], False
         for joint, actuator in zip(self.joints, self.actuators, strict=True):
@@ -120,7 +120,7 @@ class Track:
         return np.stack(factors, axis=1) if known else None
 
     def oil_temperature(self) -> np.ndarray | None:
-        """Mean oil temperature of the cylinders [degC], (n,); None where it was not recorded."""
+        """Returns the mean oil temperature of the cylinders [degC], (n,); None if not recorded."""
         found = (self.column(f"{j}_oil_temperature", "oil_temperature") for j in self.joints)
         there = [values for values in found if values is not None]
         return np.mean(there, axis=0) if there else None
@@ -130,7 +130,7 @@ def load_track(folder: Path) -> Track:
     """Reads the folder of a run.
 
     Raises:
-        LeglabError: It is no such folder, or one of its files is damaged; names folder and file.
+        LeglabError: The folder holds no run, or a file is damaged; the message names both.
     """
     for name in (record.CONFIGURATION, record.RECORDING):
         if not (folder / name).exists():
@@ -166,7 +166,7 @@ def load_track(folder: Path) -> Track:
 
 
 def _named(events: Sequence[FaultEvent]) -> Iterator[ShownChange]:
-    """The names in force, told as "named: knee seal wear 11.4, 100 %", until one goes back."""
+    """Yields named faults, as "named: knee seal wear 11.4, 100 %", until undone or withdrawn."""
     back = {name.undoes: name.time for event in events for name in event.names[-1:]}
     for event in events:
         name = event.names[-1]
@@ -175,16 +175,16 @@ def _named(events: Sequence[FaultEvent]) -> Iterator[ShownChange]:
 
 
 def _slowly(trends: Sequence[FaultTrend], recording: Recording) -> Iterator[ShownChange]:
-    """Slow wear, from when it was said first: size and what remains as they were said then.
+    """Yields slow wear from its first report on, with the size and remaining life of each time.
 
-    Of what the recording does not follow, as a condition, those at the end stand for all.
+    Conditions, and wear that the recording does not follow, have their final values throughout.
     """
     for trend in trends:
         elements = recording.tracked if trend.element == "all" else trend.element.split(",")
         names = [[f"{element}_health_{what}" for what in _FOLLOWED] for element in elements]
         there = [columns for columns in names if all(name in recording for name in columns)]
         said = [np.array([recording[name] for name in columns]) for columns in there]
-        # The name is in force where the joint has it; another one before it has its own trend.
+        # Only joints with a fault after this trend's first report: earlier faults are other trends.
         said = [values for values in said if values[0, recording.time >= trend.time].any()]
         if trend.condition or not said:
             text = f"slowly until {trend.seen:.0f} s: {trend.short()}"
@@ -194,7 +194,7 @@ def _slowly(trends: Sequence[FaultTrend], recording: Recording) -> Iterator[Show
 
 
 def _looks(trend: FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
-    """Text of a trend from look to look; `said` has a row for each of `_FOLLOWED`."""
+    """Yields a trend's text at each change of `said`, which has a row for each of `_FOLLOWED`."""
     before, after = said[:, :-1], said[:, 1:]
     new = np.any((before != after) & ~(np.isnan(before) & np.isnan(after)), axis=0)
     starts = np.union1d(np.flatnonzero(new) + 1, np.searchsorted(time, trend.time))
@@ -211,22 +211,22 @@ def _looks(trend: FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[Sh
 def _undone(
     found: record.AdaptationMetrics, changes: Sequence[record.ChangeRecord]
 ) -> tuple[float, str] | None:
-    """When the stride is over by which nine tenths of the damage are undone, and that they are."""
+    """Returns the end of the stride in which 90 % are undone [s], and a text; None if never."""
     if found.t90_s is None or found.stride_s is None or not changes:
         return None
     over = min(change.start for change in changes) + found.t90_s + found.stride_s
     if found.t90_s == 0.0:
         return over, t90(found)
-    # The curve's window ends at each time, that of the figure begins there.
+    # The window of the trace ends at each time; the stride of `t90_s` begins at that time.
     return over, f"strides from {found.t90_s:.2f} s after the change on: 90 % undone"
 
 
 def details(tracks: list[Track]) -> list[str]:
-    """Returns the settings in which runs differ, a text a run; empty where controllers suffice."""
+    """Returns the settings in which runs differ, a text a run; empty if only controllers differ."""
     shown: list[list[str]] = [[] for _ in tracks]
     names = [str(track.settings["controller"]) for track in tracks]
     scenarios = {track.settings["scenario"] for track in tracks}
-    # Severities of different scenarios have different units: they say nothing beside each other.
+    # Severities of different scenarios have different units and cannot be compared.
     keys = ("scenario", "model", *(() if len(scenarios) > 1 else ("severity",)), "seed")
     for key in keys:
         values = [track.settings.get(key) for track in tracks]

@@ -1,6 +1,6 @@
-"""Processes that draw frames at the same time; the frames come out in order.
+"""Processes that draw frames in parallel; the frames are returned in order.
 
-A process writes raw RGB frames to standard output and, where it fails, why to standard error.
+A process writes raw RGB frames to standard output, and the reason of a failure to standard error.
 """
 
 import contextlib
@@ -28,11 +28,11 @@ _CODE = "from leglab.report.film.workers import work; work()"
 
 
 class NoOpenGLError(LeglabError):
-    """The OpenGL library asked for is not there, or does not work."""
+    """The requested OpenGL library is missing or does not work."""
 
 
 def worker_count(frames: int) -> int:
-    """How many processes draw a film: one a core, fewer for a short one."""
+    """Returns the number of processes for a film: one per core, at most 16, fewer if short."""
     return max(1, min(len(os.sched_getaffinity(0)), frames // _LEAST_FRAMES, 16))
 
 
@@ -40,19 +40,19 @@ def draw_frames(job: dict[str, Any], *, backend: str, count: int) -> Iterator[by
     """Draws the frames of a job.
 
     Args:
-        job: `folders`, `camera`, `start` and `last` time of the film [s], number of `frames` and
-            how many there are a second, `rate`.
-        backend: What MuJoCo renders with, "egl" or "osmesa".
+        job: `folders`, `camera`, `start` and `last` time of the film [s], number of `frames`, and
+            `rate` [frames per second].
+        backend: MuJoCo's OpenGL library, "egl" or "osmesa".
         count: Number of processes.
 
     Yields:
         The frames in order, RGB.
 
     Raises:
-        NoOpenGLError: The library is not there.
-        LeglabError: A run cannot be shown; or a process broke.
+        NoOpenGLError: The library is missing or does not work.
+        LeglabError: A run cannot be shown, or a process failed.
     """
-    # One thread a process: the processes are the parallelism, and few cores do not thrash.
+    # One thread per process: the processes already use all cores, and would slow each other down.
     quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
     job = {**job, "plugins": plugins.carried(), "step": count}
     workers = [_Worker({**job, "first": i}, quiet) for i in range(count)]
@@ -77,7 +77,7 @@ class _Worker:
         )
         assert self._process.stdout is not None
         self._frames = self._process.stdout
-        with contextlib.suppress(OSError, AttributeError):  # only Linux, and up to its limit
+        with contextlib.suppress(OSError, AttributeError):  # Linux only, within its limit
             fcntl.fcntl(self._frames.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
 
     def next_frame(self) -> bytes:
@@ -115,7 +115,7 @@ def work() -> NoReturn:
     except (BrokenPipeError, KeyboardInterrupt):
         status = 3
     sys.stderr.flush()
-    os._exit(status)  # some OpenGL libraries fail once more when Python tidies up
+    os._exit(status)  # some OpenGL libraries fail again while Python shuts down
 
 
 def _draw(job: dict[str, Any]) -> None:
@@ -135,7 +135,7 @@ def _draw(job: dict[str, Any]) -> None:
 
 
 def _open_gl() -> None:
-    """Makes a context at once: a missing library shows here, not in the middle."""
+    """Opens a context first, so that a missing library fails before any rendering."""
     try:
         import mujoco
 

@@ -12,13 +12,13 @@ from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, VERMILION, s
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
 _MOST_SAMPLES = 1500  # of a curve; longer records show their beginning
-_MOST_PARAMETERS = 6  # of as many colours
+_MOST_PARAMETERS = 6  # each in its colour
 _POINTS = 800  # of a parameter's curve
-_REST = 101  # points of a curve at rest
+_REST = 101  # points of a static curve
 
 
 def free_run_figure(found: Identified, errors: Errors) -> Figure:
-    """Measured output and free run, and the error below."""
+    """Draws measured output and free run, and the error below."""
     shown = slice(0, min(len(errors.measured), _MOST_SAMPLES))
     time = np.arange(len(errors.measured))[shown] * found.period
     with style():
@@ -44,13 +44,13 @@ def free_run_figure(found: Identified, errors: Errors) -> Figure:
 
 
 def residual_figure(tests: tuple[ResidualTest, ...]) -> Figure:
-    """Correlations with their bands."""
+    """Draws the correlations of one-step residuals with their 99 % bands."""
     with style():
         figure = Figure(figsize=(_WIDTH, 1.5 * len(tests) + 0.5), layout="constrained")
         axes = np.atleast_1d(figure.subplots(len(tests), 1, sharex=True))
         for one, test in zip(axes, tests, strict=True):
             one.axhspan(-test.band, test.band, color=LIGHT_GREY, alpha=0.5, linewidth=0)
-            first = 1 if test.name == "itself" else 0  # with itself lag 0 is 1
+            first = 1 if test.name == "itself" else 0  # autocorrelation at lag 0 is 1
             one.vlines(test.lags[first:], 0, test.correlation[first:], color=BLUE, linewidth=2.0)
             one.axhline(0, color=DARK_GREY, linewidth=0.6)
             past = "its past" if test.name == "itself" else f"past {test.name}"
@@ -62,7 +62,7 @@ def residual_figure(tests: tuple[ResidualTest, ...]) -> Figure:
 
 
 def parameter_figure(found: Identified) -> Figure | None:
-    """Parameters of one pass from nothing over the first record; None where there are none."""
+    """Draws the parameters in one online pass over the first record; None without parameters."""
     _, trajectory = found.online
     if not len(trajectory):
         return None
@@ -87,7 +87,7 @@ def parameter_figure(found: Identified) -> Figure | None:
 
 
 def bent_signals(found: Identified) -> list[str]:
-    """Signals that a curve or term bends; of a state-space model with curves all inputs."""
+    """Returns the signals with a nonlinear feature; all inputs of a nonlinear state-space model."""
     (first, *_) = features = found.chosen.fit.features
     if isinstance(first, StateSpace):
         return list(found.inputs) if first.curves else []
@@ -95,7 +95,7 @@ def bent_signals(found: Identified) -> list[str]:
 
 
 def curve_figure(found: Identified) -> Figure | None:
-    """Output over each bent signal, the others at their means; None for a linear model."""
+    """Draws the output over each of `bent_signals`, others at their means; None if linear."""
     bent = bent_signals(found)
     if not bent:
         return None
@@ -117,7 +117,7 @@ def curve_figure(found: Identified) -> Figure | None:
 
 
 def inner_figure(found: Identified) -> Figure | None:
-    """Curves of a state-space model over their arguments; None where there are none."""
+    """Draws the curves of a state-space model over their arguments; None without curves."""
     model = found.model
     if not isinstance(model, SplineStateSpace) or not model.parts().curves:
         return None

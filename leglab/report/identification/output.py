@@ -37,17 +37,17 @@ _MOST_TRIED = 10  # linear structures, and as many nonlinear ones
 
 
 def stem(found: Identified, models: Mapping[str, Identified]) -> str:
-    """File name of a model without its suffix; signs of a column that no file has become _."""
+    """Returns a model's file name without suffix; signs other than letters and digits become _."""
     return "model" if len(models) == 1 else stem_of(found.output)
 
 
 def stem_of(output: str) -> str:
-    """File name where there are several models."""
+    """Returns the file name, without suffix, of one of several models."""
     return "model_" + re.sub(r"\W", "_", output)
 
 
 def write_all(models: Mapping[str, Identified], folder: Path) -> dict[str, str]:
-    """Writes everything; returns why what could not be written is missing, by file."""
+    """Writes all files; returns, by file, why one could not be written."""
     missing: dict[str, str] = {}
     for found in models.values():
         name = stem(found, models)
@@ -68,7 +68,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def summary(models: Mapping[str, Identified]) -> dict[str, Any]:
-    """Everything that is known of the models, as JSON holds it."""
+    """Returns all results on the models as plain types for JSON."""
     return {
         "format": "leglab identification",
         "version": VERSION,
@@ -115,7 +115,7 @@ def _model(found: Identified, name: str) -> dict[str, Any]:
 
 
 def features(found: Identified) -> list[dict[str, Any]]:
-    """Features with their parameters, of signals that are scaled to [-1, 1]."""
+    """Returns the features with their parameters, for signals scaled to [-1, 1]."""
     return [
         {"feature": name, "scaled_parameters": theta.tolist()}
         for name, _, theta in library.named_parameters(found.model)
@@ -123,7 +123,7 @@ def features(found: Identified) -> list[dict[str, Any]]:
 
 
 def transfer_functions(found: Identified) -> list[dict[str, Any]]:
-    """Transfer function from each input, about the mean of the training data."""
+    """Returns the transfer function from each input, linearised at the mean training data."""
     at = {name: float(np.mean(values)) for name, values in found.problem.samples.items()}
     out = []
     for name in found.inputs:
@@ -131,7 +131,7 @@ def transfer_functions(found: Identified) -> list[dict[str, Any]]:
         out.append({
             "input": name,
             "about": at,
-            # Without the sign of a zero.
+            # Adding 0.0 removes the sign of -0.0.
             "numerator": (np.asarray(system.num[0][0]) + 0.0).tolist(),
             "denominator": (np.asarray(system.den[0][0]) + 0.0).tolist(),
         })  # fmt: skip
@@ -139,7 +139,7 @@ def transfer_functions(found: Identified) -> list[dict[str, Any]]:
 
 
 def curves(found: Identified) -> list[dict[str, Any]]:
-    """Tables of the static curves, in physical units; those of a state-space model are scaled."""
+    """Returns the static curves, in physical units; those of a state-space model are scaled."""
     out: list[dict[str, Any]] = []
     model = found.model
     if isinstance(model, SplineStateSpace):
@@ -159,7 +159,7 @@ def curves(found: Identified) -> list[dict[str, Any]]:
 
 
 def at_rest(found: Identified) -> list[dict[str, Any]]:
-    """Output where one signal has one value, the others their means; see `Identified.at_rest`."""
+    """Returns static output over each signal, others at their means; see `Identified.at_rest`."""
     out = []
     for name, samples in found.problem.samples.items():
         if name == found.output and isinstance(found.model, SplineStateSpace):
@@ -177,7 +177,7 @@ def _errors(errors: Errors) -> dict[str, Any]:
 
 
 def tests_of(found: Identified) -> tuple[ResidualTest, ...]:
-    """Residual tests on the longest record, a test record if there is one."""
+    """Returns the residual tests on the longest test record, or training record without tests."""
     pool = found.tested or found.trained
     errors = max(pool, key=lambda e: len(e.measured))
     records = found.tests or found.problem.records
@@ -206,7 +206,7 @@ def _words(candidate: Any, found: Identified) -> str:
 
 
 def page(models: Mapping[str, Identified]) -> str:
-    """The page: one file, no network."""
+    """Returns the page as one file that loads no other."""
     parts = [_part(found) for found in models.values()]
     return render(
         "identification.html",
@@ -254,19 +254,19 @@ def _part(found: Identified) -> dict[str, Any]:
 
 
 def headline(found: Identified) -> str:
-    """What was found, in one sentence."""
+    """Returns the result in one sentence."""
     if not found.better_than_mean:
         return f"No model of {found.output} is better than a constant"
     pool = found.tested or found.trained
     where = "test" if found.tested else "training"
     fits = [e.fit for e in pool if np.isfinite(e.fit)]
-    if not fits:  # an output that rests has nothing to fit
+    if not fits:  # a constant output has no fit
         return f"{found.output}: free run errs by {number(pool[0].free_run)} on the {where} data"
     return f"{found.output}: free run fits {min(fits):.1f} % of the {where} data"
 
 
 def sections(found: Identified) -> tuple[Section, ...]:
-    """What was found, in words."""
+    """Returns the result in words."""
     deviation = found.problem.deviation
     score, linear = found.chosen.score * deviation, found.linear.score * deviation
     constant = found.constant.score * deviation
@@ -318,12 +318,12 @@ def sections(found: Identified) -> tuple[Section, ...]:
 
 
 def _begun(found: Identified) -> str:
-    """Where one pass begins."""
+    """Returns in words the initial model of an online pass."""
     return "from straight curves" if isinstance(found.model, SplineStateSpace) else "from nothing"
 
 
 def errors_table(found: Identified) -> Table:
-    """Errors on all records."""
+    """Returns the table of errors on all records."""
     rows = []
     for use, pool in (("training", found.trained), ("test", found.tested)):
         for e in pool:

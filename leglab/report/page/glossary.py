@@ -1,4 +1,4 @@
-"""Words of the pages that a newcomer may not know: their meanings, and the links to them."""
+"""Glossary of terms that newcomers may not know, and links to it from the texts of the pages."""
 
 import re
 
@@ -6,7 +6,7 @@ from markupsafe import Markup, escape
 
 from leglab.report.page.wording import printable
 
-# Meaning by term; a term is found in any case, and with the ending of a plural.
+# Meaning by term; texts are matched in any case, and with a plural s.
 MEANINGS = {
     "90 % undone": "Time from the change of the machine until the error, stride by stride, stays "
     "below a level at which nine tenths of the damage are gone. Never: not within the run.",
@@ -48,14 +48,14 @@ class Glossary:
     """Turns the first use of each term on a page into a link to its meaning.
 
     Attributes:
-        used: Meanings by term, of the terms that were found so far.
+        used: Meanings by term, of the terms that were linked so far.
     """
 
     def __init__(self) -> None:
         self.used: dict[str, str] = {}
 
     def __call__(self, text: str) -> Markup:
-        """Returns a plain text, escaped, with links."""
+        """Escapes a plain text, and links the first use of each term to its meaning."""
         text, parts, end = printable(text), [], 0
         for found in _TERM.finditer(text):
             term = _BY_WRITING[found[1].lower()]
@@ -70,7 +70,7 @@ class Glossary:
         return Markup("").join([*parts, escape(text[end:])])
 
     def meanings(self) -> list[tuple[str, str, str]]:
-        """Anchor, term and meaning of the used terms, and of those in their meanings, sorted."""
+        """Returns anchor, term and meaning of all terms used in texts and meanings, sorted."""
         for meaning in (told := list(self.used.values())):
             before = len(self.used)
             self(meaning)
@@ -79,11 +79,11 @@ class Glossary:
 
 
 def anchor(term: str) -> str:
-    """Name of the place on the page that has the meaning."""
+    """Returns the HTML id of a term's meaning on the page."""
     return "word-" + re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
 
 
 _BY_WRITING = {term.lower(): term for term in MEANINGS} | _ALSO
-# Longer ones first: "90 % undone" is not "undone".
+# Longer terms first, so that "90 % undone" is not matched as "undone".
 _WRITINGS = "|".join(map(re.escape, sorted(_BY_WRITING, key=len, reverse=True)))
 _TERM = re.compile(rf"(?<![\w-])({_WRITINGS})s?(?![\w-])", re.IGNORECASE)

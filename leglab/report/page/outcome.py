@@ -10,7 +10,7 @@ NOTHING = "nothing"
 
 
 def outcome(found: AdaptationMetrics, unit: str) -> str:
-    """The clock's figures in one line, errors in a unit; the reason where there are none."""
+    """Returns the adaptation metrics in one line, errors in `unit`; without any, the reason."""
     if found.recovered is None or found.damage_rad is None:
         return found.reason or ""
     damage = f"damage {milli(found.damage_rad, unit)} ({found.damage_of})"
@@ -18,7 +18,7 @@ def outcome(found: AdaptationMetrics, unit: str) -> str:
 
 
 def sentence(found: AdaptationMetrics, unit: str) -> str:
-    """The same as a sentence."""
+    """Returns the adaptation metrics as a sentence; without any, the reason."""
     if found.recovered is None or found.damage_rad is None:
         return f"What was undone cannot be told: {(found.reason or 'no reason').rstrip('.')}."
     if found.damage_of == TWIN:
@@ -41,12 +41,12 @@ def sentence(found: AdaptationMetrics, unit: str) -> str:
 
 
 def milli(value: float, unit: str) -> str:
-    """An error in rad or m, told in its thousandths: `unit` is "mrad", "mm", or both."""
+    """Formats an error in rad or m in thousandths: `unit` is "mrad", "mm" or "mrad or mm"."""
     return f"{number(1e3 * value)} {unit}"
 
 
 def share(found: AdaptationMetrics) -> str:
-    """Share of the damage that is undone in the last strides: "95 %"."""
+    """Returns the share of the damage undone in the last strides: "95 %", "all" or "nothing"."""
     assert found.recovered is not None
     if found.recovered >= _MOST:
         return "all"
@@ -54,7 +54,7 @@ def share(found: AdaptationMetrics) -> str:
 
 
 def t90(found: AdaptationMetrics) -> str:
-    """How soon nine tenths of the damage were undone."""
+    """Returns in words how long after the change 90 % of the damage were undone."""
     if found.t90_s is None:
         return "90 % never undone"
     if found.t90_s == 0.0:

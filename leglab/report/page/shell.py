@@ -1,4 +1,4 @@
-"""Pages from templates, their tables and sections: all inlined, all escaped, nothing loaded."""
+"""HTML pages from templates, with tables and sections: all inlined and escaped, nothing loaded."""
 
 import base64
 import functools
@@ -22,11 +22,11 @@ from leglab.report.style import ORANGE, SERIES
 
 _PACKAGE = "leglab.report.page"
 
-# SERIES for a dark background: as bright as they must be to be seen there.
+# The colours of SERIES for a dark background, bright enough to be visible on it.
 _SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
 
-# What no page may do. Bases and forms do not fall under the default; the others are named so that
-# they stay forbidden where the default is loosened.
+# Directives of the content security policy that forbid everything. Those of bases and forms have no
+# default; the others are listed so that they stay forbidden if `default-src` is loosened.
 _FORBIDDEN = (
     *("default-src", "connect-src", "form-action", "base-uri", "frame-src", "child-src"),
     *("worker-src", "object-src", "font-src", "manifest-src"),
@@ -37,9 +37,9 @@ _FORBIDDEN = (
 class Table:
     """A table whose first columns are words and the others numbers."""
 
-    caption: str  #: What it shows, with the unit
+    caption: str  #: Content of the table, with the unit
     head: Sequence[str]  #: Names of the columns
-    rows: Sequence[Sequence[str]]  #: Cells as text, as many a row as there are columns
+    rows: Sequence[Sequence[str]]  #: Cells as text, one per column in each row
     words: int = 1  #: Number of columns that are words
     heads: bool = True  #: Whether the first cell of each row names the row
 
@@ -50,7 +50,7 @@ class Section:
 
     title: str  #: The question
     lines: tuple[str, ...]  #: Answers, a sentence or two each
-    names: tuple[str, ...] = ()  #: What each line is about, where they are about several things
+    names: tuple[str, ...] = ()  #: Subject of each line; empty if they share one
 
 
 def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str:
@@ -58,9 +58,9 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
 
     Args:
         template: File name in `templates`.
-        scripts: JavaScript to be inlined, in this order, behind a guard that keeps it on the page;
-            nothing else can run, and without scripts nothing at all.
-        content: What the template shows; all text is escaped.
+        scripts: JavaScript to inline, in this order, after a guard against leaving the page; no
+            other script can run.
+        content: Variables of the template; all text is escaped.
     """
     page = _environment().get_template(template)
     scripts = (asset("guard.js"), *scripts) if scripts else ()
@@ -71,24 +71,24 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
 
 @functools.cache
 def asset(name: str) -> str:
-    """Text of a style sheet or script of this package."""
+    """Returns the text of a style sheet or script of this package."""
     return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def file_link(path: Path, base: Path) -> str:
-    """Link to a file from a page in the folder `base`: relative and quoted."""
+    """Returns the URL of a file for pages in the folder `base`: relative and quoted."""
     relative = os.path.relpath(path.resolve(), base.resolve())
-    # A first part with a colon would be read as a scheme.
+    # Without "./", a first part with a colon would be read as the scheme of the URL.
     return "./" + quote(Path(relative).as_posix(), errors="surrogateescape")
 
 
 def inlined(content: bytes) -> str:
-    """A picture or film as a page holds it."""
+    """Encodes a picture or film in base64, for inlining into a page."""
     return base64.b64encode(content).decode()
 
 
 def link(text: str, path: Path, base: Path) -> Markup:
-    """A text that links to a file from a page in the folder `base`."""
+    """Returns a text that links to a file, for pages in the folder `base`."""
     return Markup('<a href="{}">{}</a>').format(file_link(path, base), printable(text))
 
 
@@ -103,7 +103,7 @@ def write_page(text: str, path: Path) -> Path:
 
 
 def inline_json(content: Any) -> Markup:
-    """JSON that may stand inside a script element, whatever texts it holds."""
+    """Encodes content as JSON that is safe inside a script element, whatever its texts are."""
     text = json.dumps(content, allow_nan=False)
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
@@ -130,7 +130,7 @@ def _finished(value: Any) -> Any:
 
 
 def _policy(scripts: Sequence[str]) -> str:
-    """A policy by which browsers run these scripts alone, load nothing and send nothing."""
+    """Returns a content security policy: only these scripts run, nothing is loaded or sent."""
     digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = {
         "script-src": " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'",
@@ -143,7 +143,7 @@ def _policy(scripts: Sequence[str]) -> str:
 
 
 def _colors() -> str:
-    """Colours of the runs as variables of the style sheet."""
+    """Returns the colours of the runs as variables of the style sheet."""
 
     def variables(colors: Sequence[str]) -> str:
         return " ".join(f"--run-{i}: {color};" for i, color in enumerate(colors))

@@ -1,15 +1,15 @@
-"""Names, numbers and lists as one reads them. Plain text: the page escapes it."""
+"""Formatting of names, numbers and lists for readers, as plain text: the page escapes it."""
 
 import math
 
 
 def printable(text: str) -> str:
-    """The text with control characters, which no page may hold, made visible."""
+    """Replaces non-printable characters, which no page may contain, by a visible one."""
     return "".join(c if c.isprintable() or c == " " else "\ufffd" for c in text)
 
 
 def readable(name: str) -> str:
-    """A name as one reads it: "valve_deadband" becomes "valve deadband"."""
+    """Replaces underscores by spaces: "valve_deadband" becomes "valve deadband"."""
     return name.replace("_", " ")
 
 
@@ -21,24 +21,24 @@ def listed(names: tuple[str, ...], word: str = "and") -> str:
 
 
 def shortened(name: str, most: int) -> str:
-    """The name, cut in the middle where it has more characters."""
+    """Cuts a name in the middle if it has more than `most` characters."""
     if len(name) <= most:
         return name
     return f"{name[: most // 2]}\u2026{name[len(name) - (most - most // 2 - 1) :]}"
 
 
 def readable_unit(unit: str) -> str:
-    """A unit as one reads it; empty for "1"."""
+    """Returns a unit as readers write it: "°C" for "degC", empty for "1"."""
     return {"1": "", "degC": "\u00b0C"}.get(unit, unit)
 
 
 def capital(text: str) -> str:
-    """The text with its first letter capital, the others as they are."""
+    """Capitalises the first letter of a text and leaves the others unchanged."""
     return f"{text[:1].upper()}{text[1:]}"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Few digits, powers of ten only where they are short; "unknown" for what is not finite."""
+    """Formats significant digits, without exponent from 1e-4 to 1e6; "unknown" if not finite."""
     if not math.isfinite(value):
         return "unknown"
     rounded = float(f"{value:.{digits}g}")
@@ -49,17 +49,17 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def figure(value: float | None, factor: float = 1.0, *, missing: str = "") -> str:
-    """A number in a table, times a factor; `missing` where there is none or it is not finite."""
+    """Formats a value times a factor for a table; `missing` for None or a value not finite."""
     return missing if value is None or not math.isfinite(value) else number(factor * value)
 
 
 def log_ticks(low: float, high: float, *, fine: bool) -> list[float]:
-    """Round numbers about the ends of a logarithmic axis.
+    """Returns round numbers over a logarithmic axis and somewhat beyond its ends.
 
     Args:
-        low: Logarithm of the lower end.
-        high: Logarithm of the upper end.
-        fine: Whether there are 1, 2 and 5 of each power of ten, or that alone.
+        low: Decimal logarithm of the lower end.
+        high: Decimal logarithm of the upper end.
+        fine: Whether to return 1, 2 and 5 times each power of ten, or the powers alone.
     """
     factors = (1, 2, 5) if fine else (1,)
     powers = range(math.floor(low) - 1, math.ceil(high) + 1)

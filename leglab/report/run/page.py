@@ -1,4 +1,4 @@
-"""The page of one run or several, and the film beside it."""
+"""The page of one run or several, and its film."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -19,11 +19,11 @@ from leglab.runs.folder import ReportedRun
 
 PAGE, FILM = "report.html", "report.mp4"
 
-# Size that a page keeps below by encoding its film with fewer bits, and the least that it leaves
-# to the film [byte].
+# Size limit of a page, met by encoding its film with fewer bits, and the least size that remains
+# for the film [byte].
 _LARGEST, _FILM_LEAST = 14_500_000, 2_000_000
 
-# Draws a film to the path that it is given.
+# Writes a film to the given path, and returns the path.
 Filmer = Callable[[Path], Path]
 
 
@@ -32,8 +32,8 @@ class Report:
     """Files of a report."""
 
     page: Path
-    film: Path | None  #: None where there is none
-    why_no_film: str = ""  #: Empty where there is one, or none was asked for
+    film: Path | None  #: None without a film
+    why_no_film: str = ""  #: Why a requested film is missing; else empty
 
 
 def check_out(folder: Path, *, overwrite: bool) -> None:
@@ -56,14 +56,14 @@ def write_report(
     filmer: Filmer | None,
     workplace: Path | None = None,
 ) -> Report:
-    """Writes `report.html` and `report.mp4`, both or none.
+    """Writes `report.html` and `report.mp4`: moves them into place when both are complete.
 
     Args:
-        runs: From `read_runs`.
-        folder: Where to; made where it is missing. An earlier report is replaced.
-        filmer: Draws the film; None for a page without one. Where it fails with `LeglabError`, the
-            page says why, and an earlier film goes.
-        workplace: From `claimed_folder`, where the caller holds the folder already.
+        runs: Runs from `read_runs`.
+        folder: Folder to write to, made if missing. An earlier report is replaced.
+        filmer: Draws the film; None for a page without one. If it fails with `LeglabError`, the
+            page says why. Without a new film, an earlier one is deleted.
+        workplace: Result of `claimed_folder`, if the caller has already claimed the folder.
 
     Raises:
         LeglabError: The folder cannot be written to, or another process writes to it.
@@ -91,15 +91,15 @@ def write_report(
 
 
 def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str = "") -> str:
-    """The page as one file that needs no other.
+    """Returns the page as one file that loads no other.
 
     Args:
-        runs: From `read_runs`.
-        film: The film, which is put into the page.
-        no_film: Why there is none.
+        runs: Runs from `read_runs`.
+        film: Film to embed into the page.
+        no_film: Why there is no film.
     """
     joints = tuple(dict.fromkeys(joint for run in runs for joint in run.joints))
-    # The joint with the largest error is what one looks for.
+    # The page opens with the joint that has the largest error.
     shared = [joint for joint in joints if all(joint in run.joints for run in runs)] or joints
     worst = {j: max(run.last.rms_rad.get(j, 0.0) for run in runs) for j in shared}
     from plotly.offline import get_plotlyjs  # slow to import

@@ -17,16 +17,16 @@ from leglab.runs.folder import ReportedRun
 from leglab.runs.metrics import sliding_rms
 
 _MILLI, _BAR = 1e3, 1e5
-# Points of all runs in one plot: more than any screen has columns, and the page stays small.
+# Points of a plot over all runs, least and most per run: finer than a screen, and a small page.
 _POINTS, _LEAST, _MOST = 5400, 900, 3000
 _DASHES = ("solid", "dash", "dot")
-# Characters of a name in a legend.
+# Most characters of a name in a legend.
 _LONGEST = 40
 # Strides before and after the change in its close-up.
 _CLOSE_UP = 2.0
-# Below this spread, a temperature is a constant and no plot [degC].
+# Temperatures with a smaller range count as constant and are not plotted [degC].
 _STEADY = 0.1
-# Above this ratio of the largest to the smallest error, a linear axis shows one of them alone.
+# Above this ratio of the largest to the smallest error, the axis is logarithmic, to show both.
 _LOG_RATIO = 8.0
 _PLAIN = {"by_joint": True, "labelled": False, "scale": "linear", "ticks": None, "range": None}
 
@@ -43,7 +43,7 @@ class _Quantity:
 
 
 def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) -> dict[str, Any]:
-    """All plots with their curves, `first` being the number of the joint that is shown at first.
+    """Returns all plots with their curves; `first` is the index of the joint shown initially.
 
     Returns:
         Content for `assets/report.js`: plain types, arrays as base64 of float32.
@@ -63,7 +63,7 @@ def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) ->
 
 
 def _close_up(runs: Sequence[ReportedRun], start: float, end: float) -> list[float] | None:
-    """Some strides before and after the first change; None without one."""
+    """Returns the time range of the close-up of the first change [s]; None without a change."""
     starts = [c.start for run in runs for c in run.configuration.changes if start < c.start < end]
     if not starts:
         return None
@@ -119,7 +119,7 @@ def _quantities(runs: Sequence[ReportedRun]) -> tuple[_Quantity, ...]:
 
 
 def _changes(runs: Sequence[ReportedRun], end: float) -> list[dict[str, Any]]:
-    """Changes of the machine, those at one time under one label."""
+    """Returns the changes of the machine; simultaneous changes share one label."""
     marks: dict[tuple[float, float], dict[str, None]] = {}
     for run in runs:
         for change in run.configuration.changes:
@@ -200,7 +200,7 @@ def _joint_traces(
 
 
 def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.ndarray]:
-    """Finite samples of a column of the joint or of its actuator; none where it is not there."""
+    """Returns times and finite samples of a joint's or its actuator's column, empty if missing."""
     recording = run.recording
     if ending.endswith(" error"):
         position = recording[f"{joint}_{ending.removesuffix(' error')}"]
@@ -242,18 +242,18 @@ def _packed(values: np.ndarray) -> dict[str, str]:
 
 
 def _text(text: str) -> str:
-    """Text for the plotting library, which reads some HTML in names: shown as it is."""
+    """Shortens and escapes a text, since the plotting library interprets some HTML in names."""
     return html.escape(printable(shortened(text, _LONGEST)), quote=False)
 
 
 def _position_name(run: ReportedRun) -> str:
-    """Ending of the columns with positions: the true ones where they were recorded."""
+    """Returns the suffix of position columns: "truth" if recorded for all joints."""
     whole = all(f"{joint}_truth" in run.recording for joint in run.joints)
     return "truth" if whole else "position"
 
 
 def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] from the first full stride on, and RMS error of all joints over it [rad]."""
+    """Returns times [s], and the RMS error [rad] of all joints over the full stride before each."""
     positions = run.recording.stack(run.joints, _position_name(run))
     error = positions - run.recording.stack(run.joints, "reference")
     whole = np.isfinite(error).all(axis=1)

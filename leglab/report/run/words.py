@@ -18,16 +18,16 @@ _DECISIVE = (
     *("scenario", "model", "duration", "severity", "ramp_duration", "element", "reference"),
     *("reference_config", "seed", "sensors", "timestep", "tolerance", "vary"),
 )
-# Differences below this share are none that one would speak of.
+# Errors whose relative difference is at most this count as equal.
 _ALIKE = 0.05
 _TIMES = "\u00d7"
-# More rivals than this make no headline.
+# With more rivals than this, the headline names one of them.
 _MOST_TOLD = 3
-# From this ratio on, it says more than a difference in percent.
+# From this ratio of errors on, texts give the ratio, below it the difference in percent.
 _CLEARLY = 1.5
-# Controllers that know what no real one can.
+# Controllers that know the changed machine, as no real controller can.
 _BOUNDS = ("oracle", "exact_inverse")
-# From here on a command is at its limit: a share of a control may be rounded.
+# A command of at least this magnitude is at its limit; shares of a range may be rounded.
 _LIMIT = 1.0 - 1e-9
 
 # Below this share of the time, a fallback or a saturated valve is not worth a sentence.
@@ -43,7 +43,7 @@ def title(runs: Sequence[ReportedRun]) -> str:
 
 
 def headline(runs: Sequence[ReportedRun]) -> str:
-    """The outcome in one sentence."""
+    """Returns the outcome in one sentence."""
     if len(runs) == 1:
         return _single(runs[0])
     whole = [run for run in runs if run.metrics.completed]
@@ -68,7 +68,7 @@ def headline(runs: Sequence[ReportedRun]) -> str:
 
 
 def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
-    """Questions a reader has, in the order in which they are asked."""
+    """Returns the sections of the page, in the order in which readers ask."""
     names = tuple(f"{run.label}:" for run in runs) if len(runs) > 1 else ()
     happened = tuple(_happened(run) for run in runs)
     parts = (
@@ -83,7 +83,7 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
 
 
 def _noticed(runs: Sequence[ReportedRun]) -> Section:
-    """Changes that controllers named while they ran; empty where none named any."""
+    """Returns the changes that controllers named during the runs; without any, no lines."""
     told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
     told += [(run.label, trend.told()) for run in runs for trend in run.metrics.health]
     names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()
@@ -92,12 +92,12 @@ def _noticed(runs: Sequence[ReportedRun]) -> Section:
 
 
 def different(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
-    """Settings other than the controller in which the runs differ."""
+    """Returns the decisive settings in which the runs differ, the controller excepted."""
     return tuple(n for n in _DECISIVE if any(run.setting(n) != runs[0].setting(n) for run in runs))
 
 
 def change_words(change: Change) -> str:
-    """One change, for instance "internal leakage of all elements = 2" or with a factor."""
+    """Describes a change: "internal leakage of all elements = 2", or with a factor."""
     where = change.place
     if change.kind == "scale":
         return f"{readable(change.parameter)} of {where} {_TIMES} {change.value:g}"
@@ -136,7 +136,7 @@ def _tested(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _controllers(runs: Sequence[ReportedRun]) -> Section:
-    """Summary of each controller; empty for one that is not installed here."""
+    """Returns the summary of each controller that is installed."""
     import leglab.controllers  # noqa: F401  registers the controllers
     from leglab.control import controller_names, controller_summary
 
@@ -192,7 +192,7 @@ def _happened(run: ReportedRun) -> str:
 
 
 def _fallback(run: ReportedRun) -> list[str]:
-    """Tells which share of the time the calibrated map stood in for the adapted, by phase."""
+    """Returns in words how long, by phase, the calibrated valve map replaced the adapted one."""
     if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
         return []
     values = run.recording.stack(run.joints, "fallback")
@@ -229,7 +229,7 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _against(run: ReportedRun, first: ReportedRun) -> str:
-    """How closely a run follows, beside the first one."""
+    """Compares a run's tracking error with that of the first run."""
     ratio = first.error / run.error if run.error > 0 else math.inf
     if abs(ratio - 1.0) < _ALIKE:
         how = "about as closely as"
@@ -245,7 +245,7 @@ def _against(run: ReportedRun, first: ReportedRun) -> str:
 
 
 def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
-    """Share of the added error that each run undoes; runs alike share one phrase."""
+    """Returns the share of the damage that each run undoes; equal shares are in one phrase."""
     told: dict[str, list[str]] = {}
     judged = [run for run in runs if run.metrics.adaptation.recovered is not None]
     for run in sorted(judged, key=lambda run: -(run.metrics.adaptation.recovered or 0.0)):
@@ -258,7 +258,7 @@ def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
 
 
 def _choice(runs: Sequence[ReportedRun]) -> list[str]:
-    """Which controller to take, where one is clearly better than all others."""
+    """Recommends a controller if one is clearly better than all others."""
     rivals = sorted(
         (run for run in runs if run.metrics.controller not in _BOUNDS), key=attrgetter("error")
     )
@@ -282,7 +282,7 @@ def _limits(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _saturation(run: ReportedRun) -> float:
-    """Share of the time that at least one command was at its limit."""
+    """Returns the share of the time at which at least one command was at its limit."""
     found = [run.recording.command_of(joint) for joint in run.joints]
     commands = [values for values in found if values is not None]
     return float(np.mean((np.abs(commands) >= _LIMIT).any(axis=0))) if commands else 0.0

@@ -1,6 +1,6 @@
 """Heat maps, curves over settings that were varied, and distributions of a sweep.
 
-They are plain: dicts of texts and of places along axes from 0 to 100, as the template shows them.
+Charts are dicts of texts and of positions along axes from 0 to 100, which the template draws.
 """
 
 import math
@@ -13,24 +13,24 @@ from leglab.report.style import SERIES
 from leglab.report.sweep.facts import NEVER, Facts, Quantity, axis_words, value_words
 from leglab.runs.sweeps.rows import column
 
-# Rows and columns of a heat map, bars of a distribution.
+# Most rows and columns of a heat map; bars of a distribution.
 _MOST_ROWS, _MOST_COLUMNS, _BARS = 120, 20, 24
-# Sizes and settings that are drawn, not listed, are shown in so many classes.
+# Quantile classes of sizes and settings with many values; most values that are shown singly.
 _CLASSES, LISTED = 6, 8
-# Shade of the worst value that a run reached, where others never reached any.
+# Shade of the worst finite value in a table that also has "never", whose shade is 1.
 _REACHED = 0.6
-# Values of a table that differ by no larger share than this have no shade.
+# Tables whose values differ by at most this share have no shades.
 _ALIKE = 0.02
 # Width of a letter below a curve, in hundredths of the axis on a wide screen.
 _LETTER = 1.8
-# No value: the page says elsewhere why.
+# Text for a missing value; another part of the page gives the reason.
 NONE = "\u2013"
 # Axes that the heat maps show.
 _MAPPED = ("scenario", "controller", "severity", "seed")
 
 
 def heat_maps(facts: Facts) -> list[dict[str, Any]]:
-    """Medians by scenario and size, over controllers and, folded, over specimens of each."""
+    """Returns heat maps of medians by scenario and size: by controller and, folded, by specimen."""
     sized = (
         "SELECT *, median(severity) OVER (PARTITION BY scenario, class) AS size FROM (SELECT *,"
         f" ntile({_CLASSES}) OVER (PARTITION BY scenario ORDER BY severity) AS class FROM runs)"
@@ -48,7 +48,7 @@ def heat_maps(facts: Facts) -> list[dict[str, Any]]:
 
 
 def _by_size(facts: Facts, quantity: Quantity, source: str, controller: str) -> dict[str, Any]:
-    """Medians of a quantity over all controllers, or over the specimens of one."""
+    """Returns a heat map of medians by controller, or of one controller by specimen."""
     across, named = ("seed", "specimen (seed)") if controller else ("controller", "controller")
     own = "AND controller = '{}'".format(controller.replace("'", "''")) if controller else ""
     found = facts.rows(
@@ -76,24 +76,24 @@ def _heat_map(
     medians: Iterable[tuple[Any, Any, float]],
     told: Callable[[Any], str],
 ) -> dict[str, Any]:
-    """A table of medians, shaded the more the worse they are.
+    """Returns a table of medians, the worse the darker.
 
     Args:
-        quantity: What they are of.
-        caption: Of the table.
+        quantity: Quantity of the medians.
+        caption: Caption of the table.
         corner: Head of the first column.
-        medians: Row, column and value; rows in their order.
-        told: Name of a row.
+        medians: Row, column and value of each field; rows in their order.
+        told: Returns the name of a row.
 
     Returns:
-        Caption, head, and rows with their names; a field is its text and its shade, None for none.
+        Caption, head, and rows with their names; a field has a text and a shade, 0 to 1 or None.
     """
     values = {(row, column): value for row, column, value in medians}
     columns = sorted({column for _, column in values})[:_MOST_COLUMNS]
     rows = list(dict.fromkeys(row for row, _ in values))[:_MOST_ROWS]
     known = [value for value in values.values() if value < NEVER]
     low, high = (min(known), max(known)) if known else (0.0, 0.0)
-    # A value that was reached, however late, is not as bad as none.
+    # A time that was reached, however late, is better than "never".
     most = _REACHED if len(known) < len(values) else 1.0
 
     def field(value: float | None) -> tuple[str, float | None]:
@@ -115,7 +115,7 @@ def _heat_map(
 
 
 def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Effect of every setting that the heat maps do not show, by its name."""
+    """Returns name and charts of every varied setting that the heat maps do not show."""
     found = []
     for axis in facts.record.axes:
         if axis not in _MAPPED and column(axis) in facts.columns:
@@ -125,7 +125,7 @@ def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
 
 
 def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | None:
-    """Medians by the values of a setting, of every scenario and controller, as table and curves."""
+    """Returns table and curves of a setting by scenario and controller; None for a constant."""
     name = f'"{column(axis)}"'
     ((kind, count),) = facts.rows(
         f"SELECT any_value(typeof({name})), count(DISTINCT {name}) FROM runs"
@@ -180,7 +180,7 @@ def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | Non
 
 
 def _places(values: Sequence[float]) -> list[float]:
-    """Places along an axis from 0 to 100, logarithmic where values span more than a decade."""
+    """Returns positions from 0 to 100, on a logarithmic axis if values span over a decade."""
     low, high = min(values), max(values)
     scale = math.log if low > 0 and high / low > 10.0 else float
     ends = scale(low), scale(high)
@@ -188,7 +188,7 @@ def _places(values: Sequence[float]) -> list[float]:
 
 
 def _ticks(places: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Places along an axis with their texts, those left out that would lie over the one before."""
+    """Returns positions and texts of ticks, without those that would overlap the previous one."""
     kept: list[tuple[float, str]] = []
     for x, text in places:
         if not kept or x - kept[-1][0] > _LETTER * (len(text) + len(kept[-1][1]) + 2) / 2:
@@ -197,12 +197,12 @@ def _ticks(places: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def distributions(facts: Facts) -> list[dict[str, Any]]:
-    """How many runs of each controller have which value, as bars from low to high, 0 to 1."""
+    """Returns histograms of the runs by controller; the tallest bar of each has height 1."""
     found = []
     for quantity in facts.quantities:
         name = quantity.name
         known = f"FROM runs WHERE status = 'ok' AND {name} IS NOT NULL"
-        # A few far ones would press all others into the first bar.
+        # Quantiles bound the axis: a few outliers would press all others into the first bar.
         ((low, high),) = facts.rows(
             f"SELECT quantile_cont({name}, 0.01), quantile_cont({name}, 0.99) {known}"
         )

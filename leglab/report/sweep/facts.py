@@ -1,4 +1,4 @@
-"""What the page of a sweep asks the dataset: counts, quantities, the runs that went worst."""
+"""Queries of a sweep's page to the dataset: counts, quantities, worst runs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from leglab.report.page.wording import number, readable, readable_unit
 from leglab.runs.sweeps.query import Answer
 from leglab.runs.sweeps.store import SweepRecord
 
-# Runs of the list of the worst.
+# Length of the list of worst runs.
 MOST_FILMS = 12
-# Stands for a time that a run never reaches, in medians [s].
+# Value, in medians, of a time that a run never reaches [s].
 NEVER = 1e9
 
 
@@ -22,17 +22,17 @@ class Quantity:
     """Quantity shown by a heat map or a distribution."""
 
     name: str  #: Column of the dataset
-    title: str  #: What it is, with the unit
-    factor: float  #: To the unit
+    title: str  #: Title on the page, with the unit
+    factor: float  #: From the dataset's unit to that of the title
     bad: int  #: +1 where more is worse, -1 where less is
 
     @property
     def median(self) -> str:
-        """Median in SQL; of a time that some runs never reach, `NEVER` where half do not."""
+        """Median in SQL; of `T90`, `NEVER` if at least half of the runs never reach it."""
         if self is not T90:
             return f"median({self.name})"
         value = f"CASE WHEN recovered IS NOT NULL THEN coalesce({self.name}, {NEVER}) END"
-        # Of an even number of runs the median is the mean of the middle two.
+        # For an even number of runs the median is the mean of the middle two, one maybe NEVER.
         middle = f"median({value})"
         return f"CASE WHEN {middle} >= {NEVER / 2} THEN {NEVER} ELSE {middle} END"
 
@@ -44,17 +44,17 @@ WHOLE = Quantity(name="rms_rad", title="error of the whole run, mrad", factor=1e
 
 
 class Facts:
-    """Answers of the dataset that several parts of the page need.
+    """Query results that several parts of the page need.
 
     Attributes:
-        folder: Of the sweep.
+        folder: Folder of the sweep.
         record: Content of its `sweep.json`.
         columns: Names of the columns of the dataset.
-        done: Number of runs that are made.
-        failed: Number of them that failed.
-        judged: Number of them that have a damage.
-        error: The error by which runs are judged: short ones have no strides at their end.
-        quantities: What heat maps and distributions show.
+        done: Number of finished runs, failed ones included.
+        failed: Number of failed runs.
+        judged: Number of runs whose damage and recovery are known.
+        error: Error that ranks runs: at the end, or of the whole run if all are too short.
+        quantities: Quantities of heat maps and distributions.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Facts:
         self.quantities = (T90, RECOVERED, self.error) if self.judged else (self.error,)
 
     def rows(self, sql: str) -> tuple[tuple[Any, ...], ...]:
-        """Rows that answer a question in SQL."""
+        """Returns the rows of a query in SQL."""
         return self._answered(sql).rows
 
     @cached_property
     def worst_runs(self) -> tuple[tuple[Any, ...], ...]:
-        """Number, scenario, controller, element, size, seed, error, t90, share undone."""
+        """Worst runs: number, scenario, controller, element, size, seed, error, t90, recovered."""
         value, order = ("recovered", "") if self.judged else (self.error.name, " DESC")
         return self.rows(
             f"SELECT run, scenario, controller, element, severity, seed, {self.error.name}, t90_s,"
@@ -85,7 +85,7 @@ class Facts:
 
 
 def axis_words(axis: str) -> str:
-    """A setting as one reads it: "internal leakage", "memory of the controller"."""
+    """Returns a setting in words: "internal leakage", "memory of the controller"."""
     if axis == "severity":
         return "size"
     table, _, name = axis.rpartition(".")
@@ -102,7 +102,7 @@ def axis_words(axis: str) -> str:
 
 
 def value_words(value: Any) -> str:
-    """A value of a setting."""
+    """Formats the value of a setting."""
     if isinstance(value, float):
         return number(value)
     return "none" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""Films of the runs of a sweep that went worst."""
+"""Films of the worst runs of a sweep."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ from leglab.runs import record
 from leglab.runs.record import CONFIGURATION, RunConfiguration
 from leglab.runs.sweeps.engine import read_sweep, record_runs
 
-# A film shows so much before the machine changes, and so much in all, unless it is told [s].
+# Default time shown before the change of the machine, and default length of a film [s].
 _BEFORE, LENGTH = 2.0, 8.0
 
 
@@ -22,12 +22,12 @@ def film_runs(
     camera: str,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[int, Path]:
-    """Makes single runs of a sweep again, with their recordings, and films them.
+    """Repeats single runs of a sweep, with recordings, and films them.
 
     Args:
-        folder: Of the sweep; recordings go to `recordings` there.
-        numbers: Of the runs.
-        place: Where the films go, `run-NUMBER.mp4` each.
+        folder: Folder of the sweep; recordings go to its folder `recordings`.
+        numbers: Numbers of the runs.
+        place: Folder for the films, each `run-NUMBER.mp4`.
         start: First second shown; None for two seconds before the change.
         duration: Seconds shown; None for `LENGTH`.
         camera: Name of a camera of the models.
@@ -37,7 +37,7 @@ def film_runs(
         The films by the numbers of their runs.
 
     Raises:
-        LeglabError: A run fails without a recording, or as `leglab.report.film.render_film`.
+        LeglabError: A run fails without a recording, or `leglab.report.film.render_film` fails.
     """
     plan, films = read_sweep(folder).plan, {}
     for done, number in enumerate(numbers):

@@ -1,4 +1,4 @@
-"""The page of a sweep: tables, heat maps, distributions, and the runs that went worst."""
+"""The page of a sweep: tables, heat maps, distributions, and the worst runs."""
 
 import json
 import shlex
@@ -21,13 +21,13 @@ from leglab.runs.sweeps.rows import column
 from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
 from leglab.runs.sweeps.tuning import tuned
 
-# Lines of a table.
+# Most lines of a table.
 _MOST_ROWS = 120
-# Most that a film takes on the page [byte].
+# Largest size of a film on the page [byte].
 _FILM = 3_000_000
-# Controllers that the headline tells of.
+# Most controllers in the headline.
 _TOLD = 4
-# Columns of the table of scenarios and controllers: head, SQL, factor to the unit; 0 of counts.
+# Columns of the table of scenarios and controllers: head, SQL, factor to the unit; 0 for counts.
 _COLUMNS = (
     ("runs", "count(*)", 0),
     ("failed", "count(*) FILTER (status = 'failed')", 0),
@@ -49,12 +49,12 @@ _COLUMNS = (
 def write_sweep_page(
     folder: Path, path: Path | None = None, *, films: Mapping[int, Path] | None = None
 ) -> Path:
-    """Writes the page of a sweep, also of one that is not whole yet.
+    """Writes the page of a sweep, finished or not.
 
     Args:
-        folder: Of the sweep.
+        folder: Folder of the sweep.
         path: The page; None for report.html in the folder. An earlier one is replaced.
-        films: By the numbers of the runs that they show.
+        films: Films by the numbers of the runs.
 
     Raises:
         LeglabError: The folder holds no sweep, one of its files is damaged, or the page cannot be
@@ -64,11 +64,11 @@ def write_sweep_page(
 
 
 def worst_runs(folder: Path, most: int) -> tuple[int, ...]:
-    """Numbers of the runs that went worst, as the page lists them.
+    """Returns the numbers of the worst runs, in the order of the page.
 
     Args:
-        folder: Of the sweep.
-        most: How many, `MOST_FILMS` at most.
+        folder: Folder of the sweep.
+        most: Largest number of runs, at most `MOST_FILMS`.
 
     Raises:
         LeglabError: The folder holds no sweep, or one of its files is damaged.
@@ -78,7 +78,7 @@ def worst_runs(folder: Path, most: int) -> tuple[int, ...]:
 
 
 def page(folder: Path, films: Mapping[int, Path] | None = None) -> str:
-    """The page as one file that needs no other and runs no script."""
+    """Returns the page as one file that loads no other and runs no script."""
     with _facts(folder) as facts:
         varied = effects(facts)
         links = [
@@ -129,7 +129,7 @@ def _headline(facts: Facts) -> str:
             " count(*) FILTER (t90_s IS NULL), count(*), median(recovered) FROM runs"
             " WHERE recovered IS NOT NULL GROUP BY 1 ORDER BY t90, 5 DESC, 1"
         )
-        # Controllers have nothing in common that a median over all of them could tell.
+        # Medians are by controller: a median over different controllers would mean nothing.
         told = []
         for controller, t90, never, count, recovered in found[:_TOLD]:
             when = "never" if t90 >= NEVER else f"after {number(t90)} s"
@@ -181,7 +181,7 @@ def _sections(facts: Facts) -> list[Section]:
 
 
 def _untold(facts: Facts) -> Section:
-    """Why runs have no figures of damage and of what was undone; no line where all have."""
+    """Returns why runs have no damage and recovery, a line a reason; no lines if all have both."""
     found: tuple[tuple[Any, ...], ...] = ()
     if "not_told" in facts.columns:
         found = facts.rows(
@@ -195,7 +195,7 @@ def _untold(facts: Facts) -> Section:
 
 
 def _tuned(facts: Facts) -> Section:
-    """Results of tuned blocks; the titles of their settings are columns."""
+    """Returns the results of tuned blocks, from the dataset's columns of metrics and settings."""
     plan = SweepPlan(facts.record.plan, SWEEP)
     names = ["run", "status", *dict.fromkeys(points.tune.metric for points in plan.tuned)]
     names += dict.fromkeys(column(name) for points in plan.tuned for name in points.ranges)
@@ -206,7 +206,7 @@ def _tuned(facts: Facts) -> Section:
 
 
 def _groups(facts: Facts) -> Table:
-    """One line a scenario and controller."""
+    """Returns the table of medians, a line for each scenario and controller."""
     columns = ", ".join(sql for _, sql, _ in _COLUMNS)
     found = facts.rows(
         f"SELECT scenario, controller, {columns}"
@@ -231,7 +231,7 @@ def _groups(facts: Facts) -> Table:
 
 
 def _filled(table: Table) -> Table:
-    """The table without columns of numbers that hold nothing, which its caption names."""
+    """Removes empty columns of numbers from a table, and names them in its caption."""
     places = range(len(table.head))
     kept = [i for i in places if i < table.words or any(row[i] for row in table.rows)]
     names = [table.head[i].partition(",")[0] for i in places if i not in kept]
@@ -265,7 +265,7 @@ def _worst(facts: Facts) -> Table:
 
 
 def _films(facts: Facts, films: Mapping[int, Path]) -> list[dict[str, str]]:
-    """Data, a still, name and text of the films that there are, in the order of the table."""
+    """Returns data, still, name and text of each film, in the order of the worst runs."""
     return [
         {
             "data": inlined(film_bytes(films[run], _FILM)),
@@ -280,7 +280,7 @@ def _films(facts: Facts, films: Mapping[int, Path]) -> list[dict[str, str]]:
 
 
 def _commands(facts: Facts) -> list[str]:
-    """How to film the worst runs."""
+    """Returns commands that film the worst runs."""
     place = shlex.quote(str(facts.folder))
     load = "".join(f" --load {shlex.quote(source)}" for source in facts.record.load)
     return [

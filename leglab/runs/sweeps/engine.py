@@ -1,4 +1,4 @@
-"""Makes the runs of a sweep that are missing, on this machine or on a Dask cluster."""
+"""Execution of a sweep: makes its missing runs, on this machine or on a Dask cluster."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -34,7 +34,7 @@ _HEAD = (
     "undone [%]", "90 % undone [s], where it was",
 )  # fmt: skip
 
-# What is wrong where the record of a sweep has another entry.
+# Error messages if an entry of the stored record differs from that of the new sweep.
 _OTHER = {
     "digest": "holds another sweep",
     "code": "was begun with other code of leglab or of a plug-in",
@@ -44,15 +44,15 @@ _OTHER = {
 
 @dataclass(frozen=True, kw_only=True)
 class SweepResult:
-    """A sweep that was made, as far as it could be.
+    """Result of a sweep, complete or not.
 
     Attributes:
-        folder: Where it lies.
-        plan: What it is.
-        made: Number of runs that this call made.
-        done: Number of rows there are.
-        failed: Number of them that tell of a failed run.
-        damaged: What was wrong with files whose runs had to be made again.
+        folder: Folder of the sweep.
+        plan: Plan of the sweep.
+        made: Number of runs made by this call.
+        done: Number of rows.
+        failed: Number of rows of failed runs.
+        damaged: Messages on damaged files, whose runs were made again.
     """
 
     folder: Path
@@ -74,12 +74,12 @@ class SweepResult:
         return html_table(f"{self!r}; medians", _HEAD, rows)
 
     def plot(self) -> list[Any]:
-        """Draws the RMS tracking error of every run by controller, the median as a bar.
+        """Draws the RMS tracking error of every run by controller, with the median as a bar.
 
-        The error is that at the end of the run, or of the whole run where none has an end.
+        The error is `end_rad`, or `rms_rad` of the whole run if no run has an `end_rad`.
 
         Returns:
-            The axes, one a scenario, of a new figure of `matplotlib.pyplot`.
+            The axes, one per scenario, of a new `matplotlib.pyplot` figure.
 
         Raises:
             LeglabError: No run has an error yet.
@@ -101,15 +101,15 @@ class SweepResult:
                 axis.plot(each, [controller] * len(each), "k|", markersize=8)
             axis.set_title(scenario, fontsize="medium", loc="left")
             axis.invert_yaxis()
-        axes[-1].set_xlabel(f"RMS tracking error {told} [mrad, of slides mm]")
+        axes[-1].set_xlabel(f"RMS tracking error {told} [mrad or mm]")
         return axes
 
     def table(self) -> pa.Table:
-        """All rows in the order of the runs, as a `pyarrow.Table`."""
+        """Returns all rows in the order of the runs, as a `pyarrow.Table`."""
         return store.read_rows(self.folder).to_table().sort_by("run")
 
     def tuned(self) -> list[tuning.Tuned]:
-        """The best point of each tuned block."""
+        """Returns the best point of each tuned block."""
         return tuning.tuned(self.plan, _tuning_rows(self.folder, self.plan))
 
     def to_pandas(self) -> Any:
@@ -129,21 +129,21 @@ def run_sweep(
 ) -> SweepResult:
     """Makes all runs of a plan that a folder does not hold yet.
 
-    A row is kept as soon as its run is over: an end at any moment loses the runs that were being
-    made, and the same call makes exactly the missing ones. A run that fails (no finite figures, an
-    exception, a time-out, too much memory, a process that dies twice) is a row that says so, and
-    stops nothing.
+    A row is stored as soon as its run is over: an interruption loses only the runs in progress,
+    and the same call makes exactly the missing ones. A failed run (figures that are not finite, an
+    exception, a time-out, too much memory, a process that dies twice) gets a row with its failure
+    and does not stop the sweep.
 
     Args:
-        plan: From `read_plan`, or made in Python.
-        folder: Where the dataset lies; it is made.
-        workers: Processes at a time; -1 is one a core. Not with a scheduler.
+        plan: Plan from `read_plan`, or made in Python.
+        folder: Folder of the dataset; it is created.
+        workers: Number of processes; -1 for one per core. Not with a scheduler.
         scheduler: Address of a Dask scheduler, for instance "tcp://10.0.0.1:8786", whose workers
             make the runs.
-        retry_failed: Whether runs that failed are made again.
-        overwrite: Whether the sweep that the folder holds is replaced; it stays in the hidden
-            folder `.earlier` there until the new one is whole.
-        progress: Called with the number of rows there are, of all runs, and what came last.
+        retry_failed: Whether failed runs are made again.
+        overwrite: Whether an existing sweep in the folder is replaced; it stays in the hidden
+            folder `.earlier` there until the new one is complete.
+        progress: Called with the number of rows, the number of all runs, and a status text.
 
     Raises:
         LeglabError: A run cannot be set up; the folder holds another sweep, was begun with other
@@ -202,19 +202,19 @@ def run_sweep(
 def record_runs(
     plan: SweepPlan, folder: str | Path, numbers: Sequence[int], *, progress: Progress | None = None
 ) -> list[Path]:
-    """Makes the folders of single runs of a sweep, with their recordings, to look at or to film.
+    """Repeats single runs of a sweep and writes their folders with recordings, to inspect them.
 
     Args:
-        plan: Of the sweep.
-        folder: Of the sweep; the runs go to `recordings` there, its rows stay as they are.
-        numbers: Of the runs.
-        progress: Called with how many are made, of how many.
+        plan: Plan of the sweep.
+        folder: Folder of the sweep; the runs go to `recordings` in it, its rows do not change.
+        numbers: Numbers of the runs.
+        progress: Called with the number of finished runs and the number of all.
 
     Returns:
         The folders in the order of the numbers.
 
     Raises:
-        LeglabError: There is no such run, or as `leglab.runs.folder.make_runs`.
+        LeglabError: A number or a model's digest does not fit the sweep, or as in `make_runs`.
     """
     _recall(plan, Path(folder))
     for number in numbers:
@@ -235,7 +235,7 @@ def read_sweep(folder: str | Path) -> SweepResult:
     """Reads a sweep, also one that is being made.
 
     Raises:
-        LeglabError: The folder holds none, or one of its files is damaged.
+        LeglabError: The folder holds no sweep, or one of its files is damaged.
     """
     folder = Path(folder)
     plan = store.read_plan_of(folder)
@@ -246,7 +246,7 @@ def read_sweep(folder: str | Path) -> SweepResult:
 
 
 def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
-    """Writes what the sweep is, or sees that it is the same."""
+    """Writes the record of a new sweep, or checks that the folder holds the same sweep."""
     store.bring_back(folder)
     if overwrite and store.is_sweep(folder):
         store.put_aside(folder)
@@ -269,7 +269,7 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
 
 
 def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
-    """Proposes what is due; returns the missing runs whose settings are known."""
+    """Proposes the points that are due; returns the missing runs whose settings are known."""
     rows = _tuning_rows(folder, plan) if plan.tuned else []
     for points in plan.tuned:
         batch = tuning.due(points)
@@ -284,7 +284,7 @@ def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
 
 
 def _recall(plan: SweepPlan, folder: Path) -> None:
-    """Tells the plan which points were proposed; those of a block stand in their order."""
+    """Restores the stored proposals of each tuned block into the plan, up to the first gap."""
     kept = store.read_proposals(folder) if plan.tuned else {}
     for points in plan.tuned:
         points.proposals.clear()

@@ -1,4 +1,4 @@
-"""Makes one run of a sweep, in whatever process it is asked to."""
+"""Execution of one run of a sweep, in this or a worker process."""
 
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,18 @@ from leglab.runs.sweeps.outcome import outcome_of
 
 
 def figures_of(given: dict[str, Any]) -> dict[str, Any]:
-    """Makes a run.
+    """Makes a run and returns its figures.
 
     Args:
-        given: `settings` of the run, the `model_digest`, what to `keep`, and the `folder` of its
-            recording or None.
+        given: `settings` of the run, the `model_digest`, the optional parts to `keep`, and the
+            `folder` of its recording or None.
 
     Returns:
-        What `Outcome` holds.
+        The fields of an `Outcome`.
 
     Raises:
         WorkError: The run ended early.
-        LeglabError: It cannot be set up.
+        LeglabError: The run cannot be set up.
     """
     run = made(given["settings"], given["model_digest"])
     if given["folder"] is not None:
@@ -34,14 +34,14 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def made(settings: dict[str, Any], model_digest: str) -> Run:
-    """Makes a run; what runs of the same machine share is prepared once a process.
+    """Makes a run; the preparation that runs of one machine share is made once per process.
 
     Args:
-        settings: Those of `RunSettings`.
-        model_digest: Of the model as the run is to have it.
+        settings: Fields of `RunSettings`.
+        model_digest: Required digest of the model's files.
 
     Raises:
-        LeglabError: It cannot be set up, or the model is another one by now.
+        LeglabError: The run cannot be set up, or the model's files have changed.
         KeyboardInterrupt: The user interrupts.
     """
     wanted = RunSettings(**settings)

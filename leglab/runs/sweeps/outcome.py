@@ -1,4 +1,4 @@
-"""Measured columns that a sweep keeps of one run."""
+"""Figures and traces of one run in the dataset of a sweep."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.run import Run
 
-# Distance of the samples of the traces [s], and window of the worst error [s].
+# Sampling period of the traces [s], and window of the worst error [s].
 TRACE_PERIOD, WORST_WINDOW = 0.02, 2.0
 
 
@@ -63,7 +63,7 @@ class Outcome(BaseModel):
     travel_rad: str | None = None
 
 
-# Figures that are numbers, and kept of every run.
+# Numeric figures that are stored for every run.
 FIGURES = tuple(
     name
     for name, field in Outcome.model_fields.items()
@@ -71,16 +71,16 @@ FIGURES = tuple(
 )
 
 
-# Those that are as in `AdaptationMetrics`.
+# Figures that are copied from `AdaptationMetrics`.
 _ADAPTATION = ("damage_rad", "twin_end_rad", "recovered", "t90_s", "level_rad")
 
 
 def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
-    """Figures of a run that came to its end, by name as `Outcome` has them.
+    """Returns the figures of a completed run by the field names of `Outcome`.
 
     Args:
         run: The run.
-        keep: What is kept beside the figures: `metrics`, `traces`.
+        keep: Optional parts to include: `metrics`, `traces`.
     """
     metrics, found, history = run.record, run.record.adaptation, run.history
     phases = metrics.phases
@@ -118,11 +118,11 @@ def outcome_of(run: Run, keep: Sequence[str]) -> dict[str, Any]:
 
 
 def traces(run: Run) -> dict[str, Any]:
-    """Windowed errors of a run as far as they are finite, every 20 ms; names as in `Outcome`."""
+    """Returns windowed errors of a run every 20 ms, finite samples only; names as in `Outcome`."""
     history = run.history
     finite = np.isfinite(history.error).all(axis=1)
     time, error = history.time[finite], history.error[finite]
-    # Steps of whole samples: the control period divides the trace's period, or is its step itself.
+    # Whole number of samples per trace step, at least 1 if the control period exceeds 20 ms.
     step = max(round(TRACE_PERIOD / (time[1] - time[0])), 1) if len(time) > 1 else 1
     windowed, worst = (sliding_rms(time, error, span) for span in (run.window, WORST_WINDOW))
     travel = np.ptp(history.reference.position, axis=0).tolist()
@@ -141,5 +141,5 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 
 def recording_folder(folder: Path, number: int) -> Path:
-    """Where the recording of a run of a sweep lies, a thousand in a folder."""
+    """Returns the folder of a run's recording in a sweep; parent folders hold a thousand runs."""
     return folder / "recordings" / f"{number // 1000:05d}" / str(number)

@@ -1,4 +1,4 @@
-"""The plan of a sweep: blocks of runs from a TOML file, as grids and drawn points."""
+"""Plan of a sweep: blocks of runs from a TOML file, as grids and sampled points."""
 
 import hashlib
 import json
@@ -25,7 +25,7 @@ from leglab.runs.preparation import Preparation, RunSettings, reference_config, 
 from leglab.runs.run_settings import NAMES, check_type, read_toml
 from leglab.runs.sweeps.outcome import FIGURES
 
-# A sweep beyond this would not fit into the memory of the process that keeps its books.
+# Upper limit on the runs of a sweep: the process that stores the rows tracks all in memory.
 MOST_RUNS = 10_000_000
 _MOST_FILE = 10_000_000  # bytes
 # Settings that are a table of names and values.
@@ -122,15 +122,15 @@ class PlanFile(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """The runs of one block, which follow each other: every point in every combination."""
+    """The consecutive runs of one block: every point in every combination of the grid."""
 
     block: Block  #: The block
-    number: int  #: Of the block, from 0 on
+    number: int  #: Number of the block, from 0
     first: int  #: Number of its first run
-    settings: Mapping[str, Any]  #: What the runs share, by dotted name, as the others
-    grid: Mapping[str, Sequence[Any]]  #: Values that are combined
-    ranges: Mapping[str, Range]  #: From which points are drawn or proposed
-    #: Of a tuned block, values of the ranges by point, from 1 on.
+    settings: Mapping[str, Any]  #: Shared settings by dotted name, as grid and ranges
+    grid: Mapping[str, Sequence[Any]]  #: Values of each setting, which are combined
+    ranges: Mapping[str, Range]  #: Ranges from which points are drawn or proposed
+    #: Proposed points of a tuned block: values of the ranges by number of the point, from 1.
     proposals: dict[int, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -146,14 +146,14 @@ class Runs:
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Number of values of each setting of the grid, and of points."""
+        """Number of values of each grid setting, followed by the number of points."""
         return (*map(len, self.grid.values()), self.points)
 
     def __len__(self) -> int:
         return math.prod(self.shape)
 
     def runs(self, point: int) -> range:
-        """Numbers of the runs of a point."""
+        """Returns the numbers of the runs of a point."""
         return range(self.first + point, self.first + len(self), self.points)
 
     @cached_property
@@ -163,10 +163,10 @@ class Runs:
         if not size:
             return np.empty((self.points, 0))
         if self.block.draw == "sobol":
-            from scipy.stats import qmc  # half a second that other sweeps do without
+            from scipy.stats import qmc  # imported late: half a second, for Sobol points only
 
             engine = qmc.Sobol(size, scramble=True, seed=self.block.draw_seed)
-            # Whole powers of two keep the points balanced; the first of them are taken.
+            # Sobol sequences are balanced for powers of two; the first `points` are used.
             unit = engine.random_base2((self.points - 1).bit_length())[: self.points]
         else:
             unit = np.random.default_rng(self.block.draw_seed).random((self.points, size))
@@ -178,11 +178,11 @@ class Runs:
         return values
 
     def values(self, number: int, *, ends: bool = False) -> dict[str, Any] | None:
-        """Settings of a run by dotted name; None of one whose point is not proposed yet.
+        """Returns the settings of a run by dotted name; None if its point is not proposed yet.
 
         Args:
-            number: Of the run.
-            ends: Whether the first proposed points stand for the ends of their ranges.
+            number: Number of the run.
+            ends: Whether points 1 and 2 of a tuned block are the low and high ends of its ranges.
         """
         *places, point = map(int, np.unravel_index(number - self.first, self.shape))
         chosen = {
@@ -204,17 +204,17 @@ def _scale(value: float, range_: Range) -> float:
 
 
 class SweepPlan:
-    """All runs of a sweep, numbered from 0; their settings are made when they are asked for.
+    """All runs of a sweep, numbered from 0; the settings of a run are computed on demand.
 
     Args:
         content: Content of the file.
-        name: Of the file, for messages.
+        name: Name of the file in messages.
 
     Attributes:
-        keep: What is kept beside the rows.
-        timeout: Wall time that a run may take [s].
-        memory: Memory that the process of a run may take [MB]; None for its share.
-        tuned: The runs of its tuned blocks.
+        keep: Optional parts that are stored in addition to the rows.
+        timeout: Maximum wall time of a run [s].
+        memory: Maximum memory of a run's process [MB]; None for its share of the machine.
+        tuned: Runs of the tuned blocks.
 
     Raises:
         LeglabError: The content is not allowed; names file, key, value and what is allowed.
@@ -245,7 +245,7 @@ class SweepPlan:
         names = dict.fromkeys(
             name for block in self._blocks for name in (*block.grid, *block.ranges)
         )
-        # A setting that blocks share each in their own way tells their runs apart, too.
+        # A shared setting that differs between blocks also distinguishes runs.
         shared = [block.settings for block in self._blocks]
         for name in dict.fromkeys(name for settings in shared for name in settings):
             if any(settings.get(name) != shared[0].get(name) for settings in shared):
@@ -253,7 +253,7 @@ class SweepPlan:
         return tuple(names)
 
     def values_of(self, axis: str) -> list[Any]:
-        """Some values of an axis, at least one of every block that has it."""
+        """Returns some values of an axis, at least one from every block that has it."""
         found: list[Any] = []
         for block in self._blocks:
             if axis in block.ranges:
@@ -266,25 +266,25 @@ class SweepPlan:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of what decides the runs and their rows; time-out and memory do not."""
+        """Digest of all that determines the runs and their rows, without time-out and memory."""
         content = self._content.model_dump(exclude={"timeout", "memory"})
         content["keep"] = self.keep
         for block in content["block"]:
-            if block["tune"] is None:  # The digest of a plan without such blocks is as it was.
+            if block["tune"] is None:  # Keeps the digest of plans from before `tune` existed.
                 del block["tune"]
         text = json.dumps(content, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def content(self) -> dict[str, Any]:
-        """The content of the file, as JSON can hold it."""
+        """Content of the file, JSON-serialisable."""
         return self._content.model_dump(mode="json", exclude_unset=True)
 
     def values(self, number: int) -> dict[str, Any]:
-        """Settings of a run by dotted name, those alone that the file gives.
+        """Returns those settings of a run that the file sets, by dotted name.
 
         Raises:
-            LeglabError: They are not proposed yet.
+            LeglabError: The point of the run is not proposed yet.
         """
         found = self._block(number).values(number)
         if found is None:
@@ -293,20 +293,20 @@ class SweepPlan:
         return found
 
     def _block(self, number: int) -> Runs:
-        """The runs of the block that has this one."""
+        """Returns the block that contains a run."""
         return self._blocks[bisect_right(self._blocks, number, key=lambda runs: runs.first) - 1]
 
     def is_known(self, number: int) -> bool:
-        """Whether the settings of a run are known, and need not be proposed first."""
+        """Tests whether the settings of a run are known, not still to be proposed."""
         return not self.tuned or self._block(number).values(number) is not None
 
     def point(self, number: int) -> int | None:
-        """Number of the point of a run of a tuned block; None of another block."""
+        """Returns the number of a run's point in a tuned block; None for other blocks."""
         runs = self._block(number)
         return (number - runs.first) % runs.points if runs.block.tune else None
 
     def settings(self, number: int) -> RunSettings:
-        """Settings of a run."""
+        """Returns the settings of a run."""
         return self._settings(self.values(number))
 
     def _settings(self, given: Mapping[str, Any]) -> RunSettings:
@@ -318,20 +318,20 @@ class SweepPlan:
         return RunSettings(**plain)
 
     def check(self, progress: Callable[[int, int, str], None] | None = None) -> dict[str, str]:
-        """Refuses a plan with a run that cannot be set up, before any run is made.
+        """Tests that all runs can be set up, before any run is made.
 
-        Names, sizes and settings of every run are checked; a closed loop without its controller is
-        set up for each kind of run (model, scenario, element, reference). What only the numbers of
-        a run bring about, as a specimen that cannot hold its joint, shows when it runs.
+        Names, magnitudes and settings of every run are checked; a closed loop without controller
+        is set up for each kind of run (model, scenario, element, reference). Errors that depend on
+        the numbers of a run, such as a specimen that cannot hold its joint, show when it runs.
 
         Args:
-            progress: Called now and then with 0, the number of runs, and how many are checked.
+            progress: Called periodically with 0, the number of runs, and a status text.
 
         Returns:
             Digests of the models by name.
 
         Raises:
-            LeglabError: Names the run, the setting and what is allowed.
+            LeglabError: A run is not valid; names the run, the setting and what is allowed.
         """
         models: dict[str, str] = {}
         checks = _Checks()
@@ -351,7 +351,7 @@ class SweepPlan:
         return models
 
     def _told(self, given: Mapping[str, Any]) -> str:
-        """Settings in which a run differs from the others, in one line."""
+        """Returns the settings in which a run differs from the others, in one line."""
         shown = {name: given[name] for name in self.axes if name in given}
         parts = (f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in shown.items())
         return ", ".join(parts) or "the only one"
@@ -361,16 +361,16 @@ class SweepPlan:
 
 
 def check_run(settings: RunSettings) -> None:
-    """Refuses a run that cannot be set up.
+    """Tests that a run can be set up.
 
     Raises:
-        LeglabError: Names the setting and what is allowed.
+        LeglabError: A setting is not valid; the message names it and what is allowed.
     """
     _Checks()(settings)
 
 
 class _Checks:
-    """Checks settings; what has been looked at once is not looked at again."""
+    """Checks of run settings, each part of which is checked only once."""
 
     def __init__(self) -> None:
         self._preparations: dict[Any, Preparation] = {}
@@ -388,7 +388,7 @@ class _Checks:
         self._once(
             ("reference", reference, _key(config)), lambda: REFERENCES.configured(reference, config)
         )
-        # A model with other parameters has the same parts: their bounds are checked by the table.
+        # Other parameters do not change the model's parts; `placed_parameters` checks their values.
         machine = (settings.model, settings.timestep, _key(settings.sensors))
         if machine not in self._preparations:
             plain = replace(settings, parameters={}, tolerance=0.0)
@@ -421,11 +421,11 @@ def read_plan(path: str | Path) -> SweepPlan:
     """Reads the file of a sweep.
 
     Args:
-        path: TOML, or the `sweep.json` of a sweep, which holds the same.
+        path: A TOML file, or the `sweep.json` of a sweep, which holds the same content.
 
     Raises:
-        LeglabError: It cannot be read, is not TOML, or asks for something that is not allowed; one
-            line with file, key, value and what is allowed.
+        LeglabError: The file cannot be read, is not TOML, or has an entry that is not allowed; the
+            message is one line with file, key, value and what is allowed.
     """
     path = Path(path)
     if len(read_bytes(path, _MOST_FILE + 1)) > _MOST_FILE:
@@ -475,7 +475,7 @@ def _parts(block: Block, shared: Mapping[str, Any], where: str) -> dict[str, Any
 
 
 def _checked(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Settings by dotted name, with a value each."""
+    """Returns settings by dotted name after checking the types of their values."""
     found = _flat(table, where)
     for name, value in found.items():
         _check_value(name, value, f"{where}.{name}")
@@ -485,7 +485,7 @@ def _checked(table: Mapping[str, Any], where: str) -> dict[str, Any]:
 def _flat(
     table: Mapping[str, Any], where: str, *, leaf: set[str] | None = None, prefix: str = ""
 ) -> dict[str, Any]:
-    """Settings by dotted name; those of tables as `controller_config.NAME`."""
+    """Flattens settings to dotted names; those of tables become `controller_config.NAME`."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         full = f"{prefix}{name}"
@@ -545,5 +545,5 @@ def _check_value(name: str, value: Any, place: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         told = f"{place} is {value!r}; allowed: "
         raise SettingsError(told, given=value, allowed="a finite number")
-    if name in NAMES:  # One of a table is checked by the model of its owner.
+    if name in NAMES:  # A setting in a table is checked by the settings class of its owner.
         check_type(name, value, place)

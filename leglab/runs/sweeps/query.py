@@ -1,4 +1,4 @@
-"""Questions in SQL to the rows of a sweep, answered by DuckDB: read only, and of no other file."""
+"""Read-only SQL queries on the rows of a sweep by DuckDB, without access to other files."""
 
 import csv
 import io
@@ -22,10 +22,10 @@ _SHOWN = 50  # rows of a table in a notebook
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Rows that answer a question."""
+    """Result of a query."""
 
-    names: tuple[str, ...]  #: Of the columns
-    rows: tuple[tuple[Any, ...], ...]  #: Values of the columns
+    names: tuple[str, ...]  #: Names of the columns
+    rows: tuple[tuple[Any, ...], ...]  #: Rows with the values of the columns
 
     def __repr__(self) -> str:
         return f"Answer({len(self.rows)} rows; {len(self.names)} columns: {', '.join(self.names)})"
@@ -43,21 +43,21 @@ class Answer:
         return data_frame(list(self.rows), columns=list(self.names))
 
     def records(self) -> list[dict[str, Any]]:
-        """The rows as JSON can hold them; what is not finite becomes None."""
+        """Returns the rows as JSON-serialisable dicts; NaN and infinity become None."""
         return [dict(zip(self.names, map(_plain, row), strict=True)) for row in self.rows]
 
     def cells(self) -> list[list[str]]:
-        """The rows as text with few digits."""
+        """Returns the rows as text, numbers with four significant digits."""
         return [[_cell(value) for value in row] for row in self.rows]
 
     def write_csv(self, path: Path | None) -> None:
-        """Writes the rows with all digits.
+        """Writes the rows as CSV with all digits.
 
         Args:
             path: The file; None for standard output.
 
         Raises:
-            LeglabError: It cannot be written.
+            LeglabError: The file cannot be written.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -70,15 +70,15 @@ class Answer:
 
 
 def ask(folder: str | Path, sql: str) -> Answer:
-    """Answers a question to the rows of a sweep, also while it is being made.
+    """Runs an SQL query on the rows of a sweep, also while the sweep is being made.
 
     Args:
-        folder: Of the sweep.
-        sql: One SELECT in DuckDB's SQL; the table is called `runs`.
+        folder: Folder of the sweep.
+        sql: One SELECT in DuckDB's SQL; the table is named `runs`.
 
     Raises:
-        LeglabError: The folder holds no sweep, a file is damaged, or the question cannot be
-            answered; one line.
+        LeglabError: The folder holds no sweep, a file is damaged, or the query fails; the message
+            is one line.
     """
     with questions(Path(folder)) as answered:
         return answered(sql)
@@ -86,16 +86,16 @@ def ask(folder: str | Path, sql: str) -> Answer:
 
 @contextmanager
 def questions(folder: Path) -> Iterator[Callable[[str], Answer]]:
-    """Yields a function that answers questions as `ask`, all to the rows there are now.
+    """Yields a function that runs queries as `ask` does, all on the rows that exist now.
 
     Raises:
-        LeglabError: As `ask`.
+        LeglabError: As in `ask`.
     """
     import duckdb
 
     rows = store.read_rows(folder)
     with duckdb.connect(":memory:") as database:
-        # From here on neither files nor the network nor variables of this program can be reached.
+        # From here on queries cannot access files, the network or variables of this program.
         database.execute("SET enable_external_access = false")
         database.execute("SET python_enable_replacements = false")
         database.execute("SET lock_configuration = true")

@@ -1,4 +1,4 @@
-"""The rows of a sweep's dataset: one a run, its settings, how it went, its figures."""
+"""Rows of a sweep's dataset: one per run with its settings, status and figures."""
 
 import json
 from contextlib import suppress
@@ -17,7 +17,7 @@ from leglab.runs.sweeps.plan import MAPPINGS, SweepPlan
 
 OK, FAILED = "ok", "failed"
 
-# By these the files of the dataset lie in folders.
+# Columns by which the dataset is partitioned into folders.
 PARTITION = ("scenario", "controller")
 
 _TEXT, _NUMBER, _NUMBERS = pa.string(), pa.float64(), pa.list_(pa.float64())
@@ -46,7 +46,7 @@ _OTHER_FIGURES = {
     **dict.fromkeys(("trace_s", "windowed_rad", "worst_rad", "changes_s"), _NUMBERS),
 }
 _FIGURES = {name: _OTHER_FIGURES.get(name, _NUMBER) for name in Outcome.model_fields}
-# What differs between two makes of the same sweep.
+# Columns that differ between two executions of the same sweep.
 _MADE = {"made_at": _TEXT, "made_by": _TEXT, "made_wall_s": _NUMBER, "made_cpu_s": _NUMBER}
 MADE = tuple(_MADE)
 
@@ -57,9 +57,9 @@ _KEPT = {
 
 
 def schema(plan: SweepPlan) -> pa.Schema:
-    """Columns of the dataset of a plan: those of every sweep, and what of tables it varies.
+    """Returns the columns of a plan's dataset: those of every sweep, and one per varied setting.
 
-    A varied setting of a table has a column of its own, its dotted name with `_` for the dots.
+    The column of a varied setting in a table has its dotted name with `_` in place of dots.
     """
     left_out = _left_out(plan.keep)
     figures = {name: type_ for name, type_ in _FIGURES.items() if name not in left_out}
@@ -71,12 +71,12 @@ def schema(plan: SweepPlan) -> pa.Schema:
 
 @cache
 def _left_out(keep: tuple[str, ...]) -> frozenset[str]:
-    """Columns that a dataset does not have where so much is kept."""
+    """Returns the columns omitted at this retention level, the `keep` of a plan."""
     return frozenset(c for kind, names in _KEPT.items() if kind not in keep for c in names)
 
 
 def column(axis: str) -> str:
-    """Name of the column of a setting."""
+    """Returns the column name of a setting."""
     return axis.replace(".", "_")
 
 
@@ -88,13 +88,13 @@ def _type(plan: SweepPlan, axis: str) -> pa.DataType:
 
 
 def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dict[str, Any]:
-    """The row of a run; figures that are none make it a failed one.
+    """Returns the row of a run; invalid figures make it the row of a failed run.
 
     Args:
-        plan: Of the sweep.
-        number: Of the run.
-        answer: From `leglab.jobs`, of `leglab.runs.sweeps.making.figures_of`; not trusted.
-        by: What made it.
+        plan: Plan of the sweep.
+        number: Number of the run.
+        answer: Answer of `leglab.jobs` for `figures_of`; it is validated.
+        by: Name of the worker that made it.
     """
     row = {
         **_settings_row(plan, number),
@@ -123,7 +123,7 @@ def _settings_row(plan: SweepPlan, number: int) -> dict[str, Any]:
     row: dict[str, Any] = {name: getattr(settings, name) for name in _SETTINGS if name != "run"}
     row["run"] = number
     row |= {name: json.dumps(dict(row[name]), sort_keys=True) for name in MAPPINGS}
-    with suppress(LeglabError):  # Checked before: only a plug-in that is not what it was.
+    with suppress(LeglabError):  # Checked before, so it fails only if a plug-in has changed.
         scenario = scenario_of(settings)
         row["severity"], row["duration"] = scenario.severity, scenario.duration
         row["reference"] = settings.reference or scenario.reference

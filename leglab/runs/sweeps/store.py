@@ -1,16 +1,16 @@
-"""The dataset of a sweep on disk: a SQLite database while runs are made, then Parquet files.
+"""Dataset of a sweep on disk: an SQLite database while runs are made, then Parquet files.
 
-    FOLDER/sweep.json       what the sweep is: its plan, digests, number of runs
-    FOLDER/rows.sqlite      the rows so far, and the proposed points of tuned blocks
-    FOLDER/dataset.json     the Parquet files with their checksums, once all runs are made
+    FOLDER/sweep.json       record of the sweep: plan, digests, number of runs
+    FOLDER/rows.sqlite      rows so far, and proposed points of tuned blocks
+    FOLDER/dataset.json     list of the Parquet files with checksums, once all runs are made
     FOLDER/runs/scenario=NAME/controller=NAME/part-0.parquet
-    FOLDER/.earlier         the sweep that this one replaces, until this one is whole
+    FOLDER/.earlier         sweep that this one replaces, until this one is complete
 
-A row is kept as soon as its transaction is over: the end of a process, at any moment, loses runs
-that were being made, and no row; a power cut may lose the last rows, whose runs are made again.
-Where there is a `dataset.json` its files count, otherwise the database. One process writes,
-whatever makes the runs; readers of the database run on its machine, since the write-ahead log needs
-memory that they share.
+A row is stored when its transaction is committed: a process killed at any moment loses the runs in
+progress but no row; a power cut may lose the last rows, whose runs are made again. If there is a
+`dataset.json`, its files are the valid data, otherwise the database. Only one process writes,
+however many make runs. Readers of the database must run on the writer's machine, since SQLite's
+write-ahead log needs shared memory.
 """
 
 import json
@@ -40,11 +40,11 @@ from leglab.runs.sweeps.rows import FAILED, PARTITION, row_of, schema
 
 SWEEP, DATASET, ROWS = "sweep.json", "dataset.json", "rows.sqlite"
 _RUNS, _PART = "runs", "part-0.parquet"
-# The sweep that is being replaced, and the same while its files are moved there.
+# Folder of the sweep that is being replaced, and its name while files are being moved there.
 _EARLIER, _MOVING = ".earlier", ".earlier.partial"
-# Rows that are turned into columns at a time.
+# Number of rows that are converted to columns at a time.
 _BATCH = 5000
-_PATIENCE = 60.0  # s, for whoever holds the database
+_PATIENCE = 60.0  # s: maximum wait for another process that locks the database
 _MISSING, _DONE, _BROKEN = 0, 1, 2
 
 
@@ -78,15 +78,15 @@ class SweepRecord(BaseModel):
 
 
 def is_sweep(folder: Path) -> bool:
-    """Whether a folder holds a sweep."""
+    """Tests whether a folder holds a sweep."""
     return (folder / SWEEP).is_file()
 
 
 def read_record(folder: Path) -> SweepRecord:
-    """Reads what a sweep is.
+    """Reads the record of a sweep, `sweep.json`.
 
     Raises:
-        LeglabError: The folder holds none, or the file does not have the form.
+        LeglabError: The folder holds no sweep, or the file does not have the required form.
     """
     if not is_sweep(folder):
         raise FileError(f"{str(folder)!r} holds no sweep: it has no {SWEEP}", given=folder)
@@ -103,18 +103,18 @@ def read_plan_of(folder: Path) -> SweepPlan:
 
 
 def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
-    """Finds all rows of a sweep, also while it is being made.
+    """Returns all rows of a sweep, also while it is being made.
 
     Args:
-        folder: Of the sweep.
-        names: Columns that are needed; None for all.
+        folder: Folder of the sweep.
+        names: Names of the needed columns; None for all.
 
     Returns:
         A `pyarrow.dataset.Dataset`.
 
     Raises:
-        LeglabError: A file is missing, cut off or changed, `dataset.json` does not have the form,
-            an earlier leglab has not made the sweep to its end, or another machine makes it.
+        LeglabError: A file is missing, truncated or changed, `dataset.json` is not valid, an
+            earlier version of leglab left the sweep incomplete, or another machine is making it.
     """
     columns = schema(read_plan_of(folder))
     for journal in folder.glob("journal-*.jsonl"):
@@ -122,14 +122,14 @@ def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
             f"{journal}: an earlier leglab has not made this sweep to its end; leglab sweep "
             "--overwrite makes it anew"
         )
-    made = (folder / ROWS).exists()  # It goes after the other has come.
+    made = (folder / ROWS).exists()  # Asked first: removed only after `dataset.json` is written.
     if (folder / DATASET).exists():
         parts = read(Dataset, folder / DATASET).parts
         for part in parts:
             if problem := _problem(folder, part):
                 raise FileError(f"{problem}; leglab sweep removes it and makes its runs again")
         return _files(folder, parts, columns)
-    import pyarrow.dataset as pd  # imports pandas where that is installed
+    import pyarrow.dataset as pd  # imported late, since it imports pandas if installed
 
     columns = pa.schema([columns.field(name) for name in names or columns.names])
     found = [columns.empty_table()]
@@ -141,7 +141,7 @@ def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
 
 
 def _files(folder: Path, parts: Sequence[Part], columns: pa.Schema) -> Any:
-    """Files as one `pyarrow.dataset.Dataset`."""
+    """Returns Parquet files as one `pyarrow.dataset.Dataset`."""
     import pyarrow.dataset as pd
 
     partition = pa.schema([columns.field(name) for name in PARTITION])
@@ -154,7 +154,7 @@ def _files(folder: Path, parts: Sequence[Part], columns: pa.Schema) -> Any:
 
 
 def read_proposals(folder: Path) -> dict[int, dict[str, float]]:
-    """Proposed points by the number of their first run.
+    """Reads the proposed points by the number of their first run.
 
     Raises:
         LeglabError: As `read_rows`.
@@ -173,7 +173,7 @@ def _proposals(database: sqlite3.Connection) -> dict[int, dict[str, float]]:
 
 @contextmanager
 def _reading(folder: Path) -> Iterator[sqlite3.Connection]:
-    """Yields the database, to be read."""
+    """Yields the database, opened read-only."""
     path = folder / ROWS
     if writer := writer_elsewhere(folder):
         raise FileError(f"{folder}: {writer} is writing it; ask on that machine, or at the end")
@@ -185,7 +185,7 @@ def _reading(folder: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Opens a database, to be read ("ro") or written ("rwc")."""
+    """Opens a database for reading ("ro") or writing ("rwc")."""
     locks = has_locks(path.with_name(SWEEP))
     place = f"{path.absolute().as_uri()}?mode={mode}{'' if locks else '&nolock=1'}"
     database = sqlite3.connect(place, uri=True, timeout=_PATIENCE, isolation_level=None)
@@ -200,7 +200,7 @@ def _names(names: Iterable[str]) -> str:
 
 
 def _tables(rows: sqlite3.Cursor, columns: pa.Schema) -> Iterator[pa.Table]:
-    """Rows of a database as tables of some thousand each."""
+    """Yields the rows of a query as tables of at most `_BATCH` rows."""
     while batch := rows.fetchmany(_BATCH):
         found = zip(zip(*batch, strict=True), columns, strict=True)
         arrays = [_column(values, column.type) for values, column in found]
@@ -216,7 +216,7 @@ def _column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
 
 
 def _problem(folder: Path, part: Part) -> str:
-    """Fault of a file; empty without one."""
+    """Returns the error message of a damaged file; empty if its checksum is right."""
     path = folder / part.file
     try:
         same = _checksum(path) == part.checksum
@@ -234,14 +234,14 @@ def _checksum(path: Path) -> int:
 
 
 class Store:
-    """The dataset of a sweep that is being made; nobody else writes to it.
+    """Dataset of a sweep that is being made, for its only writer.
 
     Args:
-        folder: Of the sweep, which is claimed.
-        plan: Of the sweep.
+        folder: Folder of the sweep, locked by `claimed_folder`.
+        plan: Plan of the sweep.
 
     Attributes:
-        damaged: What was wrong with files that were removed; their runs are missing now.
+        damaged: Messages on damaged files, whose runs are missing now.
 
     Raises:
         LeglabError: The folder cannot be read or written.
@@ -272,11 +272,11 @@ class Store:
             self._note(row)
 
     def __contains__(self, run: int) -> bool:
-        """Whether a run has a row."""
+        """Tests whether a run has a row."""
         return self._state[run] != _MISSING
 
     def missing(self) -> Iterator[int]:
-        """Numbers of the runs without a row."""
+        """Returns the numbers of the runs without a row."""
         return (number for number, state in enumerate(self._state) if state == _MISSING)
 
     @property
@@ -290,34 +290,34 @@ class Store:
         return self._state.count(_BROKEN)
 
     def add(self, number: int, answer: dict[str, Any], by: str) -> None:
-        """Keeps the row of a run, also of one that failed.
+        """Stores the row of a run, also of a failed one.
 
         Raises:
-            LeglabError: It cannot be written.
+            LeglabError: The row cannot be written.
         """
         self.keep(row_of(self._plan, number, answer, by))
 
     def keep(self, row: Mapping[str, Any]) -> None:
-        """Keeps a row.
+        """Stores a row.
 
         Raises:
-            LeglabError: It cannot be written.
+            LeglabError: The row cannot be written.
         """
         with self._opened() as database:
             database.execute(self._insert, self._values(row))
         self._note(row)
 
     def propose(self, run: int, values: dict[str, float]) -> None:
-        """Keeps a proposed point by the number of its first run.
+        """Stores a proposed point by the number of its first run.
 
         Raises:
-            LeglabError: It cannot be written.
+            LeglabError: The point cannot be written.
         """
         with self._opened() as database:
             database.execute("REPLACE INTO proposals VALUES (?, ?)", (run, json.dumps(values)))
 
     def forget_failed(self) -> None:
-        """Drops the rows of failed runs, which are missing from then on."""
+        """Deletes the rows of failed runs, so that these runs are missing."""
         if (self._folder / DATASET).exists():
             dataset = read(Dataset, self._folder / DATASET)
             self._reopen(dataset, dataset.parts)
@@ -326,7 +326,7 @@ class Store:
         self._state = self._state.replace(bytes([_BROKEN]), bytes([_MISSING]))
 
     def finish(self) -> None:
-        """Turns the rows into Parquet files, one a scenario and controller, in order of the runs.
+        """Writes Parquet files, one per scenario and controller, with rows in order of the runs.
 
         Raises:
             LeglabError: A file cannot be written.
@@ -339,14 +339,14 @@ class Store:
             places = database.execute(f"SELECT DISTINCT {by} FROM runs ORDER BY {by}").fetchall()
             parts = [self._write(database, place) for place in places]
             dataset = Dataset(parts=parts, proposals=_proposals(database))
-        write_json(dataset, self._folder / DATASET)  # From here on the files count.
+        write_json(dataset, self._folder / DATASET)  # From here on the files are the valid data.
         self.close()
         self._remove_database()
 
     def close(self) -> None:
-        """Closes the database, which stays, in a form that every machine can read."""
+        """Closes the database and leaves its file without a write-ahead log, readable anywhere."""
         if self._database is not None:
-            with suppress(sqlite3.Error):  # Somebody reads it.
+            with suppress(sqlite3.Error):  # The journal mode cannot change during a read.
                 self._database.execute("PRAGMA busy_timeout = 0")
                 self._database.execute("PRAGMA journal_mode = DELETE")
             self._database.close()
@@ -354,7 +354,7 @@ class Store:
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
-        """Yields the database, which is made; tells in one line what is wrong with it."""
+        """Yields the database, created if missing; converts SQLite errors to `FileError`."""
         path = self._folder / ROWS
         try:
             if self._database is None:
@@ -366,7 +366,7 @@ class Store:
             raise FileError(f"{path}: cannot be written: {error}") from error
 
     def _create(self, path: Path) -> None:
-        """Makes an empty database, as a whole or not at all."""
+        """Creates an empty database atomically."""
         new = path.with_name(f".{ROWS}.partial")
         remove([new])
         with closing(_connect(new, "rwc")) as database:
@@ -376,7 +376,7 @@ class Store:
         new.rename(path)
 
     def _reopen(self, dataset: Dataset, parts: Sequence[Part]) -> None:
-        """Brings rows of files back into a database, which counts from then on."""
+        """Moves rows of Parquet files back into a database, which then is the valid data."""
         with self._opened() as database:
             database.execute("BEGIN")
             if parts:
@@ -426,16 +426,16 @@ class Store:
 
 
 def write_json(content: BaseModel, path: Path) -> None:
-    """Writes a content as JSON, as a whole or not at all."""
+    """Writes a model's fields as JSON, atomically."""
     text = json.dumps(content.model_dump(), indent=1, allow_nan=False) + "\n"
     write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def put_aside(folder: Path) -> None:
-    """Moves a sweep's files to where they stay until `forget_earlier`.
+    """Moves a sweep's files to the folder `.earlier`, where they stay until `forget_earlier`.
 
-    A sweep that replaces another, and is replaced itself before it is whole, is removed: the one
-    that was whole stays.
+    An incomplete sweep that itself replaces another is removed instead: the earlier, complete
+    sweep stays.
 
     Raises:
         LeglabError: A file cannot be moved.
@@ -455,7 +455,7 @@ def put_aside(folder: Path) -> None:
 
 
 def bring_back(folder: Path) -> None:
-    """Undoes a `put_aside` that did not come to its end."""
+    """Undoes an interrupted `put_aside`."""
     moving = folder / _MOVING
     for path in moving.glob("*"):
         path.rename(folder / path.name)
@@ -464,22 +464,22 @@ def bring_back(folder: Path) -> None:
 
 
 def replaces(folder: Path) -> bool:
-    """Whether a folder holds a sweep that was put aside for another."""
+    """Tests whether a folder holds an earlier sweep that was put aside."""
     return (folder / _EARLIER).exists()
 
 
 def forget_earlier(folder: Path) -> None:
-    """Removes what `put_aside` has kept."""
+    """Removes the earlier sweep that `put_aside` has kept."""
     remove([folder / _EARLIER])
 
 
 def own(folder: Path) -> list[Path]:
-    """Files and folders of a sweep that are there, the one by which it is known first."""
+    """Returns the existing files and folders of a sweep, `sweep.json` first."""
     found = [path for path in folder.iterdir() if is_own(path.name)]
     return sorted(found, key=lambda path: path.name != SWEEP)
 
 
 def is_own(name: str) -> bool:
-    """Whether a file or folder of this name belongs to a sweep, also of an earlier leglab."""
+    """Tests whether a name is that of a file or folder of a sweep, also of earlier versions."""
     own = (SWEEP, DATASET, _RUNS, "recordings", "proposals.jsonl")
     return name in own or name.startswith((ROWS, "journal-"))

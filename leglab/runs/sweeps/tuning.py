@@ -1,9 +1,9 @@
-"""Points of a sweep's block that Optuna proposes, each from the figures of the ones before.
+"""Tuning of a sweep's block by Optuna, which proposes each point from the figures of earlier ones.
 
 A point is a trial: its runs are those of the block's grid, its value is the mean or the worst of
-one figure over them. Point 0 is the block as it is, to which the others are compared. The sampler
-of each proposal has a seed of its own and knows nothing but proposals and figures, so that a sweep
-that goes on after a kill proposes what an undisturbed one does.
+one figure over them. Point 0, the baseline, is the block without values of the ranges. Each
+proposal uses a new sampler with its own seed and depends only on earlier proposals and figures, so
+a sweep that continues after a kill proposes the same points as an uninterrupted one.
 """
 
 import statistics
@@ -23,13 +23,13 @@ Figures = Mapping[int, float | None]
 
 
 def check_optuna(samplers: set[str]) -> None:
-    """Refuses samplers whose packages are missing.
+    """Tests that the packages of samplers are installed.
 
     Args:
-        samplers: Names as of `Block.draw`.
+        samplers: Names as in `Block.draw`.
 
     Raises:
-        LeglabError: Names the package and how to install it.
+        LeglabError: A package is missing; the message says how to install it.
     """
     if not find_spec("optuna"):
         raise LeglabError(
@@ -42,13 +42,13 @@ def check_optuna(samplers: set[str]) -> None:
 
 
 def due(points: Runs) -> range:
-    """Points of the next batch that is not proposed as a whole; empty after the last one."""
+    """Returns the points of the next batch without proposals; empty after the last batch."""
     end = min(before(points).stop + points.tune.together, points.points)
     return range(len(points.proposals) + 1, end)
 
 
 def before(points: Runs) -> range:
-    """Proposed points on which the next batch waits: those of earlier batches."""
+    """Returns the points of earlier batches, whose runs must be done before the next batch."""
     batch = len(points.proposals) // points.tune.together
     return range(1, batch * points.tune.together + 1)
 
@@ -57,9 +57,9 @@ def propose(points: Runs, figures: Figures) -> dict[str, float]:
     """Proposes the next point of a block.
 
     Args:
-        points: Of the block, with the proposals so far.
-        figures: The tuned figure by number of the run, None where it has none. Those of a batch
-            that has not ended are not looked at.
+        points: Runs of the block, with the proposals so far.
+        figures: The tuned figure by number of the run, None for a run without one. Figures of the
+            current batch are ignored.
 
     Returns:
         A value for each of the block's ranges, by dotted name.
@@ -87,7 +87,7 @@ def propose(points: Runs, figures: Figures) -> dict[str, float]:
                 value, state = None, TrialState.RUNNING
                 if earlier in before(points):
                     value = value_of(points, earlier, figures)
-                    # One that is broken off counts as worse than all others.
+                    # Optuna ranks a pruned trial, here one without a value, below all others.
                     state = TrialState.PRUNED if value is None else TrialState.COMPLETE
                 study.add_trial(
                     create_trial(state=state, params=values, distributions=kinds, value=value)
@@ -98,7 +98,7 @@ def propose(points: Runs, figures: Figures) -> dict[str, float]:
 
 
 def value_of(points: Runs, point: int, figures: Figures) -> float | None:
-    """Value to be minimised or maximised; None where a run of the point has no figure."""
+    """Returns a point's value, to be minimised or maximised; None if a run has no figure."""
     found = [figures.get(number) for number in points.runs(point)]
     values = [value for value in found if value is not None]
     if len(values) < len(found):
@@ -114,14 +114,14 @@ class Tuned:
 
     block: int  #: Number of the block, from 1 on
     metric: str  #: Column that is tuned
-    over: str  #: Whether its mean over the grid counts, or the worst
+    over: str  #: "mean" or "worst" of the column over the grid
     runs: int  #: Number of runs of a point
-    points: int  #: Number of points with a value, the block as it is among them
-    given_up: int  #: Number of points without one, since a run failed or has no such figure
-    as_it_is: float | None  #: Value of the block as it is; None where it has none
+    points: int  #: Number of points with a value, including the baseline
+    given_up: int  #: Number of points without a value, since a run failed or has no such figure
+    as_it_is: float | None  #: Value of the baseline, point 0; None if it has none
     best: float | None  #: Value of the best point
-    point: int  #: Number of the best point; 0 where none is better than the block as it is
-    values: dict[str, float]  #: Its settings by dotted name
+    point: int  #: Number of the best point; 0 if none is better than the baseline
+    values: dict[str, float]  #: Settings of the best point by dotted name
 
     def __str__(self) -> str:
         over = f"{self.over} {self.metric} of {self.runs} run{'s' * (self.runs > 1)}"
@@ -143,11 +143,11 @@ class Tuned:
 
 
 def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
-    """Finds the best point of each tuned block.
+    """Returns the best point of each tuned block.
 
     Args:
-        plan: Of the sweep.
-        rows: Of the dataset: `run`, `status`, and the columns that are tuned and varied.
+        plan: Plan of the sweep.
+        rows: Rows of the dataset with `run`, `status`, and the tuned and varied columns.
     """
     by_run = {row["run"]: row for row in rows}
     found = []
@@ -156,7 +156,7 @@ def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
         made = [p for p in range(points.points) if all(n in by_run for n in points.runs(p))]
         values = {p: v for p in made if (v := value_of(points, p, figures)) is not None}
         sign = 1.0 if points.tune.aim == "lowest" else -1.0
-        # Of points that are equally good the first: the block as it is needs no change.
+        # Among equally good points the first is taken, preferably the baseline.
         best = min(values, key=lambda p: (sign * values[p], p), default=None)
         settings = {}
         if best:
@@ -180,5 +180,5 @@ def tuned(plan: SweepPlan, rows: list[dict[str, Any]]) -> list[Tuned]:
 
 
 def figure_of(row: Mapping[str, Any], metric: str) -> float | None:
-    """The tuned figure of a row; None where the run failed or has none."""
+    """Returns the tuned figure of a row; None if the run failed or has no such figure."""
     return row[metric] if row["status"] == "ok" else None

@@ -1,4 +1,4 @@
-"""The paper's experiment replicated: Table 1, its figures, and what they hang on."""
+"""Replication of the paper's experiment: Table 1, its figures, and their sensitivities."""
 
 from leglab.studies.replication.run import Replication, replicate
 

@@ -1,4 +1,4 @@
-"""The deployed identifier on the paper's plant: against the floor, and after a change."""
+"""The deployed identifier on the paper's plant: free run against its floor, re-adaptation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -49,10 +49,10 @@ def settings(
     output_error_after: int = 0,
     rls: Rls | None = None,
 ) -> SplineNarxSettings:
-    """Lags of y and of u from u(t) on, a constant, and splines of y(t-1).
+    """Returns settings with lags of y, of u from u(t) on, a constant, and splines of y(t-1).
 
-    The plant's order (2) and where its nonlinearity sits, in y, are physical knowledge; five
-    splines are the study's default. No datum of the validation set chose them.
+    The plant's order (2) and its nonlinearity in y are physical knowledge; five splines are the
+    study's default. The validation set had no influence on these choices.
     """
     block = []
     if splines:
@@ -88,7 +88,7 @@ MODELS: dict[str, SplineNarxSettings] = {
 
 
 def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, float, float]]]:
-    """One online pass over the training part, then the validation part.
+    """Learns in one online pass over the training part, then scores on the validation part.
 
     Args:
         seeds: Noise realisations.
@@ -118,7 +118,7 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
 
 
 def forgetting_modes() -> dict[str, Rls]:
-    """Every way of forgetting, by name; the last is the deployed one."""
+    """Returns all forgetting modes by name; the last is the deployed one."""
     gain = 1e4
     change = ChangeDetection(gain=gain)
     plain = Rls(initial_gain=gain)
@@ -140,12 +140,12 @@ def forgetting_modes() -> dict[str, Rls]:
 class Recovery:
     """Re-adaptation of one mode after one change."""
 
-    #: Until the one-step RMS over the next `WINDOW` samples is back to 1.1 times its value before
-    #: the change, for each seed; `AFTER` where it never is. Shape (S,).
+    #: Samples until the one-step RMS over the next `WINDOW` samples is back to 1.1 times its value
+    #: before the change, for each seed; `AFTER` if it never is. Shape (S,).
     samples: Array
-    pooled: int  #: The same for the root mean square over all seeds, which fluctuates less
+    pooled: int  #: `samples` for the root mean square over all seeds, which fluctuates less
     before: float  #: One-step RMS over the last 2000 samples before the change, mean over the seeds
-    after: float  #: The same over the last 2000 samples
+    after: float  #: One-step RMS over the last 2000 samples of the run, mean over the seeds
     #: One-step RMS over `WINDOW` samples against the sample it starts at, from 1000 samples before
     #: the change on, root mean square over the seeds.
     error: Array
@@ -154,7 +154,7 @@ class Recovery:
 def readaptation(
     seeds: range, modes: Mapping[str, Rls] | None = None
 ) -> dict[str, dict[str, Recovery]]:
-    """Recovery by mode and by changed constant, k_1, b and k_2 each times two.
+    """Computes the recovery by mode and by changed constant: k_1, b and k_2, each doubled.
 
     Args:
         seeds: Noise realisations.
@@ -189,5 +189,5 @@ def _recovery(u: Array, y: Array, rls: Rls) -> Recovery:
 
 
 def _first(met: NDArray[np.bool_]) -> int:
-    """First sample at which a condition is met, `AFTER` if never."""
+    """Returns the first sample at which a condition is met, `AFTER` if never."""
     return int(np.argmax(met)) if met.any() else AFTER

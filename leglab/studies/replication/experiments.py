@@ -82,23 +82,23 @@ WEIGHTS_SETTLED = 300
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Parameters while they adapt, and their distances from where they end."""
+    """Parameters during adaptation, and their distances from their final values."""
 
     weights: Array  #: Weights of the first BSNN instance over the training part, (n, neurons)
-    bsnn: Array  #: Its a-priori predictions, (n,)
+    bsnn: Array  #: A-priori predictions of the first BSNN instance, (n,)
     theta: Array  #: ARX parameters of the first BSNN-ARX instance, (n, 6)
-    theta_alone: Array  #: Those of the first ARX instance, (n, 6)
+    theta_alone: Array  #: Parameters of the first ARX instance, (n, 6)
     distances: dict[str, float]  #: Named measures, means over the instances
 
 
 def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:
-    """Adapts on the experiment and carries the pass on to its end.
+    """Adapts on the training part and continues the pass to the end of the signals.
 
     Args:
         u: Input, longer than the training part, shape (n,).
         y: Output.
         instances: Instances of each model.
-        seed: Of the initial parameters.
+        seed: Seed of the initial parameters.
     """
     n = N_TRAINING
     bsnn, alone, model = online_models(instances, seed, PAPER_MODE).values()
@@ -132,7 +132,7 @@ def converge(u: Array, y: Array, instances: int, seed: int) -> Convergence:
 
 
 def _record(model: BsnnArx, u: Array, y: Array) -> tuple[Array, Array]:
-    """Predictions (n, J) and parameters (n, J, P) of all instances on the same signals."""
+    """Returns predictions (n, J) and parameters (n, J, P) of all instances on the same signals."""
     u, y = for_joints(model, u, y)
     prediction, trajectory = model.run_recorded(u, y)
     return prediction.reshape(len(u), -1), trajectory.reshape(len(u), model.joints, -1)
@@ -155,13 +155,13 @@ DIVERGED = 1.0
 
 
 def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
-    """Validation RMS (one step) of the online models under other readings of the paper.
+    """Computes validation RMS (one step) of the online models under other readings of the paper.
 
     Args:
         u: Input of the paper-mode realisation, shape (n,).
-        y: Its output.
-        instances: Instances a model.
-        seed: Of the initial parameters.
+        y: Output of that realisation, shape (n,).
+        instances: Instances per model.
+        seed: Seed of the initial parameters.
 
     Returns:
         Rows (reading, standard deviation of y on the validation set, BSNN, ARX, BSNN-ARX).
@@ -179,7 +179,7 @@ def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
 
 
 def input_variance(instances: int, seed: int) -> list[Errors]:
-    """The same for `VARIANCES` of the noise, the realisation otherwise that of paper mode."""
+    """Computes rows as `readings` for `VARIANCES` of the noise, with paper mode's noise seed."""
     rows = []
     for variance in VARIANCES:
         u, y = (s[0] for s in simulate([seed], variance=variance))
@@ -196,16 +196,16 @@ def _row(
 
 
 def initial_gain(u: Array, y: Array, instances: int, seed: int) -> dict[str, list[float]]:
-    """RMS against `INITIAL_GAINS`: one step and free run of ARX and BSNN-ARX.
+    """Computes RMS against `INITIAL_GAINS`: one step and free run of ARX and BSNN-ARX.
 
     Args:
         u: Inputs of several realisations, shape (R, n).
         y: Outputs, shape (R, n).
-        instances: Instances a model on each.
-        seed: Of the initial parameters.
+        instances: Instances per model and realisation.
+        seed: Seed of the initial parameters.
 
     Returns:
-        Curves by label; free runs are medians, for some of them diverge.
+        Curves by label; free runs are medians, because some of them diverge.
     """
     curves: dict[str, list[float]] = {}
     for gain in INITIAL_GAINS:
@@ -220,7 +220,7 @@ def initial_gain(u: Array, y: Array, instances: int, seed: int) -> dict[str, lis
 
 
 def learning_constant(u: Array, y: Array, instances: int, seed: int) -> dict[str, list[float]]:
-    """Validation RMS (one step) of BSNN and BSNN-ARX against `LEARNING_CONSTANTS`."""
+    """Computes validation RMS (one step) of BSNN and BSNN-ARX against `LEARNING_CONSTANTS`."""
     curves: dict[str, list[float]] = {}
     for eta in LEARNING_CONSTANTS:
         settings = OnlineSettings(learning_constant=eta)
@@ -234,11 +234,11 @@ class Order(NamedTuple):
     """ARX and BSNN-ARX with one learning constant and one F(0), over noise realisations.
 
     Attributes:
-        learning_constant: Of BSNN-ARX; ARX has none.
-        initial_gain: F(0) of both is this times the identity.
-        arx: Validation RMS (one step), mean over realisations and instances.
-        bsnn_arx: The same of BSNN-ARX.
-        better: Realisations in which the mean of BSNN-ARX is the smaller one.
+        learning_constant: Learning constant of BSNN-ARX; ARX has none.
+        initial_gain: F(0) of both models is this value times the identity.
+        arx: Validation RMS (one step) of ARX, mean over realisations and instances.
+        bsnn_arx: Validation RMS of BSNN-ARX, likewise.
+        better: Number of realisations in which BSNN-ARX has the smaller mean RMS.
     """
 
     learning_constant: float
@@ -249,7 +249,7 @@ class Order(NamedTuple):
 
 
 def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
-    """Whether BSNN-ARX beats ARX, for `INITIAL_GAINS`: paper mode's constant and the printed one.
+    """Compares BSNN-ARX with ARX over `INITIAL_GAINS`, for paper mode's and the printed constant.
 
     Arguments as `initial_gain`.
     """
@@ -265,9 +265,9 @@ def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
 
 
 def spread(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
-    """Spread over noise realisations: rows (model, mean, standard deviation, least, largest).
+    """Computes scatter over realisations: rows (model, mean, standard deviation, least, largest).
 
-    A realisation counts with the mean of its instances; arguments as `initial_gain`.
+    The value of a realisation is the mean over its instances; arguments as `initial_gain`.
     """
     scores = [compare(a, b, instances, seed).scores for a, b in zip(u, y, strict=True)]
     rows = []
@@ -279,7 +279,7 @@ def spread(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
 
 
 def spline_shapes() -> tuple[Array, dict[str, Array]]:
-    """Third spline of paper mode over the input: Eq. 9 corrected and as printed.
+    """Evaluates the third spline of paper mode over the input: Eq. 9 corrected and as printed.
 
     Returns:
         Inputs, shape (n,), and the spline's values by reading, each of shape (n,).
@@ -299,7 +299,7 @@ def spline_shapes() -> tuple[Array, dict[str, Array]]:
 def _errors(
     u: Array, y: Array, instances: int, seed: int, settings: OnlineSettings
 ) -> dict[str, tuple[Array, Array]]:
-    """By model: mean one-step RMS of each realisation, free-run RMS of each instance of each."""
+    """Returns by model the mean one-step RMS per realisation and all instances' free-run RMS."""
     runs = [run_online(a, b, instances, seed, settings).runs for a, b in zip(u, y, strict=True)]
     targets = y[:, N_TRAINING:, None]
     errors = {}
@@ -321,9 +321,9 @@ SPLINES = (4, 8, 16, 32, 64, 128)
 
 
 def multiplications(arx_parameters: int, neurons: int) -> int:
-    """Of one step (Sec. 3.2): 5 N^2 + 3 N for the RLS with N parameters, 5 N for the BSNN.
+    """Returns the number of multiplications of one step (Sec. 3.2).
 
-    That is 238 for 6 ARX parameters and 8 neurons.
+    5 N^2 + 3 N for RLS with N parameters, 5 N for the BSNN: 238 for 6 parameters and 8 neurons.
     """
     return 5 * arx_parameters**2 + 3 * arx_parameters + 5 * neurons
 
@@ -332,7 +332,7 @@ def update_times() -> list[tuple[int, int, int, float]]:
     """Times batch updates of models of growing size, the best of `ROUNDS` calls each.
 
     Returns:
-        Rows (ARX parameters, neurons, multiplications as counted, nanoseconds a sample).
+        Rows (ARX parameters, neurons, multiplications as counted, nanoseconds per sample).
     """
     samples = 20_000
     rng = np.random.default_rng(0)
@@ -343,7 +343,7 @@ def update_times() -> list[tuple[int, int, int, float]]:
     for order, neurons in sizes:
         network = replace(base.network, basis=(Basis.uniform(0.0, 0.8, neurons, kind="paper"),))
         models.append(replace(base, na=order, nb=order, network=network))
-    # Sizes take turns, so that a slow spell of the machine does not fall on one of them.
+    # Sizes alternate, so that a temporary slowdown of the computer does not affect only one.
     rounds = [
         [timeit(partial(BsnnArx(settings).run, u, y), number=1) for settings in models]
         for _ in range(ROUNDS)
@@ -356,5 +356,5 @@ def update_times() -> list[tuple[int, int, int, float]]:
 
 
 def table_time(u: Array, y: Array, seed: int) -> float:
-    """Seconds for the online models of Table 1: 100 instances of each, training and validation."""
+    """Measures the seconds for Table 1's online models: 100 instances, training and validation."""
     return timeit(lambda: run_online(u, y, INSTANCES, seed), number=1)

@@ -1,13 +1,13 @@
 """NNARX and NNOE, the comparison networks of Sec. 4: 6 inputs, 2 hidden tanh units, linear output.
 
-Both learn in batch by Levenberg-Marquardt (scipy's MINPACK) with 10 iterations. NNARX is fed
-the measured outputs while it learns, NNOE its own predictions; both are judged in free run.
+Both learn in batch by Levenberg-Marquardt (scipy's MINPACK) with 10 iterations. During training
+NNARX is fed the measured outputs, NNOE its predictions; both are scored in free run.
 
-The paper gives neither scaling nor biases nor what an iteration is. Read here: both signals are
-mapped to [-1, 1] by their training range, every unit has a bias, and an iteration is one
-linearisation, whatever number of trial steps MINPACK makes on it. With trial steps counted
-instead, or parameters rescaled by the columns of the Jacobian, the errors are 1.5 to 2 times
-those of the paper.
+The paper specifies neither scaling, nor biases, nor an iteration. This module maps both signals to
+[-1, 1] by their training range, gives every unit a bias, and counts one linearisation as an
+iteration, however many trial steps MINPACK makes on it. If trial steps are counted instead, or
+parameters are rescaled by the columns of the Jacobian, the errors are 1.5 to 2 times those of the
+paper.
 """
 
 from collections.abc import Callable
@@ -61,13 +61,13 @@ def train(u: Array, y: Array, *, output_error: bool, rng: np.random.Generator) -
 
 
 class _IterationsSpentError(Exception):
-    """Leaves MINPACK, which can limit trial steps but not iterations."""
+    """Exception that stops MINPACK, which can limit trial steps but not iterations."""
 
 
 def _levenberg_marquardt(
     residuals: Callable[[Array], Array], jacobian: Callable[[Array], Array], start: Array
 ) -> Array:
-    """Weights after `ITERATIONS` linearisations, or fewer where it converges before."""
+    """Returns the weights after `ITERATIONS` linearisations, or fewer if it converges earlier."""
     accepted: list[Array] = []
 
     def counted(weights: Array) -> Array:
@@ -88,7 +88,7 @@ def _scale(signal: Array) -> tuple[float, float]:
 
 
 def _regressors(u: Array, y: Array) -> Array:
-    """Rows [y(t-1..t-3), u(t-1..t-3), 1] for t = 3 .. n-1, shape (n-3, 7)."""
+    """Returns rows [y(t-1..t-3), u(t-1..t-3), 1] for t = 3 .. n-1, shape (n-3, 7)."""
     n = len(u)
     lagged = [signal[LAGS - lag : n - lag] for signal in (y, u) for lag in range(1, LAGS + 1)]
     return np.column_stack([*lagged, np.ones(n - LAGS)])
@@ -100,7 +100,7 @@ def _split(weights: Array) -> tuple[Array, Array, float]:
 
 
 def _gradient(weights: Array, rows: Array) -> Array:
-    """Derivative of the output by the weights at fixed regressors, shape (len(rows), 17)."""
+    """Returns d output / d weights at fixed regressors, shape (len(rows), 17)."""
     hidden, output, _ = _split(weights)
     active = np.tanh(rows @ hidden.T)
     back = (1.0 - active**2) * output
@@ -141,7 +141,7 @@ def _output_error(u: Array, y: Array) -> Problem:
 
 
 def _free_run(weights: Array, u: Array, y_initial: Array) -> Array:
-    """Simulates sample by sample; plain floats are several times faster here than arrays."""
+    """Simulates sample by sample, with plain floats, which are several times faster than arrays."""
     hidden, output, bias = _split(weights)
     (p1, p2, p3, *_), (r1, r2, r3, *_) = hidden[:, :LAGS].tolist()
     c_1, c_2 = output.tolist()

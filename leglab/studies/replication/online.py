@@ -1,7 +1,7 @@
 """The paper's three online models, many instances at once: BSNN, ARX and BSNN-ARX.
 
-Instances differ in their initial parameters alone (Sec. 3.1). They run as the joints of one
-identifier, so a hundred cost one call.
+Instances differ only in their initial parameters (Sec. 3.1). They run as the joints of one
+identifier, so that one call runs a hundred instances.
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +17,12 @@ from leglab.studies.replication.paper import LEARNING_CONSTANT, N_TRAINING, Arra
 class OnlineSettings:
     """Unpublished constants of the online models; the defaults are those of paper mode."""
 
-    initial_gain: float = 5.6  #: F(0) of both ARX models is this times the identity
-    learning_constant: float = LEARNING_CONSTANT  #: Of the weights and the bias (Eq. 12).
+    initial_gain: float = 5.6  #: F(0) of both ARX models is this value times the identity
+    learning_constant: float = LEARNING_CONSTANT  #: eta of the weights and the bias (Eq. 12).
     middle_piece: Literal["corrected", "printed"] = "corrected"  #: "corrected" or "printed" Eq. 9.
 
     def bsnn_arx(self) -> BsnnArxSettings:
-        """Settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
+        """Returns settings of the BSNN-ARX model: 8 splines, na = nb = 3."""
         base = BsnnArxSettings.paper_mode()
         basis = replace(base.network.basis[0], middle_piece=self.middle_piece)
         network = replace(base.network, basis=(basis,), learning_constant=(self.learning_constant,))
@@ -47,7 +47,7 @@ class OnlineRun:
 
     training: Array  #: A-priori predictions while adapting, shape (n_training, M)
     validation: Array  #: One-step predictions, parameters frozen, shape (n_validation, M)
-    #: Simulation of the validation set from what the training ended with, same shape.
+    #: Free run over the validation set from the state at the end of training, same shape.
     free_run: Array
 
 
@@ -58,7 +58,7 @@ class OnlineRuns:
     runs: dict[str, OnlineRun]
 
     def scores(self, y: Array) -> Scores:
-        """Scores as the paper judges them: while adapting, then one step ahead."""
+        """Computes scores as in the paper: training while adapting, validation one step ahead."""
         n = N_TRAINING
         return {
             "training": {m: score(y[:n], r.training) for m, r in self.runs.items()},
@@ -66,7 +66,7 @@ class OnlineRuns:
         }
 
     def free_run_scores(self, y: Array) -> dict[str, float]:
-        """Mean RMS of the free run on the validation set; infinite where one diverges."""
+        """Computes the mean RMS of the validation free run; infinite if an instance diverges."""
         n = N_TRAINING
         return {m: float(np.mean(score(y[n:], r.free_run).rms)) for m, r in self.runs.items()}
 
@@ -80,7 +80,7 @@ def run_online(
         u: Input of one realisation, shape (n,).
         y: Output, shape (n,).
         instances: Instances M of each model.
-        seed: Of the initial parameters.
+        seed: Seed of the initial parameters.
         settings: Unpublished constants.
     """
     models = online_models(instances, seed, settings)
@@ -88,7 +88,7 @@ def run_online(
 
 
 def online_models(instances: int, seed: int, settings: OnlineSettings) -> dict[str, BsnnArx]:
-    """BSNN, ARX and BSNN-ARX from random parameters; the BSNN starts as that of the BSNN-ARX."""
+    """Builds BSNN, ARX and BSNN-ARX with random parameters; BSNN starts as that of BSNN-ARX."""
     rng = np.random.default_rng(seed)
     combined = BsnnArx(settings.bsnn_arx(), joints=instances)
     combined.randomise(rng)
@@ -97,18 +97,18 @@ def online_models(instances: int, seed: int, settings: OnlineSettings) -> dict[s
 
 
 def for_joints(model: BsnnArx, *signals: Array) -> tuple[Array, ...]:
-    """The same signals, each (n,), for every instance of a model: (n, joints), (n,) for one."""
+    """Repeats signals, each (n,), for all instances of a model: (n, joints), or (n,) for one."""
     if model.joints == 1:
         return signals
     return tuple(np.broadcast_to(s[:, None], (len(s), model.joints)) for s in signals)
 
 
 def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> BsnnArx:
-    """The BSNN by itself: a BSNN-ARX model whose linear part is the number one and stays so.
+    """Builds the BSNN alone: a BSNN-ARX model whose linear part is a constant gain of one.
 
     Args:
-        settings: Of the combined model.
-        start: Its network's parameters are taken over, one instance a joint; zeros if None.
+        settings: Settings of the combined model.
+        start: Model whose network parameters are copied, one instance per joint; zeros if None.
     """
     rls = Rls(initial_gain=1e-300)
     joints = start.joints if start else 1
@@ -122,7 +122,7 @@ def static_alone(settings: BsnnArxSettings, start: BsnnArx | None = None) -> Bsn
 
 
 def _linear_alone(instances: int, rng: np.random.Generator, settings: OnlineSettings) -> BsnnArx:
-    """The ARX model by itself: a BSNN-ARX model whose static part is the identity."""
+    """Builds the ARX model alone: a BSNN-ARX model whose static part is the identity."""
     base = settings.bsnn_arx()
     basis = base.network.basis[0]
     identity = replace(basis, kind="full", outside="linear", middle_piece="corrected")

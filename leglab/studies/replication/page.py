@@ -1,4 +1,4 @@
-"""The page that `replicate` writes: tables and figures in the order of the paper."""
+"""Page that `replicate` writes: tables and figures in the order of the paper."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ SHOWN_MODES = (
 
 
 class Page:
-    """Collects sections of Markdown and the figures they show, in one folder."""
+    """Sections of Markdown and their figures, collected in one folder."""
 
     def __init__(self, folder: Path, title: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -70,7 +70,7 @@ class Page:
 
 
 def comparison(page: Page, result: ModelComparison, y: Array, instances: int, seed: int) -> None:
-    """Table 1 and Figs. 8, 9, 11 to 14, 16, 17."""
+    """Adds Table 1 and Figs. 8, 9, 11 to 14, 16, 17."""
     worst = worst_deviation(result.scores)
     page.text(f"## Table 1, {instances} instances, noise seed {seed}")
     page.text(
@@ -94,7 +94,7 @@ def comparison(page: Page, result: ModelComparison, y: Array, instances: int, se
 
 
 def convergence(page: Page, y: Array, result: Convergence) -> None:
-    """Figs. 7 and 10 and the two convergence claims."""
+    """Adds Figs. 7 and 10 and the two convergence claims."""
     page.text("## Convergence claims: weights after 300 samples, theta after 1500")
     page.text(
         "Splines weighted by their mean activation, for inputs below 0.4 are rare and the weights "
@@ -115,7 +115,7 @@ def sensitivities(
     constants: Mapping[str, list[float]],
     free: Mapping[str, float],
 ) -> None:
-    """Readings, F(0), learning constant, one step against free run."""
+    """Adds sensitivities: readings of the paper, F(0), learning constant; and the free run."""
     page.text("## What the table hangs on")
     head = ("reading", "std of y", *ONLINE)
     page.text("Validation RMS, one step ahead:\n")
@@ -141,7 +141,7 @@ def sensitivities(
 
 
 def printed_constant(page: Page, rows: Sequence[Order], readings: list[Errors], count: int) -> None:
-    """Influence of the learning constant of Sec. 3.1 on the order of ARX and BSNN-ARX."""
+    """Adds the influence of Sec. 3.1's learning constant on the order of ARX and BSNN-ARX."""
     mode, printed = (
         next(row for row in readings if row[0].startswith(name))
         for name in ("paper mode", "learning constant")
@@ -163,7 +163,7 @@ def printed_constant(page: Page, rows: Sequence[Order], readings: list[Errors], 
 
 
 def order_table(rows: Sequence[Order], count: int) -> str:
-    """Rows of `leglab.studies.replication.experiments.orders` as Markdown, one an F(0)."""
+    """Formats rows of `leglab.studies.replication.experiments.orders` as Markdown, by F(0)."""
     constants = (LEARNING_CONSTANT, PRINTED_LEARNING_CONSTANT)
     head = ["F(0)", "ARX"]
     for constant in constants:
@@ -180,14 +180,14 @@ def order_table(rows: Sequence[Order], count: int) -> str:
 
 
 def spread(page: Page, rows: list[Errors], count: int) -> None:
-    """Spread over noise realisations."""
+    """Adds the scatter over noise realisations."""
     page.text(f"## Spread over {count} noise realisations")
     page.text("Validation RMS one step ahead, mean over the instances of each realisation:\n")
     page.text(markdown(("model", "mean", "standard deviation", "least", "largest"), rows))
 
 
 def better_fit(page: Page, result: ModelComparison) -> None:
-    """Table 1 once more, with constants nearer to it for the online models."""
+    """Adds Table 1 again, for constants with which the online models come nearer to it."""
     seed, settings = BETTER_FIT
     page.text("## A better-fitting set of unpublished constants")
     page.text(
@@ -199,7 +199,7 @@ def better_fit(page: Page, result: ModelComparison) -> None:
 
 
 def costs(page: Page, rows: list[tuple[int, int, int, float]], seconds: float) -> None:
-    """Multiplications of Sec. 3.2 against measured time."""
+    """Adds multiplications of Sec. 3.2 and measured times."""
     page.text("## Multiplications against time")
     page.text(
         "5 N^2 + 3 N for recursive least squares and 5 N for the BSNN, as Sec. 3.2 counts; the "
@@ -218,7 +218,7 @@ def costs(page: Page, rows: list[tuple[int, int, int, float]], seconds: float) -
 def deployed(
     page: Page, floor: float, rows: list[tuple[str, int, float, float, float, float]], count: int
 ) -> None:
-    """Free run of the deployed identifier against the floor."""
+    """Adds the free run of the deployed identifier against the floor."""
     page.text("## The deployed identifier on the same plant")
     page.text(
         f"One online pass over 1500 samples, then the validation part; mean over {count} noise "
@@ -229,13 +229,13 @@ def deployed(
 
 
 def free_run_table(rows: list[tuple[str, int, float, float, float, float]]) -> str:
-    """Rows of `leglab.studies.replication.deployed.free_runs` as Markdown."""
+    """Formats rows of `leglab.studies.replication.deployed.free_runs` as Markdown."""
     head = ("model", "parameters", "one step", "free run", "worst free run", "free run / floor")
     return markdown(head, rows)
 
 
 def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -> None:
-    """Samples to recover after a change, by forgetting mode."""
+    """Adds the samples to recover after a change, by forgetting mode."""
     page.text("## Re-adaptation after a constant of the plant doubles")
     seeds = len(next(iter(recoveries.values()))[CHANGES[0]].samples)
     page.text(
@@ -253,7 +253,7 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
 
 
 def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
-    """Results of `leglab.studies.replication.deployed.readaptation` as Markdown."""
+    """Formats results of `leglab.studies.replication.deployed.readaptation` as Markdown."""
     plain = recoveries["plain"][CHANGES[0]].before
     rows = []
     for mode, by_change in recoveries.items():
@@ -273,7 +273,7 @@ def _figure(rows: int = 1, height: float = 2.4) -> tuple[Figure, list[Axes]]:
 
 
 def _adaptation_of_weights(result: Convergence, y: Array) -> Figure:
-    """Fig. 7: weights of the BSNN, and its prediction while it adapts."""
+    """Draws Fig. 7: weights of the BSNN, and its prediction while it adapts."""
     figure, (top, bottom) = _figure(2)
     time = np.arange(len(y)) * SAMPLING_TIME
     top.plot(time, result.weights)
@@ -287,7 +287,7 @@ def _adaptation_of_weights(result: Convergence, y: Array) -> Figure:
 
 
 def _adaptation_of_theta(result: Convergence) -> Figure:
-    """Fig. 10: parameters of the ARX model alone (above) and behind the BSNN."""
+    """Draws Fig. 10: parameters of the ARX model alone (above) and behind the BSNN."""
     figure, axes = _figure(2)
     labels = [f"{name}_{i}" for name in "ab" for i in (1, 2, 3)]
     thetas = {"ARX": result.theta_alone, "BSNN-ARX": result.theta}
@@ -302,7 +302,7 @@ def _adaptation_of_theta(result: Convergence) -> Figure:
 
 
 def _validation(title: str, y: Array, model: str, prediction: Array) -> Figure:
-    """Figs. 8, 9, 11, 16, 17: prediction and residual on the validation set."""
+    """Draws Figs. 8, 9, 11, 16, 17: prediction and residual on the validation set."""
     figure, (top, bottom) = _figure(2)
     time = np.arange(len(y)) * SAMPLING_TIME
     top.plot(time, y, "k", label="process")
@@ -315,7 +315,7 @@ def _validation(title: str, y: Array, model: str, prediction: Array) -> Figure:
 
 
 def _instances(rms: Array) -> Figure:
-    """Fig. 12: validation RMS of each BSNN-ARX instance and their mean."""
+    """Draws Fig. 12: validation RMS of each BSNN-ARX instance and their mean."""
     figure, (axis,) = _figure()
     axis.plot(np.arange(1, len(rms) + 1), rms, "k.")
     axis.axhline(float(np.mean(rms)), color="b")
@@ -324,7 +324,7 @@ def _instances(rms: Array) -> Figure:
 
 
 def _boxes(title: str, scores: Mapping[str, ModelScore], quantity: str) -> Figure:
-    """Figs. 13, 14: median, quartiles, adjacent values and outliers over the instances.
+    """Draws Figs. 13, 14: median, quartiles, adjacent values and outliers over the instances.
 
     Outliers of the networks that would flatten the boxes are drawn at the edge.
     """
@@ -341,7 +341,7 @@ def _boxes(title: str, scores: Mapping[str, ModelScore], quantity: str) -> Figur
 
 
 def _view(values: Sequence[Array]) -> tuple[float, float]:
-    """Range of all boxes and whiskers, a little widened."""
+    """Returns the range of all values within three interquartile ranges of the boxes, widened."""
     ends = []
     for value in values:
         first, third = np.percentile(value, (25, 75))
@@ -357,7 +357,7 @@ Curves = Mapping[str, ArrayLike]
 def _lines(
     title: str, x_label: str, x: ArrayLike, curves: Curves, *, scale: str = "linear"
 ) -> Figure:
-    """RMS as a line for each named curve over few common points."""
+    """Draws RMS as a line for each named curve over few common points."""
     figure, (axis,) = _figure(height=3.2)
     for label, values in curves.items():
         axis.plot(x, values, "o-", label=label, markersize=4)
@@ -370,7 +370,7 @@ def _lines(
 def _traces(
     title: str, x_label: str, x: ArrayLike, y_label: str, curves: Curves, *, scale: str = "log"
 ) -> Figure:
-    """Dense curves over common points."""
+    """Draws dense curves over common points."""
     figure, (axis,) = _figure(height=3.2)
     for label, values in curves.items():
         axis.plot(x, values, label=label, linewidth=1.0)
@@ -381,7 +381,7 @@ def _traces(
 
 
 def _cost(size: str, rest: str, measured: Sequence[tuple[int, float]]) -> Figure:
-    """Time of an update against a size, both from zero."""
+    """Draws the time of an update against a size, both axes from zero."""
     figure, (axis,) = _figure(height=2.8)
     axis.plot(*zip(*measured, strict=True), "o-", markersize=4)
     title = f"Time of an update against {size}"

@@ -1,4 +1,4 @@
-"""Table 1 as the paper prints it, the settings of Sec. 3, and scores to hold against them."""
+"""The paper's printed Table 1 and settings of Sec. 3, and scores to compare with them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ PRINTED_LEARNING_CONSTANT = 0.004
 
 
 class Printed(NamedTuple):
-    """Mean and variance over the instances; None where the table has NS (non significant)."""
+    """Mean and variance over the instances; None for NS (non significant) in the table."""
 
     rms_mean: float
     rms_var: float
@@ -37,8 +37,8 @@ class Printed(NamedTuple):
     r2_var: float | None
 
 
-# Table 1. Its last row was lost in the stored copy of the paper. The RMS of NNOE is given in
-# Sec. 4 again; its R^2 mean, .936, is the value that the project's notes on the paper carry.
+# Table 1. The stored copy of the paper lacks the last row. Sec. 4 repeats the RMS of NNOE; its mean
+# R^2, .936, comes from the project's notes on the paper.
 TABLE_1: dict[str, dict[str, Printed]] = {
     "training": {
         "BSNN": Printed(0.1150, 2.40e-6, None, None),
@@ -65,7 +65,7 @@ class ModelScore:
     r2: Array  #: 1 - mean squared residual / variance of y, shape (M,)
 
     def to_json(self) -> dict[str, float]:
-        """Returns means and spread over the instances."""
+        """Returns means over the instances, and the standard deviation of the RMS."""
         means = {"rms_mean": float(self.rms.mean()), "rms_std": float(self.rms.std())}
         return {**means, "r2_mean": float(self.r2.mean()), "instances": len(self.rms)}
 
@@ -82,7 +82,7 @@ Scores = dict[str, dict[str, ModelScore]]
 
 
 def table_1(scores: Scores) -> str:
-    """Table 1 as Markdown: each measured value with the printed one in brackets behind it."""
+    """Formats Table 1 as Markdown: each measured value, then the printed one in brackets."""
     rows = []
     for name, model in product(SETS, MODELS):
         if model in scores[name]:
@@ -104,7 +104,7 @@ def table_1(scores: Scores) -> str:
 
 
 def worst_deviation(scores: Scores) -> float:
-    """Largest relative deviation of a validation mean of RMS or R^2 from the printed one."""
+    """Returns the largest relative deviation of a validation mean, RMS or R^2, from the printed."""
     worst = 0.0
     for model, got in scores["validation"].items():
         printed = TABLE_1["validation"][model]
@@ -115,7 +115,7 @@ def worst_deviation(scores: Scores) -> float:
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; floats are shown with four significant digits."""
+    """Formats a Markdown table; floats are shown with four significant digits."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
         cells = (f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row)

@@ -29,8 +29,8 @@ SUBSTEPS = 5
 class Plant:
     """Mass, spring and damper of Eq. 23; the defaults are the adopted paper-mode constants.
 
-    The paper publishes none of the four. These were searched for so that y has the spread which
-    RMS and R^2 of Table 1 imply together (standard deviation 0.0527 on the validation set).
+    The paper publishes none of the four. They were chosen so that y has the standard deviation that
+    RMS and R^2 of Table 1 together imply (0.0527 on the validation set).
     """
 
     m: float = 1.3e-4  #: Mass, in force units per acceleration unit [kg]
@@ -39,7 +39,7 @@ class Plant:
     k_2: float = 3.4  #: Nonlinear spring constant of k_2 y^3 sin^2 y [N/m^3]
 
     def changed(self, name: str, factor: float) -> "Plant":
-        """A copy whose constant `name` is multiplied by `factor`."""
+        """Returns a copy whose constant `name` is multiplied by `factor`."""
         return replace(self, **{name: getattr(self, name) * factor})
 
 
@@ -51,15 +51,15 @@ def simulate(
     after: Sequence[Plant] = (),
     change_at: int | None = None,
 ) -> tuple[Array, Array]:
-    """Simulates the plant from rest, one realisation a seed, all at once.
+    """Simulates the plant from rest, one realisation per seed, all at once.
 
     The input is Gaussian noise, held, then low-passed by a continuous first-order filter.
 
     Args:
-        seeds: One seed of the noise generator a realisation.
-        n_samples: Samples a realisation; 2000 are the 10 s of the paper.
-        variance: Of the noise before the filter.
-        after: Constants from sample `change_at` on, one a realisation.
+        seeds: One seed of the noise generator per realisation.
+        n_samples: Samples per realisation; 2000 are the 10 s of the paper.
+        variance: Variance of the noise before the filter.
+        after: Constants from sample `change_at` on, one plant per realisation.
         change_at: Sample of the change; None for never.
 
     Returns:
@@ -86,10 +86,10 @@ def simulate(
 
 
 def exact_free_run(u: Array) -> Array:
-    """Output of the exact plant fed the sampled input, linearly interpolated.
+    """Simulates the exact plant with the sampled input, linearly interpolated.
 
-    What this misses is what the input did between its samples: the floor of every model that
-    knows the samples alone.
+    Its error comes only from the unknown input between the samples: it is the floor of every model
+    that uses the samples alone.
 
     Args:
         u: Sampled inputs, shape (n_realisations, n_samples); the plant starts from rest.
@@ -110,7 +110,7 @@ Acceleration = Callable[[Array, Array, Array], Array]
 
 
 def _acceleration(*plants: Plant) -> Acceleration:
-    """Eq. 23 solved for the acceleration, for one plant or for one a realisation."""
+    """Returns Eq. 23 solved for the acceleration, for one plant or one per realisation."""
     m, b, k_1, k_2 = np.array([(p.m, p.b, p.k_1, p.k_2) for p in plants]).T
 
     def acceleration(y: Array, v: Array, u: Array) -> Array:
@@ -122,7 +122,7 @@ def _acceleration(*plants: Plant) -> Acceleration:
 def _runge_kutta(
     acceleration: Acceleration, y: Array, v: Array, forces: Sequence[Array], step: float
 ) -> tuple[Array, Array]:
-    """One classical fourth-order step; `forces` are those at its start, middle and end."""
+    """Does one classical fourth-order step; `forces` are those at its start, middle and end."""
     start, middle, end = forces
     a_1 = acceleration(y, v, start)
     v_2 = v + step / 2.0 * a_1

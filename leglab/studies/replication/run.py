@@ -1,4 +1,4 @@
-"""`replicate`: all parts of the replication, in order, onto one page."""
+"""`replicate`, which runs all parts of the replication in order and writes one page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Replication:
         return paper.worst_deviation(self.comparison.scores)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the scores by set and model and where the page is, as JSON can hold it."""
+        """Returns the scores by set and model and the path of the page, as JSON values."""
         return {
             "scores": {
                 part: {model: score.to_json() for model, score in models.items()}
@@ -69,7 +69,7 @@ def replicate(
     Args:
         instances: Instances of each model, M of the paper.
         out: Folder for the page and the figures; made if missing.
-        seed: Of the noise realisation and of the initial parameters.
+        seed: Seed of the noise realisation and of the initial parameters.
         progress: Called with one line before each part.
 
     Raises:

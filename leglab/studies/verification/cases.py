@@ -1,4 +1,4 @@
-"""The cases of docs/concepts/physics.md: closed forms, computed apart from the core."""
+"""The cases of docs/concepts/physics.md: closed forms, computed independently of the core."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -48,13 +48,13 @@ class Check:
 
     #: Letter of the case in the table of docs/concepts/physics.md, or a word for the others.
     case: str
-    quantity: str  #: Name of what is compared
+    quantity: str  #: Name of the compared quantity
     solver: str  #: Name of the solver: "core", "continuous", or "MuJoCo" with its time step
     unit: str  #: Unit of `expected` and `got`
     expected: float  #: Value of the closed form
     got: float  #: Computed value
     tolerance: float  #: Largest allowed `deviation`
-    scale: float = 0.0  #: Size that deviations are relative to; 0 stands for |expected|
+    scale: float = 0.0  #: Magnitude that deviations are relative to; 0 stands for |expected|
 
     @property
     def deviation(self) -> float:
@@ -63,12 +63,12 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the deviation is within the tolerance; a NaN is not."""
+        """True if the deviation is within the tolerance; false for NaN."""
         return self.deviation <= self.tolerance
 
 
 class CheckRow(NamedTuple):
-    """Fields of a `Check` that differ within a case; its tolerance where none is given."""
+    """Fields of a `Check` that differ within a case; `tolerance` None takes the case's."""
 
     quantity: str
     unit: str
@@ -107,36 +107,36 @@ def _case(
 
 
 def volumes(position: float) -> tuple[float, float]:
-    """Chamber volumes [m^3] at a piston position [m]."""
+    """Returns the chamber volumes [m^3] at a piston position [m]."""
     volume_b = DEAD_VOLUME_B + AREA_B * (CYLINDER["stroke"] - position)
     return DEAD_VOLUME_A + AREA_A * position, volume_b
 
 
 def stiffness(position: float) -> float:
-    """Hydraulic stiffness with both ports blocked [N/m]."""
+    """Returns the hydraulic stiffness with both ports blocked [N/m]."""
     volume_a, volume_b = volumes(position)
     return BULK_MODULUS * (AREA_A**2 / volume_a + AREA_B**2 / volume_b)
 
 
 def walther(celsius: float, nu_40: float = 46.0, nu_100: float = 6.8) -> float:
-    """Kinematic viscosity [cSt] by ASTM D341 through two points."""
+    """Returns the kinematic viscosity [cSt] by ASTM D341 through two points."""
     w40, w100 = (math.log10(math.log10(nu + 0.7)) for nu in (nu_40, nu_100))
     t40, t100, t = (math.log10(273.15 + c) for c in (40.0, 100.0, celsius))
     return 10**10 ** (w40 + (w100 - w40) * (t - t40) / (t100 - t40)) - 0.7
 
 
 def dynamic_viscosity_ratio(celsius: float) -> float:
-    """mu(T)/mu(40 degC) of ISO VG 46; the density falls by 7e-4 per K from 15 degC on."""
+    """Returns mu(T)/mu(40 degC) of ISO VG 46; density falls by 7e-4 per K from 15 degC on."""
     density = (1 - 7e-4 * (celsius - 15)) / (1 - 7e-4 * 25)
     return walther(celsius) / walther(40.0) * density
 
 
 def steady_speed(spool: float, load: float = 0.0, tank: float = 0.0) -> tuple[float, float, float]:
-    """Speed [m/s] and pressures A and B [Pa] of an ideal valve moving the piston against a load.
+    """Returns speed [m/s] and pressures A and B [Pa] of a piston under a load with an ideal valve.
 
     Both edges pass Q = K x_s sqrt(dp), and the pressures balance the load [N]:
-    v = K x_s sqrt((A_A p_s - A_B p_t - F)/(A_A^3 + A_B^3)) extending; A and B change places and F
-    its sign retracting.
+    v = K x_s sqrt((A_A p_s - A_B p_t - F)/(A_A^3 + A_B^3)) when extending. When retracting, A and B
+    are swapped and F changes its sign.
     """
     k, cubes, supply = GAIN * abs(spool), AREA_A**3 + AREA_B**3, SUPPLY_PRESSURE
     if spool > 0:
@@ -147,12 +147,12 @@ def steady_speed(spool: float, load: float = 0.0, tank: float = 0.0) -> tuple[fl
 
 
 def _settled(values: np.ndarray) -> float:
-    """Mean over the last tenth."""
+    """Returns the mean over the last tenth."""
     return float(values[-max(len(values) // 10, 1) :].mean())
 
 
 def _power(trace: Trace, energy: str) -> float:
-    """Mean rate of one of the energies over the last fifth [W]."""
+    """Returns the mean rate of one of the energies over the last fifth [W]."""
     return _rate(trace[energy], trace.time, max(len(trace.time) // 5, 2))
 
 
@@ -161,7 +161,7 @@ def _rate(values: np.ndarray, time: np.ndarray, n: int) -> float:
 
 
 def _moving(spool: float, load: float = 0.0, tank: float = 0.0) -> Experiment:
-    """The piston crosses 60 mm of its stroke at the speed that it settles at."""
+    """Returns an experiment in which the piston crosses 60 mm of its stroke at steady speed."""
     speed, pressure_a, pressure_b = steady_speed(spool, load, tank=tank)
     return Experiment(
         parameters={**IDEAL, "tank_pressure": tank},
@@ -191,7 +191,7 @@ def _no_load_speed(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("b load", 5e-3)
 def _loaded_speed(solver: Solver) -> Iterator[CheckRow]:
-    """Speeds against loads, stall forces, and the efficiency against 2 kN."""
+    """Compares speeds under loads, stall forces, and the efficiency against 2 kN."""
     loads = [(0.5, f) for f in (-500.0, 0.0, 1000.0, 2000.0)]
     loads += [(-0.5, f) for f in (1500.0, 0.0, -1000.0)]
     for spool, load in loads:
@@ -213,7 +213,7 @@ def _decaying(t: np.ndarray, w: float, s: float, a: float, b: float, c: float) -
 
 
 def _oscillation(trace: Trace, frequency: float, decay: float) -> tuple[float, float]:
-    """Angular frequency and decay rate [rad/s] of the velocity, fitted from a first guess."""
+    """Fits angular frequency and decay rate [rad/s] of the velocity, from an initial guess."""
     t, v = trace.time - trace.lag, trace["velocity"]
     size = np.abs(v).max()
     fit, _ = curve_fit(_decaying, t, v / size, p0=(frequency, decay, 1.0, 0.0, 0.0), xtol=1e-14)
@@ -222,7 +222,7 @@ def _oscillation(trace: Trace, frequency: float, decay: float) -> tuple[float, f
 
 @_case("c resonance", 1e-4)
 def _resonance(solver: Solver) -> Iterator[CheckRow]:
-    """w_h = sqrt(k_h/m) between closed ports.
+    """Compares w_h = sqrt(k_h/m) with closed ports.
 
     The symplectic step of MuJoCo turns a frequency w into 2 asin(w h/2)/h.
     """
@@ -237,7 +237,7 @@ def _resonance(solver: Solver) -> Iterator[CheckRow]:
 
 
 def _linearised(position: float, leakage: float) -> np.ndarray:
-    """Rates of (v, pA, pB) with closed ports and a leaking seal, shape (3, 3)."""
+    """Returns the system matrix of (v, pA, pB), closed ports and a leaking seal, shape (3, 3)."""
     va, vb = volumes(position)
     return np.array(
         [
@@ -249,25 +249,25 @@ def _linearised(position: float, leakage: float) -> np.ndarray:
 
 
 def _shown_pole(rates: np.ndarray, solver: Solver) -> complex:
-    """Oscillating eigenvalue [1/s] of the linear model, or of MuJoCo's step of it.
+    """Returns the oscillating eigenvalue [1/s] of the linear model, or of MuJoCo's step of it.
 
-    That step kicks v by the old pressures, then lets the pressures flow exactly at the new v.
+    The step updates v by the old pressures, then integrates the pressures exactly at the new v.
     """
     if not isinstance(solver, Engine):
         return complex(max(np.linalg.eigvals(rates), key=lambda z: z.imag))
     h = solver.timestep
     kick = np.eye(3)
     kick[0] += h * rates[0]
-    flow = np.vstack([np.zeros(3), rates[1:]])  # v held
+    flow = np.vstack([np.zeros(3), rates[1:]])  # v is constant
     multiplier = max(np.linalg.eigvals(expm(h * flow) @ kick), key=lambda z: z.imag)
     return complex(np.log(multiplier)) / h
 
 
 @_case("c damping", 0.01)
 def _damping(solver: Solver) -> Iterator[CheckRow]:
-    """Damping ratio 0.042 that the leakage gives."""
+    """Compares the damping ratio, 0.042, that results from the leakage."""
     pole = _shown_pole(_linearised(0.04, LEAKAGE), solver)
-    pressure = 8e6  # equal pressures do not leak; the load carries the rod's share
+    pressure = 8e6  # equal pressures cause no leakage; the load balances the rod area's force
     experiment = Experiment(
         parameters={**IDEAL, "internal_leakage": LEAKAGE},
         velocity=1e-3,
@@ -283,10 +283,10 @@ def _damping(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("d leak-down", 1e-3)
 def _leak_down(solver: Solver) -> Iterator[CheckRow]:
-    """Pressures of a held piston meet with tau = V_A V_B/(V_A + V_B)/(beta C_i).
+    """Compares how pressures of a blocked piston equalise: tau = V_A V_B/(V_A + V_B)/(beta C_i).
 
     A time constant of two steps needs finer sub-steps than the default two: the attribute
-    `substeps` is raised to 4 where tau is below ten steps, and the row says so.
+    `substeps` is raised to 4 if tau is below ten steps, as the name of the row shows.
     """
     va, vb = volumes(0.04)
     cases = [
@@ -320,17 +320,17 @@ _LEAKING = {**IDEAL, "internal_leakage": LEAKAGE, "viscous": 700.0}  # N s/m
 
 
 def _late_speed(trace: Trace) -> float:
-    """Mean speed over the last quarter [m/s]."""
+    """Returns the mean speed over the last quarter [m/s]."""
     return _rate(trace["position"], trace.time, len(trace.time) // 4)
 
 
 @_case("e drift", 5e-3)
 def _open_drift(solver: Solver) -> Iterator[CheckRow]:
-    """e1, e2: a closed valve holds a load, v = -C_i F/(A^2 + C_i b) where one side is open."""
+    """Compares the drift under a load with closed valve (e1, e2): v = -C_i F/(A^2 + C_i b)."""
     load = 1000.0
     expected = -LEAKAGE * load / (AREA_A**2 + LEAKAGE * _LEAKING["viscous"])
     variants = {
-        # Without a rod both sides are alike and the leak goes from one to the other.
+        # Without a rod both sides have equal areas, and oil leaks from one to the other.
         "symmetric cylinder": ({"rod": 0.0}, (8e6, 8e6 - load / AREA_A)),
         "side B vented": ({"external_leakage_b": 1e-9}, (load / AREA_A, 0.0)),
     }
@@ -344,11 +344,11 @@ def _open_drift(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("e blocked ports", 5e-3)
 def _blocked_drift(solver: Solver) -> Iterator[CheckRow]:
-    """e3: with both ports blocked pressures meet at F/A_rod; oil and rod volume give the way.
+    """Compares the drift with both ports blocked (e3); both pressures end at F/A_rod.
 
-    The model passes the leak by volume, so that V_A pA + V_B pB + beta A_rod x is conserved but
-    for second-order terms of p/beta, hence dx; the slow time constant follows from the linearised
-    rates at the end position.
+    Leakage conserves volume in the model, so that V_A pA + V_B pB + beta A_rod x is constant up to
+    second-order terms of p/beta. That gives the travel dx; the slow time constant follows from the
+    linearised rates at the end position.
     """
     pressure_b = 2e6
     for load in (500.0, 1000.0, 2000.0):
@@ -376,7 +376,7 @@ def _blocked_drift(solver: Solver) -> Iterator[CheckRow]:
 
 
 def null_creep(load: float) -> tuple[float, float]:
-    """Speed [m/s] and pressure A [Pa] of the centred valve with rounded edges under a load [N]."""
+    """Returns speed [m/s] and pressure A [Pa] under a load [N], centred valve, rounded edges."""
     k = GAIN * 0.5 * ROUNDING
 
     def edge(pressure: float) -> float:
@@ -397,7 +397,7 @@ def null_creep(load: float) -> tuple[float, float]:
 
 @_case("e creep", 5e-3)
 def _creep(solver: Solver) -> Iterator[CheckRow]:
-    """e4: the leaking null of a real valve lets the piston creep."""
+    """Compares the creep of the piston through the leaking null of a real valve (e4)."""
     for load in (0.0, 1000.0, 2000.0):
         experiment = Experiment(
             parameters={**_LEAKING, "edge_rounding": ROUNDING},
@@ -416,13 +416,13 @@ _GRADES = {"VG 32": (32.0, 5.4), "VG 46": (46.0, 6.8), "VG 68": (68.0, 8.7)}
 
 
 def _native(**parameters: float) -> Any:
-    """The core's cylinder; `parameters` beside its size are nominal where not given."""
+    """Returns the core's cylinder of size `CYLINDER`; parameters not given are nominal."""
     return Cylinder({**CYLINDER, **parameters}).native
 
 
 @_case("f viscosity", 1e-9, solvers=("core",))
 def _viscosity(_: str) -> Iterator[CheckRow]:
-    """ASTM D341 for three grades."""
+    """Compares viscosities with ASTM D341 for three grades."""
     for grade, (nu_40, nu_100) in _GRADES.items():
         native = _native(viscosity_40=nu_40 * 1e-6, viscosity_100=nu_100 * 1e-6)
         for celsius in (-20, -10, 0, 10, 20, 30, 40, 50, 60, 70, 80, 100):
@@ -436,7 +436,7 @@ def _viscosity(_: str) -> Iterator[CheckRow]:
 
 
 def bulk_modulus(gauge: float, air: float, index: float) -> float:
-    """Beta = (g + l)/(g/(n p) + l/beta_l) with l about 1 - x_0 by its own exponential [Pa]."""
+    """Returns beta = (g + l)/(g/(n p) + l/beta_l) [Pa]; l decays exponentially from 1 - x_0."""
     p = gauge + _ATMOSPHERE
     g = air * (_ATMOSPHERE / p) ** (1 / index)
     liquid = (1 - air) * 2.718281828459045 ** (-gauge / BULK_MODULUS)
@@ -445,7 +445,7 @@ def bulk_modulus(gauge: float, air: float, index: float) -> float:
 
 @_case("f2 bulk modulus", 1e-9, solvers=("core",))
 def _compressibility(_: str) -> Iterator[CheckRow]:
-    """Bulk modulus of oil with entrained air."""
+    """Compares the bulk modulus of oil with entrained air."""
     for air, index in product((0.005, 0.01, 0.03), (1.0, 1.4)):
         native = _native(entrained_air=air, polytropic_index=index)
         for bar in (0, 1, 5, 10, 20, 50, 100, 160, 210):
@@ -453,7 +453,7 @@ def _compressibility(_: str) -> Iterator[CheckRow]:
             yield CheckRow(f"beta at {bar} bar, air {air:.1%}, n = {index:g}", "Pa", expected, got)
 
 
-# Both chambers drain, so that pressures stay small beside the friction.
+# Both chambers drain, so that the pressure forces stay small compared with the friction.
 _DRAINED = {
     **IDEAL,
     "static": 150.0,  # N
@@ -469,7 +469,7 @@ _DRAINED = {
 
 
 def steady_friction(v: float) -> float:
-    """F = sgn(v) (F_c + (F_s - F_c) exp(-(v/v_s)^2)) + b v [N]."""
+    """Returns F = sgn(v) (F_c + (F_s - F_c) exp(-(v/v_s)^2)) + b v [N]."""
     p = _DRAINED
     share = math.exp(-((v / p["stribeck_velocity"]) ** 2))
     level = p["coulomb"] + (p["static"] - p["coulomb"]) * share
@@ -478,14 +478,14 @@ def steady_friction(v: float) -> float:
 
 @_case("g friction", 0.01)
 def _stribeck(solver: Solver) -> Iterator[CheckRow]:
-    """Friction at an imposed speed: a huge mass keeps it."""
+    """Compares friction at speeds that a huge mass keeps constant."""
     for v in (1e-4, 1e-3, 0.003, 0.0141, 0.03, 0.1, 0.5, -0.0141):
         experiment = Experiment(
             parameters=_DRAINED,
             mass=HELD,
             velocity=v,
             pressures=(0.0, 0.0),
-            # The bristle settles over a path of F/sigma_0; ten of them, 0.75 mm.
+            # The bristle settles over a distance F/sigma_0; the run covers ten of these, 0.75 mm.
             duration=max(round(7.5e-4 / abs(v), 3), 0.05),
         )
         trace = solver.run(experiment)
@@ -495,7 +495,7 @@ def _stribeck(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("g pre-sliding", 0.01)
 def _presliding(solver: Solver) -> Iterator[CheckRow]:
-    """Displacement under a force of 0.4 F_s raised slowly: -(F_s/sigma_0) ln(1 - F/F_s)."""
+    """Compares displacement under a slowly raised 0.4 F_s: -(F_s/sigma_0) ln(1 - F/F_s)."""
     force, static = 60.0, _DRAINED["static"]
     experiment = Experiment(
         parameters=_DRAINED, pressures=(0.0, 0.0), load=lambda t: -force * min(t, 1.0), duration=1.1
@@ -517,7 +517,7 @@ _WORKING = Experiment(
 
 
 def _load_work(trace: Trace) -> float:
-    """Work on the load and the mass, by the piston's own force and way [J]."""
+    """Returns the work on load and mass [J], from the load, the travel and the final speed."""
     load = np.array([_WORKING.load(t) for t in trace.time])
     way = np.diff(trace["position"])
     kinetic = 0.5 * _WORKING.mass * trace["velocity"][-1] ** 2  # it starts at rest
@@ -526,10 +526,10 @@ def _load_work(trace: Trace) -> float:
 
 @_case("h energy", 1e-2)
 def _balance(solver: Solver) -> Iterator[CheckRow]:
-    """E_in = valve + leakage + friction + load work + kinetic + integral of p V/beta dp.
+    """Compares E_in = valve + leakage + friction + load work + kinetic + integral of p V/beta dp.
 
-    The books of the model close to 1e-6. The fixed step keeps each book by quadrature, and its
-    load work is that of its own forces and ways; its drift is reported, and bounded by 1 %.
+    The continuous balance closes to 1e-6. The fixed-step plugin sums each energy by quadrature, and
+    load work by its own forces and travel; its drift is reported, and bounded by 1 %.
     """
     exact = isinstance(solver, Continuous)
     trace = solver.run(_WORKING)
@@ -540,14 +540,14 @@ def _balance(solver: Solver) -> Iterator[CheckRow]:
     supplied = float(trace["energy_supply"][-1])
     name = "energy taken in = all that became of it"
     yield CheckRow(name, "J", supplied, spent, 1e-6 if exact else None)
-    # The trapezoid over 2000 samples of load and way is good to 1e-6 of the intake.
+    # The trapezoidal rule over 2000 samples has an error of 1e-6 of the energy taken in.
     tolerance = 1e-5 if exact else None
     name = "piston work = load work + kinetic energy"
     yield CheckRow(name, "J", _load_work(trace), trace["energy_load"][-1], tolerance, supplied)
 
 
 def stall_pressure(spool: float, leakage: float) -> float:
-    """Pressure A at stall with a leaking seal: K x sqrt(d) = C_i (p_s - 2 d), pA = p_s - d."""
+    """Solves K x sqrt(d) = C_i (p_s - 2 d) for stall pressure A, p_s - d, with a leaking seal."""
 
     def lost(d: float) -> float:
         return GAIN * spool * math.sqrt(d) - leakage * (SUPPLY_PRESSURE - 2 * d)
@@ -557,7 +557,7 @@ def stall_pressure(spool: float, leakage: float) -> float:
 
 @_case("k worn stall", 1e-3)
 def _worn_stall(solver: Solver) -> Iterator[CheckRow]:
-    """Stall pressure that a worn seal leaves."""
+    """Compares the stall pressure with a worn seal."""
     cases = [(1, 40.0, 0.05), (10, 40.0, 0.05), (10, 40.0, 0.2), (50, 40.0, 1.0), (50, 80.0, 1.0)]
     for wear, celsius, spool in cases:
         worn = {**IDEAL, "internal_leakage": LEAKAGE, "seal_clearance": wear ** (1 / 3)}
@@ -570,13 +570,13 @@ def _worn_stall(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("valve step", 1e-6, label="valve step")
 def _spool_step(solver: Solver) -> Iterator[CheckRow]:
-    """Peak of the second-order spool at 250 Hz and zeta 0.7: 1 + exp(-pi zeta/sqrt(1 - zeta^2))."""
+    """Compares the spool's peak at 250 Hz and zeta 0.7: 1 + exp(-pi zeta/sqrt(1 - zeta^2))."""
     w, zeta, command = 2 * math.pi * 250.0, 0.7, 0.5
     root = math.sqrt(1 - zeta**2)
     held = Experiment(mass=HELD, command=constant(command), ideal_spool=False, duration=0.01)
     trace = solver.run(held)
     peak = int(np.argmax(trace["spool_position"]))
-    time = trace.time[peak]  # samples need not hit the peak: compare at the sample
+    time = trace.time[peak]  # the peak may lie between samples: compare at this sample
     phase = w * root * time
     wave = math.cos(phase) + zeta / root * math.sin(phase)
     name = f"largest sample of the spool over the command, at {time * 1e3:.3f} ms"
@@ -586,7 +586,7 @@ def _spool_step(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("null leak", 5e-3, label="null leak")
 def _null_leak(solver: Solver) -> Iterator[CheckRow]:
-    """Flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
+    """Compares the flow of the centred valve with rounded edges, 2 K (eps/2) sqrt(p_s/2)."""
     for supply in (16e6, 21e6):
         rounded = {**IDEAL, "edge_rounding": ROUNDING, "supply_pressure": supply}
         half = 0.5 * supply, 0.5 * supply
@@ -598,7 +598,7 @@ def _null_leak(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("warming", 1e-9, solvers=ENGINES, label="thermal")
 def _warming(engine: Engine) -> Iterator[CheckRow]:
-    """All losses warm the oil: C_T dT = valve + leakage + friction - h A (T - T_amb) dt."""
+    """Compares warming by losses: C_T dT = valve + leakage + friction - h A (T - T_amb) dt."""
     capacity = 50.0  # J/K
     parameters = {**_WORKING.parameters, "thermal_capacity": capacity, "heat_transfer": 0.0}
     model = slide_model(parameters, MASS, engine.timestep)
@@ -614,10 +614,10 @@ def _warming(engine: Engine) -> Iterator[CheckRow]:
 
 @_case("supply droop", 5e-3, solvers=ENGINES, label="droop")
 def _droop(engine: Engine) -> Iterator[CheckRow]:
-    """A 0.04 l accumulator, 100 bar gas, falls by n p Q/V_gas while the piston takes A_A x 1 m/s.
+    """Compares the fall n p Q/V_gas of a 0.04 l accumulator, 100 bar gas, at Q = A_A x 1 m/s.
 
-    Gas pressures are absolute here; the rounded 1.6 bar/ms of docs/concepts/physics.md takes them
-    as gauge (1.575), which differs by 0.4 %.
+    Gas pressures are absolute in this case; the rounded 1.6 bar/ms of docs/concepts/physics.md
+    takes them as gauge (1.575), which differs by 0.4 %.
     """
     volume, index = 4e-5, 1.4
     absolute = SUPPLY_PRESSURE + _ATMOSPHERE
@@ -630,7 +630,7 @@ def _droop(engine: Engine) -> Iterator[CheckRow]:
 
 
 def _supply_fall(timestep: float, volume: float) -> float:
-    """Rate at which the pressure of a shared supply falls at first [Pa/s]."""
+    """Returns the initial rate at which the pressure of a shared supply falls [Pa/s]."""
     parameters = {"lap": 0.0, "edge_rounding": 0.0, "entrained_air": 0.0, "internal_leakage": 0.0}
     parameters |= {**CYLINDER, "initial_pressure_a": 7e6, "initial_pressure_b": 3e6}
     unit = {"accumulator_volume": volume, "pump_flow": 0.0}
@@ -645,6 +645,6 @@ def _supply_fall(timestep: float, volume: float) -> float:
         mujoco.mj_step(model, data)
         pressure.append(state[supply["pressure"]])
         drawn.append(state[supply["delivered"]])
-    # Compare at the nominal pressure, per volume drawn: dp/dV there times A_A x 1 m/s.
+    # Rate at the nominal pressure: dp/dV at zero drawn volume, times A_A x 1 m/s.
     fit = np.polynomial.Polynomial.fit(drawn, pressure, 4)
     return -float(fit.deriv()(0.0)) * AREA_A

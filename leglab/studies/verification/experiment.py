@@ -14,8 +14,8 @@ CYLINDER = {"bore": 0.016, "rod": 0.010, "stroke": 0.080}  # m, docs/reference/p
 SUPPLY_PRESSURE = 16e6  # Pa
 MASS = 20.0  # kg
 MID_POSITION = 0.040  # m
-HELD = 1e12  # kg: a piston that nothing moves
-# Ideal valve, oil without air, no leakage, no friction: the cases unless they say so.
+HELD = 1e12  # kg: mass of a piston that no force moves
+# Default of the cases: ideal valve, oil without air, no leakage, no friction.
 IDEAL: Mapping[str, float] = {
     **CYLINDER,
     **dict.fromkeys(("lap", "edge_rounding", "entrained_air", "internal_leakage"), 0.0),
@@ -25,7 +25,7 @@ IDEAL: Mapping[str, float] = {
 
 
 def constant(value: float) -> Callable[[float], float]:
-    """A command or load that does not change."""
+    """Returns a constant command or load."""
     return lambda _: value
 
 
@@ -34,27 +34,27 @@ NOTHING = constant(0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A cylinder with its start, command and load."""
+    """A cylinder with its initial state, command and load."""
 
-    #: `leglab.cylinder` attributes beside `mid_length`, SI units.
+    #: `leglab.cylinder` attributes except `mid_length`, SI units.
     parameters: Mapping[str, float] = field(default_factory=lambda: dict(IDEAL))
     mass: float = MASS  #: Moving mass [kg]
     position: float = MID_POSITION  #: Initial piston position [m]
     velocity: float = 0.0  #: Initial velocity [m/s]
     pressures: tuple[float, float] = (5e6, 5e6)  #: Initial pressures of cap and rod side [Pa]
     command: Callable[[float], float] = NOTHING  #: Valve command over time [s]
-    ideal_spool: bool = True  #: The spool starts, and so stays, at a constant command
+    ideal_spool: bool = True  #: The spool starts at the initial command; a constant one keeps it
     load: Callable[[float], float] = NOTHING  #: Force against extension [N] over time [s]
-    duration: float  #: Seconds
+    duration: float  #: Duration [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
     """Motion, pressures and energies of an experiment; arrays of shape (n,), SI units."""
 
-    time: np.ndarray  #: Of the states
-    lag: float = 0.0  #: By which velocity and force are older: half a step in MuJoCo
-    #: By the names of the continuous model, and `force`, of the piston on the mass.
+    time: np.ndarray  #: Times of the states
+    lag: float = 0.0  #: Age of velocity and force at `time`: half a step in MuJoCo
+    #: States by name in the continuous model, and `force`, of the piston on the mass.
     states: Mapping[str, np.ndarray]
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -114,12 +114,12 @@ def slide_model(
     *,
     unit: Mapping[str, float] | None = None,
 ) -> mujoco.MjModel:
-    """A mass on a slide joint, moved by one `leglab.cylinder`; qpos is the piston position.
+    """Builds a mass on a slide joint, moved by a `leglab.cylinder`; qpos is the piston position.
 
     Args:
         parameters: Attributes of the cylinder "valve".
         mass: Moving mass [kg].
-        timestep: Seconds.
+        timestep: Time step [s].
         unit: Attributes of the `leglab.supply` "unit" that feeds it; constant pressure if None.
     """
     plugin.load_plugin()
@@ -151,7 +151,7 @@ def slide_model(
 
 
 def places(model: mujoco.MjModel, element: str = "valve") -> dict[str, int]:
-    """Indices in `plugin_state` of the parameters and states of a plugin instance."""
+    """Returns the indices in `plugin_state` of a plugin instance's parameters and states."""
     start, table = plugin.elements(model)[element]
     return {n: start + table.entry(n).offset for n in (*table.parameters, *table.states)}
 
@@ -160,7 +160,7 @@ class Engine:
     """The plugin inside MuJoCo.
 
     Args:
-        timestep: Seconds.
+        timestep: Time step [s].
     """
 
     def __init__(self, timestep: float) -> None:

@@ -12,7 +12,7 @@ from leglab.diagnosis.replay.replay import Replay
 from leglab.diagnosis.replay.windows import UniformSeries, channels
 from leglab.diagnosis.thresholds import Thresholds
 
-# RMS at a window's end that is asked for: knee [rad], pressures [Pa].
+# Largest allowed RMS error at a window's end: knee [rad], pressures [Pa].
 LIMITS = {
     "multisine": (0.3e-3, 0.6e5),
     "slow": (0.3e-3, 0.6e5),
@@ -27,8 +27,8 @@ _SHIFTS = (0.0, 0.1, 0.2)  # s, so that windows begin every 0.1 s
 class ReplayCheck:
     """Errors at the ends of the windows of one recording."""
 
-    recording: str  #: Its name
-    timestep: float  #: s
+    recording: str  #: Name of the recording
+    timestep: float  #: Time step of the model [s]
     position: float  #: RMS error of the knee [rad]
     pressure_a: float  #: RMS error [Pa]
     pressure_b: float  #: RMS error [Pa]
@@ -36,7 +36,7 @@ class ReplayCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the errors are within the limits of the recording."""
+        """True if the errors are within the limits of the recording."""
         knee, pressure = LIMITS[self.recording]
         return self.position <= knee and max(self.pressure_a, self.pressure_b) <= pressure
 
@@ -47,15 +47,15 @@ def replay(
     timestep: float,
     parameters: Mapping[tuple[str, str], float] | None = None,
 ) -> ReplayCheck:
-    """Replays windows that start from measured states, some every 0.1 s.
+    """Replays windows that start from measured states, about one every 0.1 s.
 
-    Each starts at the calmest sample near its place, for a jump of the command smears the measured
-    states, and none in vapour, whose amount no pressure sensor tells.
+    Each starts at the calmest sample nearby, because a jump of the command distorts the measured
+    states. None starts with vapour in a chamber, since pressure sensors do not show its amount.
 
     Args:
-        name: Of the recording, one of `LIMITS`.
-        recording: Measured on the bench.
-        timestep: Of the model [s]; divides the sampling period.
+        name: Name of the recording, one of `LIMITS`.
+        recording: Recording of the bench.
+        timestep: Time step of the model [s]; divides the sampling period.
         parameters: Plugin parameters that differ from the model, by element and name.
     """
     machine = Machine("knee_bench", timestep=timestep)

@@ -1,4 +1,4 @@
-"""Runs all checks and prints them as tables."""
+"""Report of all checks, as tables or JSON."""
 
 import math
 from collections import defaultdict
@@ -18,7 +18,7 @@ from leglab.studies.verification.replay import LIMITS, ReplayCheck, replay_all
 
 
 def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], right: str) -> Table:
-    """A table of (passed, cells), failures in red; commas between headings, `right` aligned so."""
+    """Builds a table of (passed, cells) rows, failures in red; columns in `right` align right."""
     grid = Table(title=title, title_justify="left")
     for heading in head.split(", "):
         grid.add_column(heading, justify="right" if heading in right.split(", ") else "left")
@@ -28,7 +28,7 @@ def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], ri
 
 
 def closest(rows: Iterable[Check]) -> Check:
-    """The row closest to its limit."""
+    """Returns the row closest to its limit."""
     return max(rows, key=lambda row: row.deviation / row.tolerance)
 
 
@@ -46,7 +46,7 @@ def _row_table(rows: Iterable[Check]) -> Table:
 
 
 def _summary(rows: Iterable[Check]) -> Table:
-    """One line a case and solver: how many rows pass, and the one closest to its limit."""
+    """Builds a table by case and solver: how many rows pass, and the one closest to its limit."""
     groups: dict[tuple[str, str], list[Check]] = defaultdict(list)
     for row in rows:
         groups[row.case, row.solver].append(row)
@@ -63,7 +63,7 @@ def _summary(rows: Iterable[Check]) -> Table:
 
 
 def _replay_table(results: Iterable[ReplayCheck]) -> Table:
-    """RMS errors at window ends beside what is asked."""
+    """Builds a table of RMS errors at window ends and their limits."""
     lines = []
     for r in results:
         knee, pressure = LIMITS[r.recording]
@@ -76,7 +76,7 @@ def _replay_table(results: Iterable[ReplayCheck]) -> Table:
 
 
 def _run() -> tuple[list[Check], list[ReplayCheck], str | None]:
-    """Rows of all cases, errors of all replays, and why there are no replays."""
+    """Runs all cases and replays; returns their results, and why there are no replays or None."""
     rows = list(chain.from_iterable(case() for case in CASES.values()))
     try:
         folder = shared_data("knee_bench/nominal")
@@ -96,7 +96,7 @@ def verify(console: Console | None = None) -> bool:
         console: Where to print; standard output if None.
 
     Returns:
-        Whether every check passed. Missing recordings are said and do not count as failures.
+        Whether every check passed. Missing recordings are reported and do not count as failures.
     """
     out = console or Console()
     if not out.is_terminal and console is None:
@@ -115,9 +115,9 @@ def checks_as_json() -> dict[str, Any]:
     """Runs the checks of `verify`.
 
     Returns:
-        As JSON can hold it: "passed" (whether all did), "checks" (one object a row), "replays" (one
-        a recording and time step), "left_out" (why there are no replays, or None). What is not
-        finite is None.
+        JSON values: "passed" (whether all checks passed), "checks" (one object per row), "replays"
+        (one per recording and time step), "left_out" (why there are no replays, or None). Numbers
+        that are not finite become None.
     """
     rows, replays, left_out = _run()
     return {

@@ -1,4 +1,4 @@
-"""Refits a good set from the parameters of another fit where it is more probable."""
+"""Move that refits a good set from the parameters of another fit where it is more probable."""
 
 from collections.abc import Iterator
 

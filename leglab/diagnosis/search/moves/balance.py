@@ -1,4 +1,4 @@
-"""Sets that balance the forces along the measured motion."""
+"""Move to sets that explain the residual forces along the measured motion."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from leglab.diagnosis.search.settle import Candidate
 
 
 def candidates(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candidate]:
-    """Returns the best sets of a single joint, and of all joints together, without a promise."""
+    """Returns the best sets of a single joint, and of all joints together, promise unknown."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
     for sets in found.values():

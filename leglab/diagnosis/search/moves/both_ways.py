@@ -1,4 +1,4 @@
-"""Replaces a direction-dependent effect by the symmetric one."""
+"""Move that replaces a direction-dependent effect by the symmetric one."""
 
 from collections.abc import Iterator, Sequence
 
@@ -34,9 +34,9 @@ def propose(pool: Pool) -> Iterator[Proposal]:
 def both_ways(
     u: Unknowns, members: Sequence[int], values: Sequence[float]
 ) -> dict[int, float] | None:
-    """Computes the departures of a set with the symmetric effect, from those of the set.
+    """Computes the departures of a set whose direction-dependent effect is made symmetric.
 
-    None for a set without a direction-dependent effect.
+    Returns None for a set without a direction-dependent effect.
     """
     value = dict(zip(members, values, strict=True))
     for q in members:

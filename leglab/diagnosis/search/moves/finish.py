@@ -1,4 +1,4 @@
-"""Continues the unfinished fits of good sets."""
+"""Move that continues the unfinished fits of good sets."""
 
 from collections.abc import Iterator
 
@@ -10,8 +10,8 @@ from leglab.diagnosis.thresholds import HOPELESS, RENEWALS
 def propose(pool: Pool) -> Iterator[Proposal]:
     """Proposes unfinished fits of good sets, each once.
 
-    A fit continues from its parameters or from those of the fit that errs least, whichever start
-    has the smaller error.
+    A fit continues from its parameters or from those of the fit with the smallest error, whichever
+    start has the smaller error.
     """
     most = HOPELESS * pool.least.level
     for fit in [r.fit for r in pool.near if not r.fit.finished and r.fit.level < most]:

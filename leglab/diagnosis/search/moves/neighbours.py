@@ -1,4 +1,4 @@
-"""Sets with one effect more, less or other than a good set."""
+"""Move to sets that add, remove or replace one effect of a good set."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, SC
 
 @dataclass(frozen=True, eq=False)
 class Neighbour:
-    """A set one step from a fitted one, scored by the tangents of that fit."""
+    """A set with one change to a fitted one, scored by the tangents of that fit."""
 
     score: Score
     fit: Fit

@@ -1,4 +1,4 @@
-"""Removes each effect from the best set, to fit its rivals."""
+"""Move that removes each effect from the best set, to fit its rivals."""
 
 from collections.abc import Iterator
 
