@@ -177,7 +177,7 @@ def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> fl
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
     """Returns the rival effects of sets without `key` that the data do not rule out.
 
-    Such sets are nearly as probable in units of the drive. A weaker drive and more resistance move
+    Such sets have nearly as much evidence. A weaker drive and more resistance move
     a joint alike: for a drive's gain, a set that fits as well is a rival even with more parameters.
     A set that contains the effect as a special case always fits as well and is no rival.
     """
