@@ -1,7 +1,7 @@
 """Controllers, one per file, registered by name.
 
-Importing this package registers all of them with `leglab.control`; a new file in this folder is
-imported too.
+This package makes `leglab.control` import every module in the folder before it looks up a name, so
+that the module registers its controller; a new file needs no further entry.
 """
 
 from functools import partial

@@ -1,10 +1,10 @@
 """Model-based baseline: adaptive robust control by backstepping, with measured pressures.
 
-Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633, for the structure: position error,
-load force, valve flow, with leakage as adapted parameter and lumped disturbances in the force and
-the flow equation; Yao, Bu, Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79, for the
-single-rod cylinder and for compensation at the reference. Equations and what each part knows:
-docs/concepts/adaptive_backstepping.md.
+The structure follows Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633: position
+error, load force, valve flow, with leakage as adapted parameter and lumped disturbances in the
+force and flow equations. Single-rod cylinder and compensation at the reference follow Yao, Bu,
+Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79. Equations and the knowledge assumed of
+the machine: docs/concepts/adaptive_backstepping.md.
 """
 
 import math
@@ -62,7 +62,7 @@ class BacksteppingConfiguration(Configuration):
     configuration=BacksteppingConfiguration,
 )
 class AdaptiveBackstepping:
-    """Spool command by the inverted flow equation at the reference, corrected by error feedback.
+    """Controller that inverts the flow equation at the reference and adds error feedback.
 
     Attributes:
         adaptation: The adapted physical parameters.
@@ -100,7 +100,7 @@ class AdaptiveBackstepping:
         self._motion = ReferenceMotion(
             len(setup.joints), period, lead=lead, position_delay=latency, velocity_delay=latency
         )
-        # Age of the force measured now, relative to the force that a command is for, in periods.
+        # Periods from the present force measurement to the force that the new command is meant for.
         self._age = (lead + latency) / period
         self._bristles = Bristles(data)
         self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
@@ -113,7 +113,7 @@ class AdaptiveBackstepping:
         """Starts a run with nominal parameters.
 
         Raises:
-            LeglabError: There are no pressures among the measurements.
+            LeglabError: The measurement has no pressures.
         """
         self.adaptation.reset()
         self._adapt = self._adapts
@@ -161,7 +161,7 @@ class AdaptiveBackstepping:
         command = spool - null
         self._sent = np.minimum(np.maximum(command, -self._limit), self._limit)
         if (self._sent != command).any():
-            # Anti-windup: the observer takes the speed that the limited command gives.
+            # Anti-windup: the observer is given the speed that results from the limited command.
             reached = model.rate_of(self._sent + null, chambers, lap) - known
             wish = np.where(self._sent != command, reached / chambers.stiffness, wish)
         law.observer.sent(wish)
@@ -169,7 +169,7 @@ class AdaptiveBackstepping:
         return self._sent
 
     def _read(self, measurement: Measurement) -> tuple[np.ndarray, np.ndarray, float]:
-        """Returns positions, pressures (2, joints), supply pressure; replaces missing readings."""
+        """Returns positions, pressures (2, joints), supply pressure; missing ones as last read."""
         readings = _stacked(measurement)
         if not np.isfinite(readings).all():
             readings = np.where(np.isfinite(readings), readings, self._readings)
@@ -183,9 +183,9 @@ class AdaptiveBackstepping:
     def _forces_for(
         self, motion: np.ndarray, lever: np.ndarray, speed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Computes model load force and its rate when the command acts, and force at measurement.
+        """Computes the model's force and rate when the command acts, and its force when measured.
 
-        `motion` is that reference, (4, joints), with its levers and piston speeds, (joints,).
+        `motion`: reference when the command acts, (4, joints), with levers and piston speeds.
         """
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._period)
@@ -193,7 +193,7 @@ class AdaptiveBackstepping:
         last = self._forces[0] if self._forces else force
         whole = int(self._age)
         self._forces = [force, *self._forces[: whole + 1]]
-        # The difference lags by half a period; half of its last change compensates the lag.
+        # A difference is half a period late, so half of its last change is added to it.
         before, self._rate = self._rate, (force - last) / self._period
         rate = 1.5 * self._rate - 0.5 * before
         newer = self._forces[min(whole, len(self._forces) - 1)]
@@ -205,8 +205,8 @@ class AdaptiveBackstepping:
     ) -> np.ndarray:
         """Computes the pressures expected when the command acts [Pa], (2, joints).
 
-        The common mode w_B p_A + w_A p_B, which no motion of the piston changes, is measured; the
-        load force is the wanted one. With the measured load force the inverted flow equation would
+        They have the measured common mode w_B p_A + w_A p_B, which no motion of the piston changes,
+        and the wanted load force. With the measured load force, the inverted flow equation would
         cancel, with a delay, the damping of the oil spring by valve and leakage.
         """
         model = self._model

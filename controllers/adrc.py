@@ -1,4 +1,4 @@
-"""Active disturbance rejection: the calibrated valve map, and an observer of its errors."""
+"""Active disturbance rejection: the calibrated valve map, and an observer of all disturbances."""
 
 import numpy as np
 from pydantic import Field
@@ -31,10 +31,10 @@ class AdrcConfiguration(Configuration):
 class Adrc:
     """u = map(r, r') + (omega_c e + f)/b_0, with error e and disturbance f from the observer.
 
-    Behind a native actuator, which sets a force, the law is of order 2: see `DisturbanceRejection`.
+    For a native actuator, which sets a force, the law has order 2: see `DisturbanceRejection`.
 
-    The map takes the reference at the mean time at which the command acts; the error compares a
-    measurement with the reference at the time of the measurement.
+    The map is evaluated at the reference in the middle of the period in which the command acts; the
+    error is the difference of a measurement from the reference at the time of that measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: AdrcConfiguration) -> None:
@@ -71,7 +71,7 @@ class Adrc:
         return command
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns both parts of the command, and the estimated disturbance, each (joints,)."""
+        """Returns feed-forward, feedback and estimated disturbance, each (joints,)."""
         return {
             "feedforward": self._feedforward,
             "feedback": self._feedback,

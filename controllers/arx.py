@@ -1,4 +1,4 @@
-"""Linear adaptive feed-forward added to PD: the baseline of learning without splines."""
+"""Linear adaptive feed-forward added to PD: a baseline that shows what the splines gain."""
 
 from pydantic import Field
 

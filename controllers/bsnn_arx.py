@@ -1,4 +1,4 @@
-"""The deployed adaptive feed-forward, added to PD: the inverse map, learned in operation."""
+"""The standard adaptive feed-forward, added to PD: an inverse map that is learned in operation."""
 
 import numpy as np
 
@@ -21,14 +21,14 @@ class AdaptiveConfiguration(LearningConfiguration, PdConfiguration):
     configuration=AdaptiveConfiguration,
 )
 class AdaptiveController:
-    """u = map(r, r', r'', r''') + PD, whose reference is delayed like its measurements.
+    """u = map(r, r', r'', r''') + PD; PD compares measurements with an equally delayed reference.
 
     The map starts as the nominal valve map and learns from the commands that were sent and the
     motion that followed. See `leglab.control.feedforward`.
     """
 
     name = "bsnn_arx"
-    valve_states = False  # whether maps with a valve state are used
+    valve_states = False  # whether maps may be proposed with a state of the valves
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._feedback = Pd(setup, config)
@@ -68,10 +68,10 @@ class AdaptiveController:
         return self.adaptation.step(measurement, reference)
 
     def look(self, time: float) -> None:
-        """Runs before the control period at this time [s]; empty where the C++ core does all."""
+        """Runs before the control period at this time [s]; empty if the C++ core does it all."""
 
     def sent(self, command: np.ndarray) -> None:
-        """Records the commands (joints,) that were sent in place of the last ones."""
+        """Records the commands sent instead of those that `command` returned last, (joints,)."""
         self.adaptation.sent(command)
 
     def freeze(self) -> None:
@@ -79,5 +79,5 @@ class AdaptiveController:
         self.adaptation.freeze()
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns feed-forward, feedback, model error, and 1 where the nominal map is used."""
+        """Returns feed-forward, feedback, model error, and 1 for joints with the nominal map."""
         return self.adaptation.report

@@ -19,15 +19,15 @@ from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
 from leglab.control.feedforward.thresholds import AFTER, STRIDE
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
-# Blocks of samples on which a new contender is first compared with the learner: few, since the
-# machine has just changed.
+# Number of sample blocks on which a new contender (proposed map) is first compared with the
+# learner: few, because the machine has just changed.
 _BLOCKS = 4
 
-# Prior odds of a valve state that no fault proposed, against the map that learns without one.
+# Prior odds of a map with a valve state from `_STATES` or `plays`, against the learner's map.
 _UNNAMED = 0.03
 
-# Valve states tried without a named fault, in addition to plays, with the columns of
-# `AdaptiveFeedforward.valves`. 0.02 is the plugin's default lap; 1/3 offsets 3/4 of a side's flow.
+# Valve states that are tried after every change, in addition to `plays`; columns as in
+# `AdaptiveFeedforward.valves`. 0.02 is the default lap; 1/3 offsets a loss of 1/4 of a side's flow.
 _STATES = np.array(
     [
         (0.02, 0.0, 0.0, 0.0, 0.0),
@@ -40,12 +40,12 @@ _STATES = np.array(
 
 
 class _Proposed(NamedTuple):
-    """Contenders of a proposed fault."""
+    """Contenders (maps that compete with the learner's map) of one proposed fault."""
 
     number: int  # index of the contender with the fault's parameter shift
     state: int | None  # index of the contender with the fault's valve state
-    parameters: np.ndarray  # of contender `number`, as last proposed, (joints, parameters)
-    shift: np.ndarray  # of `parameters` from the map before the change
+    parameters: np.ndarray  # last proposed parameters of contender `number`, (joints, parameters)
+    shift: np.ndarray  # `parameters` less the parameters of the map before the change
 
 
 class BankConfiguration(AdaptiveConfiguration):
@@ -98,7 +98,7 @@ class BankController(AdaptiveController):
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
-        # Weight of the latest block in the running mean of the shares over a stride.
+        # Weight of the latest block in the running mean, over a stride, of the maps' shares.
         self._latest = min(1.0, period * config.monitor.block / (pace * STRIDE))
         self._config = config
         self._states = np.zeros((len(config.plays) + len(_STATES), 5))
@@ -136,7 +136,7 @@ class BankController(AdaptiveController):
         self._stopped = True
 
     def look(self, time: float) -> None:
-        """Runs the monitors and updates the contenders, once a block of samples is complete."""
+        """Runs the monitors and updates the contenders if a block of samples is complete."""
         if self.adaptation.kept_count() < self._config.monitor.block or self._stopped:
             return
         learner = self.adaptation.learner
@@ -157,9 +157,9 @@ class BankController(AdaptiveController):
             self._propose(proposal)
 
     def _end(self, time: float) -> None:
-        """Ends the contest of maps some time after its case, as the best map may still learn.
+        """Ends the contest of maps: after a case keeps the best and `learner`, later only the best.
 
-        The best one has the largest mean share over a stride: in parts of it others may lead.
+        The best map has the largest mean share over a stride; in parts of it others may lead.
         """
         if not self.adaptation.contenders:
             self._shares = np.zeros(1)
@@ -183,7 +183,7 @@ class BankController(AdaptiveController):
             self._tried, self._closed = False, None
 
     def _propose(self, proposal: ProposedMap) -> None:
-        """Adds the contenders of a fault, or revises those that it has already."""
+        """Adds the contenders of a fault, or revises them if they exist already."""
         adaptation, error = self.adaptation, self._error(proposal.parameters)
         before, valves = self.monitor.before, None
         if proposal.valves is not None:
@@ -199,13 +199,13 @@ class BankController(AdaptiveController):
                 self._join(before, proposal.odds, error, proposal.gain, valves)
             return
         shares = adaptation.shares()[1:]
-        # A contender that is out, since it predicted badly, is not revised.
+        # A contender that was excluded, because it predicted badly, is not revised.
         if shares[number] > 0.0:
             moved = proposal.parameters - last.parameters
             now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
             adaptation.revise(number, moved, self._error(now))
         if state is not None:
-            # Another size is another valve state: a contender that is out restarts at `before`.
+            # A new size is a new valve state, so an excluded contender restarts at `before`.
             now = adaptation.contenders[state].parameters.reshape(before.shape)
             moved = (shares[state] == 0.0) * (before - now)
             adaptation.revise(state, moved, error, valves)
@@ -222,7 +222,7 @@ class BankController(AdaptiveController):
         learner = self.adaptation.learner.copy()
         learner.parameters = parameters.reshape(learner.parameters.shape)
         for joint in range(len(parameters)):
-            # An alarm of the learner's change detector would raise the gain that is set below.
+            # The learner's change detector must not raise the gain that is set below.
             learner.hold_alarm(joint)
             share = 1.0 if gain is None else float(gain[joint])
             if np.isfinite(share):
@@ -231,14 +231,14 @@ class BankController(AdaptiveController):
         self.adaptation.propose(learner, odds, error, valves)
 
     def _error(self, parameters: np.ndarray) -> float:
-        """Computes the mean squared error of a map on the latest samples, over the learner's."""
+        """Computes the mean squared error of a map over that of the learner, on recent samples."""
         samples = np.concatenate(self._recent)
         regressor, found = samples[..., :-3], samples[..., -3]
         error = np.where(samples[..., -1] > 0, found - (regressor * parameters).sum(axis=2), 0.0)
         return float((error**2).sum() / max((samples[..., -2] ** 2).sum(), 1e-300))
 
     def _follow(self, time: float, samples: np.ndarray, parameters: np.ndarray) -> None:
-        """Passes samples to the health monitor, except while a change is being evaluated."""
+        """Passes samples to the health monitor, except while an abrupt change is being examined."""
         if self.monitor.busy:
             self.health.drop()
             return
@@ -248,5 +248,5 @@ class BankController(AdaptiveController):
         self.health.take(time, samples, parameters)
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns those of `bsnn_arx`, and the reports of the fault and the health monitor."""
+        """Returns the diagnostics of `bsnn_arx` and the reports of fault and health monitor."""
         return self._report

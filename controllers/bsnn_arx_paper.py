@@ -1,8 +1,8 @@
 """The paper's BSNN-ARX model, unchanged, as adaptive feed-forward added to PD.
 
-Folgheraiter's model (Algorithm 1) learns the inverse direction joint by joint: its input is the
-measured velocity, its output the valve command that produced it. Local spline rule and plain
-recursive least squares, without forgetting or resets of the gain: the baseline of the paper alone.
+Folgheraiter's model (Algorithm 1) learns the inverse of each joint: its input is the measured
+velocity, its output the valve command that caused the velocity. It learns by the local spline rule
+and plain recursive least squares, without forgetting or resets of the gain, as in the paper.
 """
 
 import numpy as np
@@ -43,7 +43,7 @@ class PaperConfiguration(PdConfiguration):
     configuration=PaperConfiguration,
 )
 class BsnnArxPaper:
-    """u = model(r', past of r') + PD; learned from measured velocity and the command before it."""
+    """u = model(r', past of r') + PD; learned from measured velocities and the commands sent."""
 
     def __init__(self, setup: ControllerSetup, config: PaperConfiguration) -> None:
         self._pd = Pd(setup, config)
@@ -76,7 +76,7 @@ class BsnnArxPaper:
         self._motion.clear()
         self._learner = BsnnArx(self._settings, joints=self._joints)
         self._learner.randomise(np.random.default_rng(0))
-        # A copy of the model whose regressor holds the history of the reference.
+        # A copy that is evaluated at the reference: its regressor holds the reference's history.
         self._driver = self._learner.copy()
         self._driver.freeze()
         self._sent = self._feedforward = np.zeros(self._joints)

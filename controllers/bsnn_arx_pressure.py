@@ -41,7 +41,7 @@ class PressureConfiguration(AdaptiveConfiguration):
     configuration=PressureConfiguration,
 )
 class PressureController(AdaptiveController):
-    """`bsnn_arx` with the valve equation at measured pressures in place of the calibrated map.
+    """`bsnn_arx` with the valve equation at measured pressures instead of the calibrated map.
 
     See `leglab.control.feedforward.adaptive`.
     """
@@ -81,7 +81,7 @@ class PressureController(AdaptiveController):
         """Starts a run with the nominal map.
 
         Raises:
-            LeglabError: There are no pressures among the measurements.
+            LeglabError: The measurement has no pressures.
         """
         pressures = (measurement.pressure_a, measurement.pressure_b, measurement.supply_pressure)
         if any(pressure is None for pressure in pressures):
@@ -90,7 +90,7 @@ class PressureController(AdaptiveController):
 
 
 def data_sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
-    """Returns the data sheets by the names of the C++ core."""
+    """Returns the cylinders' data by the names that the C++ core uses."""
     names = ["stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding"]
     names += ["supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air"]
     names += ["polytropic_index"]

@@ -1,4 +1,4 @@
-"""Valve commands that the true machine needs, computed beforehand: a bound on tracking."""
+"""Valve commands computed beforehand for the true machine: a lower bound of the tracking error."""
 
 import numpy as np
 
@@ -15,15 +15,15 @@ from leglab.controllers.pd import Pd, PdConfiguration
     configuration=PdConfiguration,
 )
 class ExactInverse:
-    """u = commands computed by iterating on the machine of the run, changes included, + PD.
+    """u = commands found by iterated simulation of the machine of the run with its changes, + PD.
 
-    With exact sensors the machine would follow its reference as closely as its valves permit. So
-    its tracking error is the least that noise, resolution and latency of the sensors and the limits
-    of the valves permit any controller with this feedback. The reference of PD is delayed like its
-    measurements.
+    With exact sensors the machine would follow its reference as closely as its valves permit. The
+    tracking error is therefore a lower bound, due to valve limits and to noise, resolution and
+    latency of the sensors, for all controllers with this feedback. PD compares measurements with an
+    equally delayed reference.
 
     Attributes:
-        commands: Valve commands, one row a period, (periods, joints); None before the first run.
+        commands: Valve commands by control period, (periods, joints); None before the first run.
     """
 
     def __init__(self, setup: ControllerSetup, config: PdConfiguration) -> None:
@@ -44,7 +44,7 @@ class ExactInverse:
         """Starts a run with the first command.
 
         Raises:
-            LeglabError: There is no machine for which commands could be computed.
+            LeglabError: The setup has no machine for which commands can be computed.
         """
         if self.commands is None:
             if self._find is None:

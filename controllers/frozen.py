@@ -1,4 +1,4 @@
-"""Adaptive feed-forward that stops adapting before the change: shows the gain by adaptation."""
+"""Adaptive feed-forward that stops adapting before the machine changes, for comparison."""
 
 from leglab.control import ControllerSetup, register_controller
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController

@@ -1,4 +1,4 @@
-"""Iterative learning control: the calibrated valve map, PD, and a correction learned by strides."""
+"""Iterative learning control: calibrated valve map, PD, and a correction learned by repetition."""
 
 import math
 
@@ -12,7 +12,7 @@ from leglab.control.iterative_learning import IterativeLearning
 from leglab.controllers.pd import Pd, PdConfiguration
 from leglab.controllers.static_feedforward import ValveMapTable
 
-# A stride must be this many control periods long to be learned from.
+# Minimum duration of a stride for learning, in control periods.
 _LEAST_PERIODS = 20
 
 
@@ -37,9 +37,9 @@ class IlcConfiguration(Configuration):
 class Ilc:
     """u = map(r, r') + PD + c, c by iterative learning from stride to stride.
 
-    Where the reference does not repeat itself, c and the diagnostic `repeats` are zero. The map
-    takes the reference at the mean time at which the command acts; the error compares a measurement
-    with the reference at the time of the measurement.
+    While the reference does not repeat itself, c and the diagnostic `repeats` are zero. The map is
+    evaluated at the reference in the middle of the period in which the command acts; the error is
+    the difference of a measurement from the reference at the time of that measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: IlcConfiguration) -> None:
@@ -97,7 +97,7 @@ class Ilc:
         return self._feedforward + feedback
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns feed-forward, its learned part, feedback, and 1 where the reference repeats."""
+        """Returns feed-forward, its learned part, feedback, and 1 while the reference repeats."""
         return {
             "feedforward": self._feedforward,
             "correction": self._correction,

@@ -1,4 +1,4 @@
-"""Feed-forward identified offline on the changed machine: the bound for the learned structure."""
+"""Feed-forward identified offline on the changed machine: a bound for maps of this structure."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from leglab.control import ControllerSetup, Measurement, ReferencePoint, registe
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 from leglab.identification import Rls
 
-# Prior variance of the parameters, so wide that the recording alone decides.
+# Prior variance of the parameters, so large that the recordings alone determine them.
 _PRIOR = 1e3
 
 
@@ -20,12 +20,12 @@ _PRIOR = 1e3
 class Oracle(AdaptiveController):
     """`bsnn_arx` without learning online: maps fitted to recordings before and after the change.
 
-    It knows when the machine changes, and has a recording of the changed machine: no controller
-    that adapts the same map can be expected to do better.
+    It knows when the machine changes, and has a recording of the changed machine. No controller
+    that adapts a map of this structure can therefore be expected to do better.
     """
 
     name = "oracle"
-    freeze = None  # type: ignore[assignment]  # it does not adapt: it has no frozen twin
+    freeze = None  # type: ignore[assignment]  # without adaptation there is no frozen twin
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         config = config.model_copy(update={"supervised": False, "stop_time": 0.0})
@@ -40,7 +40,7 @@ class Oracle(AdaptiveController):
         self._change = setup.foreknowledge.last_change
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run with the map of the machine before its change."""
+        """Starts a run with the map of the machine before its changes."""
         super().reset(measurement)
         self.adaptation.learner.parameters = self._maps[0]
         self._changed = False

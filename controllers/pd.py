@@ -26,10 +26,10 @@ class PdConfiguration(Configuration):
     configuration=PdConfiguration,
 )
 class Pd:
-    """u = s (K_p (r - q) + K_v (r' - q')), s the sign with which a command moves the joint.
+    """u = s (K_p (r - q) + K_v (r' - q')); s: sign of the velocity that a positive command gives.
 
-    For drives with an internal position or velocity loop, `command` adds the setpoint that follows
-    the reference; `correct` does not.
+    For drives with an internal position or velocity loop, `command` adds the setpoint with which
+    the loop follows the reference; `correct` does not.
 
     Attributes:
         position_gain: s K_p [1/rad], (joints,).
@@ -54,7 +54,7 @@ class Pd:
         self.feedback = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run; the law has no memory."""
+        """Starts a run; does nothing, because the control law has no memory."""
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Computes the commands before clipping to [-1, 1], (joints,)."""

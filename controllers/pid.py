@@ -26,7 +26,7 @@ class PidConfiguration(PdConfiguration):
     configuration=PidConfiguration,
 )
 class Pid:
-    """u = PD + integral of s K_p (r - q)/T_i, limited, and halted while the command saturates."""
+    """u = PD + integral of s K_p (r - q)/T_i; limited, and not increased during saturation."""
 
     def __init__(self, setup: ControllerSetup, config: PidConfiguration) -> None:
         self._pd = Pd(setup, config)

@@ -1,7 +1,7 @@
-"""The nominal machine's steady valve map, inverted and constant, added to PD.
+"""Feed-forward by the nominal machine's calibrated valve map, which never changes, added to PD.
 
-The baseline for adaptive controllers: it knows the new machine as well as a bench calibration can,
-and none of its later changes.
+It is the baseline for adaptive controllers: it knows the new machine as well as a bench calibration
+can tell, and none of its later changes.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ class ValveMapTable:
     """Bilinear look-up of calibrated valve maps, all joints at once.
 
     Args:
-        maps: One a joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
-            (p, v); equally long, positions equally spaced, velocities alike but for their scale.
+        maps: One per joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
+            (p, v); positions equally spaced, velocities equal but for a factor per joint.
     """
 
     def __init__(self, maps: Sequence) -> None:
@@ -49,7 +49,7 @@ class StaticFeedforward:
         self._feedforward = np.zeros(len(setup.joints))
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run; nothing is learned."""
+        """Starts a run; the map does not change."""
         self._pd.reset(measurement)
 
     def command(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:

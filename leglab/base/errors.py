@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-_MOST_LISTED = 60  # names in a message
+_MOST_LISTED = 60  # maximum number of names in a message
 
 
 class LeglabError(ValueError):
@@ -46,7 +46,7 @@ class LeglabError(ValueError):
             kind: Kind of object that the name refers to, for instance "scenario".
             name: The unknown name.
             known: Existing names; the message suggests the closest one and lists all names, or
-                only similar ones if there are more than 40.
+                only similar ones if there are more than 60.
         """
         choices = sorted(set(known))
         close = difflib.get_close_matches(str(name), choices, n=1)
@@ -91,7 +91,7 @@ class FileError(LeglabError):
 
 @contextmanager
 def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None) -> Iterator[None]:
-    """Converts an exception from a controller's or reference's code into an error with its line.
+    """Converts an exception in a controller's or reference's code to an error that names the line.
 
     Args:
         what: Kind and name of what runs, for instance "controller 'pd'".
@@ -111,7 +111,7 @@ def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None)
 
 
 def origin(error: BaseException, code: object = None) -> str:
-    """Returns file and line of an error: the innermost frame in the file of `code`, else of all."""
+    """Returns file and line of an error's innermost frame in the file of `code`, or in any file."""
     try:
         file = inspect.getsourcefile(code)  # type: ignore[arg-type]
     except TypeError:  # an object without source code

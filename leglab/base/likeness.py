@@ -8,16 +8,16 @@ from functools import lru_cache
 
 import numpy as np
 
-# Minimum length of a word that may match part of another: shorter ones match by chance.
+# Minimum length of a word that may match part of another, because shorter words match by chance.
 _SHORT = 3
-# Weight of a common word (joint, motor) relative to 1 of a distinctive one.
+# Weight of a common word such as joint or motor; a distinctive word has the weight 1.
 _PLAIN_WEIGHT = 0.1
-# Penalty per additional word: a tie-break, smaller than every other score difference.
+# Penalty per word that a candidate lacks. It only breaks ties: other score differences are larger.
 _FURTHER = 0.01
 
 
 def words_of(name: str, known: Collection[str] = ()) -> list[str]:
-    """Returns the words and numbers of a name in lower case: of `KneeQ_meas[0]` knee, q, meas, 0.
+    """Returns words and numbers of a name in lower case: knee, q, meas, 0 for `KneeQ_meas[0]`.
 
     A word that is composed of two `known` words is split, for instance `kneepos`.
     """
@@ -34,7 +34,7 @@ def words_of(name: str, known: Collection[str] = ()) -> list[str]:
 def likeness_of_words(
     words: Sequence[str], names: Sequence[Sequence[str]], plain: Collection[str]
 ) -> np.ndarray:
-    """Scores the similarity of words to those of each name, from 0 to 1, (names,).
+    """Scores the similarity of a name's words to the words of each candidate, 0 to 1, (names,).
 
     Args:
         words: Words of the name to be matched.
@@ -48,7 +48,7 @@ def likeness_of_words(
         weights = [(_PLAIN_WEIGHT if w in plain else 1.0) / count[w] for w in name]
         ratios = [max((_ratio(word, w) for word in words), default=0.0) for w in name]
         if any(r for r, w in zip(ratios, name, strict=True) if not w.isdigit()):
-            # Words that occur only in other candidates reduce the score of this one.
+            # Words that occur only in other candidates reduce the score of this candidate.
             foreign = len(known - set(name)) / max(len(known), 1)
             further = _FURTHER * sum(word not in name for word in words)
             found[i] = max(np.dot(weights, ratios) / sum(weights) - 0.5 * foreign - further, 0.0)
@@ -67,13 +67,13 @@ def _ratio(one: str, other: str) -> float:
 
 
 def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
-    """Returns, by name, its number and the numbers of all names that differ in it alone."""
+    """Returns by name its number, and the numbers of all names that differ only in the number."""
     peers: dict[str, dict[int, str]] = defaultdict(dict)
     for name in names:
         for match in re.finditer(r"\d+", name):
             peers[f"{name[: match.start()]}#{name[match.end() :]}"][int(match[0])] = name
     found: dict[str, tuple[int, tuple[int, ...]]] = {}
-    for group in sorted(peers.values(), key=len):  # the largest group decides which number counts
+    for group in sorted(peers.values(), key=len):  # the largest group comes last and overwrites
         found |= {name: (number, tuple(sorted(group))) for number, name in group.items()}
     return found
 
@@ -81,11 +81,11 @@ def numbered(names: Iterable[str]) -> dict[str, tuple[int, tuple[int, ...]]]:
 def likeness_of_numbers(
     number: int, peers: Sequence[int], names: Sequence[Sequence[str]]
 ) -> np.ndarray:
-    """Scores a number against names: by the equal number in a name, else by position, (names,).
+    """Scores candidate names for a number: equal number, or position in sorted order, (names,).
 
     Args:
         number: Number in a name, from `numbered`.
-        peers: From `numbered`; a position scores higher if there are as many peers as names.
+        peers: Numbers of the group from `numbered`; as many of them as `names` raise the score.
         names: Words of each candidate name, (names,).
     """
     found = np.zeros(len(names))

@@ -195,7 +195,7 @@ def has_locks(path: Path) -> bool:
 def piece(name: str, missing: dict[str, str]) -> Iterator[None]:
     """Records in `missing` why a part of a result could not be made, instead of raising.
 
-    So the result of hours of computing is not lost if a page or file after it fails.
+    Thus a page or file that fails after hours of computing does not lose their other results.
     """
     try:
         yield
@@ -224,7 +224,7 @@ def _told(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _replaced(path: Path, suffix: str = "") -> Iterator[Path]:
-    """Yields an empty file next to the target of `path`, which it replaces at the end."""
+    """Yields an empty file next to the target of `path`; at the end it replaces the target."""
     with _told(path):
         real = regular_file(path)
         handle, name = tempfile.mkstemp(
@@ -242,7 +242,7 @@ def _replaced(path: Path, suffix: str = "") -> Iterator[Path]:
 
 @contextmanager
 def _folder(folder: Path, place: Path) -> Iterator[None]:
-    """Creates a folder with its parents; removes those created that are empty at the end."""
+    """Creates a folder with its parents; at the end removes the created folders that are empty."""
     made: list[Path] = []
     with _told(place):
         above = folder
@@ -328,7 +328,7 @@ def regular_file(path: Path) -> Path:
 
 
 def _carry_over(folder: Path, new: Path, made: Collection[str]) -> None:
-    """Hard-links or copies the user's own files, all but results, into the new folder."""
+    """Hard-links or copies the user's files, which are all but `made`, into the new folder."""
 
     def put(source: str, target: str) -> None:
         try:
@@ -380,7 +380,7 @@ def remove(paths: Iterable[Path]) -> None:
 
 
 def _umask() -> int:
-    """Returns the process umask: output gets the permissions of any other new file."""
+    """Returns the process umask, so that output gets the permissions of other new files."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

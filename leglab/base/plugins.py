@@ -35,7 +35,7 @@ _failures: dict[tuple[str, str], str] = {}
 # Files on which results depend, with the digest of their content at the first import, since later
 # edits of a file do not change the running code.
 _files: dict[Path, bytes] = {}
-# Depth of imports in progress: `note` ignores what they register, since they are recorded anyway.
+# Number of nested plug-in imports, during which `note` does nothing: `load` records the imports.
 _importing = 0
 _SUFFIXES = (".py", ".xml", ".toml")
 
@@ -244,7 +244,7 @@ def _take_files(module: ModuleType) -> None:
 
 
 def _package_files(module: ModuleType) -> Iterable[Path]:
-    """Yields the file of a module, or all code and data files of its package if it has one."""
+    """Yields the file of a module, or all code and data files of the package that contains it."""
     file = getattr(module, "__file__", None)
     if file is None:
         return

@@ -22,9 +22,9 @@ from leglab.base.errors import RecordingError
 from leglab.base.notebook import data_frame, html_table, panels
 from leglab.base.units import error_unit, own_units, unit_of
 
-# Metadata of a run: native actuator of each joint, with centre and half range of its control input.
+# Metadata key: native actuator of each joint, with centre and half range of the control input.
 DRIVES = "drives"
-# Metadata of a run: {"timestep": s, "integrator": MuJoCo's name} of the simulation that made it.
+# Metadata key: {"timestep": s, "integrator": MuJoCo's name} of the simulation that was recorded.
 SIMULATION = "simulation"
 # Semi-implicit integrators of MuJoCo: the position is updated with the new velocity.
 _SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
@@ -188,7 +188,7 @@ class Recording:
         """Sampling period [s].
 
         Raises:
-            RecordingError: There is only one sample, or the intervals differ; names the row.
+            RecordingError: There is only one sample, or the intervals differ (names the row).
         """
         if self.time.size < 2:
             raise RecordingError("a recording of one sample has no sampling period")

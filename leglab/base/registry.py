@@ -102,9 +102,9 @@ class Registry(Generic[Entry]):
 class Configured(Generic[Entry]):
     """A factory with its settings class."""
 
-    factory: Entry  #: Makes it
+    factory: Entry  #: Function or class that makes the object
     summary: str  #: One line for listings
-    configuration: type[Configuration]  #: The settings that the factory takes
+    configuration: type[Configuration]  #: Class of the factory's settings
 
 
 class FactoryRegistry(Registry[Configured[Entry]]):
@@ -144,7 +144,7 @@ class FactoryRegistry(Registry[Configured[Entry]]):
         Args:
             name: Name of the entry.
             config: Its settings; a setting that is left out has its default.
-            **defaults: Values of settings not in `config`; ignored where there is no such setting.
+            **defaults: Values of settings not in `config`; those unknown to the class are ignored.
 
         Raises:
             SettingsError: The name or a setting is unknown, or a value is not allowed.

@@ -92,7 +92,7 @@ class Phase:
 
     name: str  #: "whole", or "before", "during" and "after" a change
     start: float  #: First time [s]
-    end: float  #: Last time [s], not included where another phase follows
+    end: float  #: Last time [s]; excluded if another phase follows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +262,7 @@ class Scenario:
         return value
 
     def moving(self, previous: float, time: float) -> tuple[ParameterChange, ...]:
-        """Returns the changes whose value at `time` differs from that at `previous` [s].
+        """Returns the changes whose value may change between the times `previous` and `time` [s].
 
         A simulation writes only these parameters; before its first step `previous` is -inf.
         """

@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from leglab.base.errors import SettingsError
 
-# An attribute and its description in a docstring; a unit in brackets, but not a range as [-1, 1].
+# An attribute with its description in a docstring; a unit in brackets, but no range like [-1, 1].
 _SETTING = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
 _UNIT = re.compile(r"\[([^\],]+)\]")
 
@@ -33,7 +33,7 @@ def first_problem(error: ValidationError) -> tuple[str, str]:
 
 
 def _first(error: ValidationError) -> Any:
-    """Returns the first problem, unknown keys first: a missing key is often such a misspelling."""
+    """Returns the problem of an unknown key (often a misspelled missing one), or the first one."""
     problems = error.errors(include_url=False)
     unknown = (one for one in problems if one["type"] == "extra_forbidden")
     return next(unknown, problems[0])
@@ -75,11 +75,11 @@ def validate_configuration(
 class Setting:
     """Description of a setting in listings."""
 
-    name: str  #: As `--set` takes it after the section; that of a part after the part's and a dot
-    default: str  #: As text; "required" without one
-    allowed: str  #: Bounds or choices, "" where the type is all
-    unit: str  #: "" without one
-    meaning: str  #: From the docs of its class
+    name: str  #: Name for `--set SECTION.NAME`; PART.NAME in a nested configuration
+    default: str  #: Default as text; "required" if there is none
+    allowed: str  #: Bounds or choices; "" if only the type is restricted
+    unit: str  #: Unit; "" if there is none
+    meaning: str  #: Description from the docstring of its class
 
 
 def documented_settings(model: type[Configuration]) -> tuple[Setting, ...]:

@@ -19,7 +19,7 @@ def print_whole(console: Console, table: Table, *, usual: int = 0) -> None:
     Args:
         console: The output.
         table: The table.
-        usual: Width that the table may have in any case [characters].
+        usual: Width that the table may have even if the console is narrower [characters].
     """
     unbound = console.options.update_width(1_000_000)
     wanted = Measurement.get(console, unbound, table)

@@ -17,7 +17,7 @@ def threads_allowed() -> int:
 def one_blas_thread() -> Iterator[None]:
     """Limits BLAS to one thread, for code that solves many small problems in threads of its own.
 
-    Nested threading is oversubscribed: 2.5 times the run time on two cores. With one BLAS thread
+    Threads of BLAS in these threads take 2.5 times the run time on two cores. With one BLAS thread
     the rounding also does not depend on the number of cores.
     """
     with threadpool_limits(limits=1, user_api="blas"):

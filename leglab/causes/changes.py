@@ -3,7 +3,7 @@
 from leglab.base.scenario import Options, ParameterChange
 from leglab.causes.record import Cause, model_values
 
-# ISO 3448 [cSt at 40 °C].
+# Viscosity grades of ISO 3448 [cSt at 40 °C].
 _GRADES = (10.0, 15.0, 22.0, 32.0, 46.0, 68.0, 100.0, 150.0, 220.0, 320.0, 460.0)
 
 
@@ -45,11 +45,11 @@ def leak_of_one_chamber(cause: Cause, options: Options) -> tuple[ParameterChange
 
 
 def droop(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Scales pump flow, and accumulator volume to a quarter: the pressure varies with demand."""
+    """Scales pump flow by the severity and accumulator volume by 1/4, so demand lowers pressure."""
     return options.scale("pump_flow", options.severity), options.scale("accumulator_volume", 0.25)
 
 
 def leak_and_drop(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Scales the internal leakage, and the supply pressure to three quarters."""
+    """Scales the internal leakage by the severity, and the supply pressure by three quarters."""
     leak = options.scale("internal_leakage", options.severity)
     return leak, options.scale("supply_pressure", 0.75)

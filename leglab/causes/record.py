@@ -24,16 +24,16 @@ def plus(healthy: float, step: float) -> float:
 
 @dataclass(frozen=True)
 class Side:
-    """Magnitudes above or below the healthy one, as steps from it, from small to large."""
+    """Steps from the healthy magnitude in one direction, from small to large."""
 
-    bank: tuple[float, ...]  #: Nodes of the curve in the fault bank
-    #: Steps of the benchmarks: none is a node of the bank, the last lies beyond the bank's last.
+    bank: tuple[float, ...]  #: Steps at which the fault bank is simulated
+    #: Steps of the benchmarks; none is in `bank`, and the last lies beyond the last of `bank`.
     benchmark: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Trials:
-    """A parameter of an effect of the diagnosis, by steps from the model's value.
+    """Trial values of one parameter of a diagnosis effect, as steps from the model's value.
 
     Attributes:
         parameter: Parameter of `leglab.cylinder`.
@@ -85,18 +85,18 @@ class Cause:
         summary: Summary line of the scenario; empty for a cause that is no scenario.
         effect: Names of its effects in a diagnosis, joined by " and "; empty for none.
         part_of: Cause of which this one is a part.
-        condition: Operating condition of which this is one direction; empty for wear.
+        condition: Operating condition that this cause changes in one direction; empty for wear.
         parameters: Parameters that change.
         element: Elements that change, a name or a pattern.
         fallback: As in `ParameterChange`.
         optional: As in `ParameterChange`.
-        per_joint: Whether it can happen to the cylinder, spring or encoder of one joint alone.
+        per_joint: Whether the cause can affect the cylinder, spring or encoder of a single joint.
         meaning: Meaning of a magnitude, with its unit.
         healthy: Parameter whose value in the model is the healthy magnitude; empty if magnitudes
             are ratios to the model's value, or amounts that no model has.
         unit: Magnitude 1 in the parameter's unit.
         step: Function that applies a step to the healthy magnitude.
-        default: Step of the scenario's default.
+        default: Step to the default magnitude of the scenario.
         allowed: Steps of the smallest and the largest magnitude of the scenario, clipped to the
             bounds of the plugin's parameter.
         sides: Magnitudes in the fault bank and in benchmarks; empty if the cause is in neither.
@@ -135,9 +135,9 @@ class Cause:
         return not self.healthy and self.step is times
 
     def healthy_magnitude(self, values: Healthy | None = None) -> float:
-        """Returns the magnitude that changes nothing, by the model's values or plugin defaults.
+        """Returns the magnitude that changes nothing, from the model's values or plugin defaults.
 
-        If elements differ it is the most extreme value, beyond which all elements are faulty.
+        If elements differ, it is the extreme value, so a magnitude beyond it is a fault of all.
         """
         if not self.healthy:
             return 1.0 if self.ratio else 0.0
@@ -159,7 +159,7 @@ class Cause:
         return tuple(m for last, m in zip([healthy, *found], found, strict=False) if m != last)
 
     def severity(self, values: Healthy | None = None) -> Severity:
-        """Returns default and range of the scenario's magnitude, by the model's values as above."""
+        """Returns default and range of the scenario's magnitude; see `healthy_magnitude`."""
         healthy = self.healthy_magnitude(values)
         steps = (self.default, *self.allowed)
         default, lowest, highest = (self.magnitude(step, healthy) for step in steps)

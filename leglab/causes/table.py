@@ -42,7 +42,7 @@ for _row in (
             excitation="a pressure difference across the piston while the valve opens little",
         ),),
     ),
-    Cause(  # 5e-13 are 0.24 l/min a chamber at 80 bar, the upper end of what is detected.
+    Cause(  # 5e-13 is 0.24 l/min per chamber at 80 bar, the highest published detection limit.
         "external_leak", "all rod and piston seals leak to the outside from half time on",
         effect="external_leakage", parameters=("external_leakage_a", "external_leakage_b"),
         per_joint=True, meaning="external leakage of each chamber [m^3/s/Pa]",
@@ -252,7 +252,7 @@ for _row in (
 
 
 def names(kind: str) -> set[str]:
-    """Returns the names of all "scenarios" or "effects" of the table, as `kind` asks."""
+    """Returns the names of all "scenarios" or "effects" of the table, depending on `kind`."""
     if kind == "scenarios":
         return {cause.name for cause in CAUSES.values() if cause.summary}
     return {name for cause in CAUSES.values() for name in cause.effect.split(" and ") if name}
@@ -265,7 +265,7 @@ def effect_of(live: str) -> str:
 
 
 def live_of(effect: str) -> tuple[str, ...]:
-    """Returns the names of causes with an effect; none if one of them has the effect's name."""
+    """Returns the names of causes with this effect; empty if a cause has the effect's name."""
     names = tuple(cause.name for cause in CAUSES.values() if cause.effect == effect)
     return () if effect in names else names
 

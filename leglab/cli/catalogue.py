@@ -1,4 +1,4 @@
-"""The commands `leglab list` and `leglab parameters`: what there is, with summaries."""
+"""The commands `leglab list` and `leglab parameters`, which show names with summaries."""
 
 import re
 from typing import Annotated
@@ -67,10 +67,10 @@ def list_names(
 
 
 def cause_rows(model: str | None = None) -> list[dict[str, str]]:
-    """Returns a row a cause: its names, what it changes, and its magnitudes.
+    """Returns one row per cause: its names, the parameters that it changes, and its magnitudes.
 
     Args:
-        model: Whose healthy magnitudes count; None for the plugins' defaults.
+        model: Model whose parameters give the healthy magnitudes; None for the plugins' defaults.
     """
     rows, values = [], model_values(model) if model else None
     for cause in CAUSES.values():
@@ -137,7 +137,7 @@ def summaries() -> dict[str, dict[str, str]]:
 
 
 def severity_text(scenario: str) -> str:
-    """Returns the meaning and default of a scenario's size; empty without one."""
+    """Returns meaning and default of a scenario's severity; empty if it has no severity."""
     severity = scenario_severity(scenario)
     return f"{severity.meaning}: {severity.default:g}" if severity else ""
 
@@ -174,6 +174,6 @@ def _line(cells: list[str]) -> str:
 
 
 def _code(names: str) -> str:
-    """Names in a sentence as code."""
+    """Formats names that are separated by commas or "and" as Markdown code."""
     words = re.split(r"( and |, )", names) if names else []
     return "".join(w if i % 2 or " " in w else f"`{w}`" for i, w in enumerate(words))

@@ -105,7 +105,7 @@ EXAMPLES = {
 }
 """Two or three lines for the shell by command."""
 
-# The panel of an option in the help, by its name in Python.
+# Python names of the command parameters that each panel of the help text shows.
 _PANELS = {
     "What runs": (
         "scenario", "scenarios", "controller", "controllers", "model", "models", "reference",
@@ -116,7 +116,7 @@ _PANELS = {
     "Output": ("out", "overwrite", "figures", "as_json", "markdown", "write", "csv"),
 }  # fmt: skip
 
-# Kind of the names that the help lists, by the name of a parameter.
+# Kind of the names that the help text of a parameter lists, by the parameter's Python name.
 _LISTED = {
     "scenario": "scenarios",
     "scenarios": "scenarios",
@@ -140,24 +140,24 @@ _COMPLETION: dict[str, Callable[[str], list[str]]] = {
     "load": path_completion(".py"),
 }
 
-# What MuJoCo takes as MUJOCO_GL.
+# Values of the environment variable MUJOCO_GL that MuJoCo accepts.
 _OPENGL = (
     "egl", "osmesa", "glfw", "glx", "enable", "enabled", "on", "true", "1",
     "disable", "disabled", "off", "false", "0",
 )  # fmt: skip
 
-# Options that need no word, by the end of one that is theirs, and the word that stands for none.
+# Options with an optional value: suffix that marks a value, and the value that stands for none.
 _DEFAULTS = {"--plot": (".png", "-")}
 
-# Options that take all words up to the next option: a shell makes several of one `*`.
+# Options that take all words up to the next option, because a shell expands `*` to several words.
 _SEVERAL = ("--healthy",)
 
-# What typer raises for wrong arguments; its name is not public.
+# Exception class of typer for wrong arguments, whose name is not public.
 _UsageError: Any = typer.BadParameter.__base__
 
 
 class Commands(TyperGroup):
-    """The commands; an interrupted one says so and ends with status 130."""
+    """Group of the commands; an interrupted command reports this and ends with status 130."""
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""
@@ -169,7 +169,7 @@ class Commands(TyperGroup):
 
 
 class Command(TyperCommand):
-    """A command; what its `--load` names is imported before it begins."""
+    """Command that imports the plug-ins of its option `--load` before it runs."""
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""
@@ -179,7 +179,7 @@ class Command(TyperCommand):
 
 
 def exit_status() -> str:
-    """One line with all exit statuses."""
+    """Returns one line with all exit statuses."""
     return "Exit status: " + ", ".join(f"{code} {text}" for code, text in EXIT_STATUS.items())
 
 
@@ -206,13 +206,13 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
 
     Args:
         app: The application.
-        arguments: Of the shell; -v or --verbose, before any `--`, adds the traceback of an error.
+        arguments: Words of the command line; -v or --verbose before any `--` adds error tracebacks.
 
     Raises:
-        SystemExit: With a status of `EXIT_STATUS`, unless all is done.
+        SystemExit: The command does not succeed; the status is one of `EXIT_STATUS`.
     """
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # A letter that it lacks is written out.
+        if isinstance(stream, io.TextIOWrapper):  # Escapes letters that the encoding lacks.
             stream.reconfigure(errors="backslashreplace")
     given = list(arguments)
     end = given.index("--") if "--" in given else len(given)
@@ -225,13 +225,13 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
         if len(kept) < end:
             traceback.print_exc()
         text = error.format_message() if isinstance(error, _UsageError) else str(error)
-        if text:  # Without a command the help has been printed.
+        if text:  # Empty if the help was printed, since no command was given.
             complain(text)
         sys.exit(BAD_INPUT)
-    except BrokenPipeError:  # Whoever read it has had enough.
+    except BrokenPipeError:  # The program that reads the output has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(128 + signal.SIGPIPE)
-    except (OSError, MemoryError, ImportError) as error:  # The system has too little of something.
+    except (OSError, MemoryError, ImportError) as error:  # Disk, memory or a package is lacking.
         if len(kept) < end:
             traceback.print_exc()
         if _written_to_the_end():
@@ -247,19 +247,19 @@ def execute(app: typer.Typer, arguments: Sequence[str]) -> None:
 
 
 def _check_opengl() -> None:
-    """Refuses a MUJOCO_GL that MuJoCo refuses with a traceback when it is imported."""
+    """Rejects a MUJOCO_GL with which the import of MuJoCo would end in a traceback."""
     chosen = os.environ.get("MUJOCO_GL", "")
     if chosen.lower().strip() not in ("", *_OPENGL):
         raise SettingsError(f"MUJOCO_GL is {chosen!r}; allowed: ", given=chosen, allowed=_OPENGL)
 
 
 def _written_to_the_end() -> bool:
-    """Whether standard output took everything; if not, says so."""
+    """Tests whether all output reached standard output; prints an error if it did not."""
     try:
         sys.stdout.flush()
     except OSError as error:
         complain(f"standard output cannot be written: {error.strerror}")
-        # What is left there cannot be written when Python ends, either.
+        # Discards the remaining output, which Python would fail to write again when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return False
     return True
@@ -267,7 +267,7 @@ def _written_to_the_end() -> bool:
 
 @contextmanager
 def _ends_cleanly() -> Iterator[None]:
-    """Has a signal that ends the process run what tidies up: workers end, partial output goes."""
+    """Converts SIGTERM and SIGHUP to SystemExit: workers end and partial output is removed then."""
 
     def end(number: int, frame: object) -> None:
         raise SystemExit(128 + number)
@@ -285,9 +285,9 @@ def _ends_cleanly() -> Iterator[None]:
 
 
 def spread(arguments: Sequence[str]) -> list[str]:
-    """The same with an option of `_SEVERAL` repeated before each of its words, `_DEFAULTS` added.
+    """Repeats options of `_SEVERAL` before each of their words, and adds the values in `_DEFAULTS`.
 
-    Without that the second file of `--healthy before/*.csv` would be a recording of the fault.
+    Otherwise all files of `--healthy before/*.csv` but the first would be recordings of the fault.
     """
     found: list[str] = []
     option = ""

@@ -78,7 +78,7 @@ def convert(
     from leglab.machine.simulation import load_model
     from leglab.runs.folder import RECORDING, model_of, read_run
 
-    # First of all what costs nothing to check.
+    # Checks that take no time come first.
     until, to = _as_second(to)
     if to is not None and to not in data.FORMATS:
         raise FileError.unknown("format", to, data.FORMATS)
@@ -129,7 +129,7 @@ def convert(
 
 
 def _as_second(text: str | None) -> tuple[float | None, str | None]:
-    """A number as a second, other text as the name of a format."""
+    """Returns a number as (time [s], None), and other text as (None, name of a format)."""
     try:
         return (None, None) if text is None else (float(text), None)
     except ValueError:
@@ -223,7 +223,7 @@ def _rows(table: "Mapping[str, np.ndarray]") -> int:
 
 
 def _one_recording(path: Path) -> Path:
-    """The recording of a folder, such as a run's."""
+    """Returns the path of the only recording in a folder, or the path of a file unchanged."""
     if not path.is_dir():
         return path
     from leglab.diagnosis.intake.recordings import recording_files
@@ -238,7 +238,7 @@ def _one_recording(path: Path) -> Path:
 def _cut(
     table: "dict[str, np.ndarray]", since: float | None, until: float | None, source: str
 ) -> "dict[str, np.ndarray]":
-    """The rows of a span of time."""
+    """Returns the rows of a table from `since` to `until` [s]; None for no limit."""
     from leglab.data.checks import to_recording
 
     if since is None and until is None:
@@ -261,7 +261,7 @@ def _proposal(
     *,
     fix_base: bool,
 ) -> "Proposal":
-    """Proposes a column map for a model; rules of the user's map stay."""
+    """Proposes a column map for a model, and keeps the rules of the user's map `known`."""
     from leglab.base.units import own_units
     from leglab.diagnosis.intake.proposal import propose
 
@@ -273,7 +273,7 @@ def _proposal(
     machine = Machine(model, fix_base=fix_base)
     units, usable = own_units(metadata), usable_columns(machine)
     proposal = propose(table, units, usable, machine.columns, known)
-    # Joints that an equality determines need no column.
+    # Joints whose positions follow from an equality constraint need no column.
     machine = machine.measured_by({line.ours for line in proposal.lines if line.sure})
     needed = {"time", *machine.columns}
     proposal = replace(proposal, missing=tuple(n for n in proposal.missing if n in needed))
@@ -283,14 +283,14 @@ def _proposal(
 def _tried(
     proposal: "Proposal", machine: "Machine", table: "Mapping[str, np.ndarray]"
 ) -> "Proposal":
-    """The proposal, with other factors where the model explains the motion far better by them."""
+    """Returns the proposal with those column factors by which the model fits the motion better."""
     from leglab.data.checks import to_recording
     from leglab.data.files import LeftOut
     from leglab.diagnosis.balance.units import doubts
     from leglab.diagnosis.intake.admission import admit
 
     mapped = proposal.column_map.apply(table, "", LeftOut(partial=True))
-    for _ in machine.columns:  # a doubt hides the next one
+    for _ in machine.columns:  # one pass per doubt, because a doubt hides the next one
         try:
             recording = to_recording(mapped, {}, source="", repair=True)
             admitted = admit(machine, {"": recording}).recordings
@@ -300,7 +300,7 @@ def _tried(
         if not found:
             break
         (doubt,) = found
-        # The data do not tell which of several columns has the wrong sign.
+        # The data do not show which of several columns has the wrong sign: change none.
         factor = 1.0 if doubt.alike else doubt.factor
         for column in (*doubt.columns, *doubt.alike):
             proposal = proposal.asked(column, factor, doubt.words.partition(": ")[0])
@@ -311,7 +311,7 @@ def _tried(
 
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:
-    """Prints a summary."""
+    """Prints the summary of a file and its findings."""
     tell(f"{file}: {_axis(summary)}")
     metadata = dict(summary.metadata)
     if said := metadata.pop("time", None):

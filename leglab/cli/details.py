@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 def show_details(name: str, model: str, *, as_json: bool) -> None:
-    """Prints all that has this name: several kinds may share one.
+    """Prints all objects of this name, since objects of different kinds may have the same name.
 
     Args:
-        name: To look for.
+        name: Name of a scenario, controller, reference, model or effect, or "sensors".
         model: Machine on which a scenario or an effect is shown.
         as_json: Whether to print JSON.
 
     Raises:
-        LeglabError: Nothing has this name, or there is no such model.
+        LeglabError: Nothing has this name, or the model does not exist.
     """
     known, found = {_SENSORS, *names_of("effects")}, {}
     for kind, registry in registries().items():
@@ -51,7 +51,7 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
 
 
 def registries() -> dict[str, Registry[Any]]:
-    """Returns the registries of what has a name and a summary, by kind."""
+    """Returns the registries of scenarios, controllers, references and models, by kind."""
     import leglab.controllers
     import leglab.scenarios  # noqa: F401  registers the scenarios
     from leglab.base.scenario import SCENARIOS
@@ -68,7 +68,7 @@ def registries() -> dict[str, Registry[Any]]:
 
 
 def model_values(model: str) -> "Healthy":
-    """Returns a function that gives the values of a parameter in a model."""
+    """Returns a function that maps the name of a parameter to its values in a model."""
 
     def values(parameter: str) -> tuple[float, ...]:
         from leglab.machine.changes import healthy_values
@@ -158,7 +158,7 @@ def _model(_: str, name: str, entry: Any, __: str) -> dict[str, Any]:
     return {"summary": entry.summary, "options": options, "rows": rows}
 
 
-# Describes an entry, given kind, name, entry and the machine on which it is shown.
+# Function by kind that describes an entry, from kind, name, entry and the model to show it on.
 _DETAILS = {"scenario": _scenario, "controller": _settings, "reference": _settings, "model": _model}
 
 

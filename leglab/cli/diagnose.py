@@ -123,7 +123,7 @@ def diagnose(
 
 
 def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:
-    """Refuses a recording that is given as healthy as well."""
+    """Rejects a recording that is also given as --healthy."""
     from leglab.diagnosis.intake.recordings import recording_files
 
     now, earlier = (
@@ -151,7 +151,7 @@ def show_diagnosis(result: "Diagnosis", out: Path) -> None:
 
 
 def _check_effects(names: list[str]) -> None:
-    """Refuses names of effects that nothing has registered, a plug-in neither."""
+    """Rejects names of effects that neither leglab nor a plug-in has registered."""
     from leglab.diagnosis.effects import all_effects
 
     known = sorted({effect.name for effect in all_effects() if effect.nameable})

@@ -15,7 +15,7 @@ from leglab import __version__
 from leglab.cli.options import Json, Load
 from leglab.cli.terminal import FAILED, print_json, tell
 
-# What results depend on, beside leglab.
+# Packages besides leglab on which results depend.
 _VERSIONS = ("mujoco", "numpy", "scipy", "control", "pydantic", "pyarrow", "duckdb", "matplotlib")
 _VARIABLES = ("MUJOCO_GL", "OMP_NUM_THREADS", "DISPLAY", "LEGLAB_DATA", "LEGLAB_CACHE")
 
@@ -67,7 +67,7 @@ def _plugin() -> str:
 
 
 def _opengl() -> str:
-    """Backends of MuJoCo that open here, in the order in which films try them."""
+    """Tests MuJoCo's OpenGL backends on this machine, in the order in which films try them."""
     from leglab.report.film.produce import BACKENDS
 
     script = "import mujoco; mujoco.GLContext(16, 16).make_current()"
@@ -84,7 +84,7 @@ def _opengl() -> str:
 
 
 def _extras() -> str:
-    """Extras of the package, and what is missing of each."""
+    """Returns the extras of leglab, each with its packages that are missing."""
     told = []
     metadata = importlib.metadata.metadata("leglab")
     wanted = importlib.metadata.requires("leglab") or []
@@ -97,7 +97,7 @@ def _extras() -> str:
 
 
 def _packages() -> str:
-    """Entry points of other packages, and why some could not be loaded."""
+    """Returns the entry points of other packages, and why some could not be loaded."""
     from leglab.base import plugins
     from leglab.cli.catalogue import summaries
 

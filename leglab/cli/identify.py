@@ -91,7 +91,7 @@ def _identified(
     threads: int,
     out: Path,
 ) -> "tuple[dict[str, Identified], Journal]":
-    """Models by output, and the journal beside the folder from which a search resumes."""
+    """Returns models by output, and the journal next to `out` by which the search can resume."""
     from leglab.identification.structure import identify as run_identify
     from leglab.identification.structure.journal import Journal
     from leglab.jobs.fingerprint import own_fingerprint
@@ -130,7 +130,7 @@ def _read(
     salvage: bool,
     period: float | None,
 ) -> "dict[str, Recording]":
-    """Recordings by name; rows without a time are a period apart."""
+    """Returns recordings by name; without a time column, rows are `period` or 1 s apart."""
     import numpy as np
 
     from leglab import data

@@ -91,7 +91,7 @@ def improve(
 
 
 def _table(result: "Improvement") -> Table:
-    """Replay errors of all recordings before and after."""
+    """Builds a table of the replay errors of all recordings before and after the improvement."""
     from leglab.diagnosis.result import shown_unit
 
     title = f"replay error, RMS before > after; of channels after {result.horizon:.3g} s"

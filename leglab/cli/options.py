@@ -1,8 +1,8 @@
 """Options that several commands share, and the names that they take.
 
-Names for shell completion and help are found without importing what they name: scenarios and
-effects stand in the table of causes, scenarios and controllers are called like their files, models
-like their MJCF; the others are listed. A test compares all of them with the registries.
+Names for shell completion and help are collected without importing the named objects. Scenarios and
+effects are in the table of causes; other scenarios and controllers are named after their files,
+models after their MJCF files; the rest is listed. A test compares all names with the registries.
 """
 
 import os
@@ -126,8 +126,8 @@ RECORDINGS = (".parquet", ".csv", ".txt", ".tsv", ".log", ".dat", ".mcap", ".mat
 
 _PACKAGE = Path(__file__).parent.parent
 _FILES = {"scenarios": "*.py", "controllers": "*.py", "models": "*.xml"}
-# Several classes may stand behind one name, and loading them takes MuJoCo: those that no cause
-# names are listed.
+# Effects that no cause names. They are listed because several classes may share one name, and
+# because loading the classes imports MuJoCo.
 _EFFECTS = (
     "actuator_gain", "armature", "asymmetric_friction", "backlash", "base_tilt", "cogging",
     "command_bandwidth", "command_bias", "command_deadband", "command_deadband_asymmetry",
@@ -153,7 +153,7 @@ _LISTED = {
 
 
 def given_for(kind: type, context: typer.Context) -> dict[str, Any]:
-    """Returns the options of a command that are called like the fields of a dataclass."""
+    """Returns the options of a command that have the names of a dataclass's fields."""
     from dataclasses import fields
 
     given = {**context.params, "ramp_duration": context.params["ramp"]}
@@ -161,10 +161,10 @@ def given_for(kind: type, context: typer.Context) -> dict[str, Any]:
 
 
 def settings_of(context: typer.Context) -> "RunSettings":
-    """Returns the settings of a run, from the options of a command that are called like them.
+    """Builds the settings of a run from the options of a command that have the settings' names.
 
-    Where the scenario is a file of settings, that file's hold but for options that are given; the
-    entries of `--set` hold over both.
+    If the scenario is a file of settings, options that the user gives override the file's settings;
+    entries of `--set` override both.
 
     Raises:
         LeglabError: A name or value of the file or of an entry is not allowed.
@@ -190,7 +190,7 @@ def settings_of(context: typer.Context) -> "RunSettings":
 
 
 def check_order(model: str, recordings: Sequence[Path]) -> None:
-    """Raises `LeglabError` where a recording stands in the place of the model."""
+    """Raises `LeglabError` if a recording is given in place of the model."""
     if Path(model).suffix in RECORDINGS:
         other = next((str(path) for path in recordings if path.suffix == ".xml"), "an MJCF file")
         told = f"{model} is a recording: the model comes first, "
@@ -198,7 +198,7 @@ def check_order(model: str, recordings: Sequence[Path]) -> None:
 
 
 def check_jobs(jobs: int, name: str = "jobs") -> None:
-    """Raises `LeglabError` for no processes, or far more than there are cores."""
+    """Raises `LeglabError` unless the number of processes is -1, or from 1 to 16 per core."""
     most = 16 * (os.cpu_count() or 1)
     if jobs != -1 and not 1 <= jobs <= most:
         allowed = f"1 to {most}, or -1 for one a core"
@@ -213,7 +213,7 @@ def split(names: str) -> list[str]:
 def names_of(kind: str) -> tuple[str, ...]:
     """Returns the names of all scenarios, controllers, models, effects, references or formats.
 
-    Those of plug-ins are the names of their entry points.
+    Plug-ins are included by the names of their entry points.
     """
     if kind == "formats":
         return _LISTED[kind]
@@ -239,7 +239,7 @@ def completion(kind: str) -> Callable[[str], list[str]]:
 
 
 def controllers_after(incomplete: str) -> list[str]:
-    """Offers controllers after what is typed, names separated by commas; none is offered twice."""
+    """Completes a list of controllers separated by commas; offers none that it already has."""
     before, comma, last = incomplete.rpartition(",")
     left = (name for name in names_of("controllers") if name not in before.split(","))
     return [before + comma + name for name in left if name.startswith(last)]

@@ -170,7 +170,7 @@ def _report_sweep(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Writes the page of a sweep, with so many films that show so much."""
+    """Writes the page of a sweep with films of its `count` worst runs; `shown` are film options."""
     from leglab.report.run.page import PAGE, check_out
     from leglab.report.sweep.facts import MOST_FILMS
     from leglab.report.sweep.films import film_runs
@@ -193,7 +193,7 @@ def _report_sweep(
                         **shown,
                         progress=lambda share: show(completed=share),
                     )
-                except LeglabError as error:  # The page is worth having without.
+                except LeglabError as error:  # The page is useful without films.
                     complain(f"no films: {error}", "warning")
         with progress("writing"):
             written = write_sweep_page(folder, place / PAGE, films=films)

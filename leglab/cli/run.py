@@ -159,7 +159,7 @@ def compare(
                     title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
                     try:
                         save_comparison_figure(shown, out / f"{name}.png", title=title)
-                    except LeglabError as error:  # The results are there.
+                    except LeglabError as error:  # The results are already written.
                         terminal.complain(f"no figure of {name}: {error}", "warning")
     if as_json:
         terminal.print_json(summary)

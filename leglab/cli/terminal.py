@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-# What a terminal would obey: C0 but tab and newline, DEL, C1, and what turns the reading direction.
+# Escapes of terminal control characters: C0 except tab and newline, DEL, C1, and text direction.
 _COMMANDS = {
     code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
     for code in (
@@ -40,7 +40,7 @@ _COMMANDS = {
 
 
 class _Harmless(Console):
-    """A console that writes out what a terminal would obey; all output of commands passes it."""
+    """Console that prints terminal control characters as escapes; all commands print through it."""
 
     def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
         for segment in super().render(*args, **options):
@@ -52,7 +52,7 @@ class _Harmless(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         try:
             return super().render_str(text, **options)
-        except MarkupError:  # A name that looks like markup.
+        except MarkupError:  # Brackets in a name are no valid markup.
             return super().render_str(text, **{**options, "markup": False})
 
 
@@ -61,7 +61,7 @@ output = _Harmless(highlight=False)
 
 
 def tell(text: str) -> None:
-    """Prints a line on standard output as it is, however long."""
+    """Prints a line on standard output without markup and without wrapping it."""
     output.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -69,7 +69,7 @@ def complain(text: str, kind: str = "error") -> None:
     """Prints one line on standard error.
 
     Args:
-        text: What is wrong; may hold anything.
+        text: The message, which may contain any characters.
         kind: "error" or "warning".
     """
     color = {"error": "red", "warning": "yellow"}[kind]
@@ -104,24 +104,24 @@ def read_and_warn(
     return read_recordings(paths, columns, span=span, salvage=salvage, tell=warn)
 
 
-_WIDE = 120  # characters
-_SILENCE = 30.0  # s after which a file or pipe gets a line about how far a command is
-_NAME = 30  # characters of a name that a table keeps on one line
+_WIDE = 120  # width that wide tables may have on any terminal [characters]
+_SILENCE = 30.0  # interval between progress lines in a file or pipe [s]
+_NAME = 30  # maximum length of a name that a table keeps on one line [characters]
 _Made = TypeVar("_Made")
 
 
 def print_table(table: Table, usual: int = 0) -> None:
-    """Prints a table in full, as `leglab.base.tables.print_whole`."""
+    """Prints a table in full by `leglab.base.tables.print_whole`."""
     print_whole(output, table, usual=usual)
 
 
 def print_wide(table: Table) -> None:
-    """Prints a table that is better read in long lines, in full."""
+    """Prints a table in full, with lines of up to 120 characters even on a narrower terminal."""
     print_table(table, _WIDE)
 
 
 def print_answer(names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Prints rows as a table, or one field a line where they are wider than the terminal."""
+    """Prints rows as a table, or with one field per line if the table would be too wide."""
     table = plain_table(names, rows)
     console = _Harmless(highlight=False, width=max(output.width, _WIDE))
     unbound = console.options.update_width(1_000_000)
@@ -139,7 +139,7 @@ def print_json(content: Any, *, ascii_only: bool = True) -> None:
     """Prints content as JSON on standard output."""
     plain = ascii_only or "utf" not in (sys.stdout.encoding or "").lower()
     text = json.dumps(content, indent=2, ensure_ascii=plain)
-    # What is left of it stands within strings, where JSON has \\u for it.
+    # Control characters that remain are inside strings, where JSON allows \\u escapes.
     typer.echo(text.translate({code: f"\\u{code:04x}" for code in _COMMANDS}))
 
 
@@ -147,17 +147,17 @@ def print_json(content: Any, *, ascii_only: bool = True) -> None:
 def progress(
     label: str, total: float | None = None, unit: str = ""
 ) -> Iterator[Callable[..., None]]:
-    """Shows on stderr how far a command is.
+    """Shows the progress of a command on standard error.
 
-    A terminal has a bar that leaves nothing behind, a file or pipe a line every half a minute.
+    A terminal shows a bar, which is removed at the end; a file or pipe gets a line every 30 s.
 
     Args:
-        label: What is done.
-        total: Amount that is all; None where it is not known.
-        unit: What is counted, such as "runs"; without one, the amount is no number of things.
+        label: Name of the activity.
+        total: Amount at the end; None if it is not known.
+        unit: Name of the counted things, such as "runs"; if empty, progress is shown in per cent.
 
     Yields:
-        Tells how far it is; takes `completed`, `total` and `description` by name.
+        A function that updates the progress by keywords: `completed`, `total`, `description`.
     """
     state = _State(label=label, total=total, unit=unit)
     if not errors.is_terminal:
@@ -187,7 +187,7 @@ def progress(
 
 @dataclass
 class _State:
-    """How far a command is, and since when [s]."""
+    """Progress of a command; `begun` is the time [s] and the amount at its first update."""
 
     label: str
     total: float | None
@@ -206,11 +206,11 @@ class _State:
         self.total = self.total if total is None else total
         if completed is not None:
             self.completed = completed
-            if self.begun is None:  # What was there before took no time now.
+            if self.begun is None:  # Earlier results took no time in this call.
                 self.begun = time.monotonic(), completed
 
     def told(self) -> str:
-        """Such as "seal_wear, pd: 13 of 28 runs, 2 min left"."""
+        """Formats the progress, for example "seal_wear, pd: 13 of 28 runs, 2 min left"."""
         parts = []
         if self.total and self.unit:
             parts.append(f"{self.completed:g} of {self.total:g} {self.unit}")
@@ -236,18 +236,18 @@ class _State:
 def make_many(
     label: str, total: int, make: Callable[..., _Made], unit: str = "runs", *, resumes: bool = True
 ) -> _Made:
-    """Makes many runs and shows how many there are.
+    """Makes many runs and shows how many are done.
 
     Args:
-        label: What is done.
+        label: Name of the activity.
         total: Number of runs.
-        make: Makes them; `progress` is called with the number of runs that are done, that of all,
-            and the name of the last one.
-        unit: What they are.
-        resumes: Whether the same command goes on where this one was interrupted.
+        make: Function that makes the runs. It calls its argument `progress` with the number of
+            finished runs, the number of all runs, and the name of the last run.
+        unit: Word for the runs in messages.
+        resumes: Whether the same command continues an interrupted one; the message says so.
 
     Raises:
-        typer.Exit: The user interrupts; the number of finished runs is told.
+        typer.Exit: The user interrupts; the number of finished runs is printed.
     """
     finished, whole = 0, total
     try:
@@ -266,10 +266,10 @@ def make_many(
 
 
 def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """A table of text as it is; columns that hold nothing but numbers are aligned on the right.
+    """Builds a table of text without markup; columns that contain only numbers are aligned right.
 
-    Where there is too little room, heads are broken and what lines say is folded: a name that is
-    cut short could be another's.
+    If the terminal is too narrow, text is folded and not cut, because a shortened name could be
+    mistaken for another name.
     """
     rows = list(rows)
     short = all(len(row[0]) <= _NAME for row in rows)
@@ -295,7 +295,7 @@ def _is_number(text: str) -> bool:
 
 
 def metrics_table(metrics: "RunMetrics") -> Table:
-    """Tracking error of one run by joint and phase."""
+    """Builds a table of the tracking error of one run by joint and phase."""
     from leglab.report.page.outcome import milli, outcome, sentence
     from leglab.runs.clock import NOTHING_CHANGES
 
@@ -324,19 +324,19 @@ def metrics_table(metrics: "RunMetrics") -> Table:
     return table
 
 
-_LATE = 0.01  # of the commands, from which on it is told: an operating system delays a few
+_LATE = 0.01  # minimum share of late commands for a warning; an operating system delays a few
 
 
 def _short(value: float) -> str:
-    """A number with one decimal, or two digits where that would leave fewer."""
+    """Formats a number with one decimal, or with two significant digits if it is less than 1."""
     return f"{value:.1f}" if abs(value) >= 1 or value == 0 else f"{value:.2g}"
 
 
 def slow_lines(metrics: "RunMetrics", period: float) -> list[str]:
-    """A line where the controller took longer than its period, else none.
+    """Returns one line if many commands took longer than the control period, else no line.
 
     Args:
-        metrics: Of the run.
+        metrics: Metrics of the run.
         period: Control period [s].
     """
     times = metrics.command_time_s
@@ -350,7 +350,7 @@ def slow_lines(metrics: "RunMetrics", period: float) -> list[str]:
 
 
 def comparison_table(summary: dict[str, Any]) -> Table:
-    """Error and re-adaptation by scenario and controller, from the content of `compare.json`."""
+    """Builds a table of error and re-adaptation by scenario and controller from `compare.json`."""
     from leglab.report.comparison import words
 
     table = Table(
@@ -374,11 +374,11 @@ def comparison_table(summary: dict[str, Any]) -> Table:
 
 
 def reference_lines(settings: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
-    """A line on which joints follow which columns of a file, else none.
+    """Returns a line on which joints follow which columns of a reference file, if there is a file.
 
     Args:
-        settings: Of the run, from the content of `run.json`.
-        joints: Of the machine.
+        settings: Settings of the run, from the content of `run.json`.
+        joints: Names of the machine's joints.
     """
     from leglab.references.from_file import NAME, played
 
@@ -392,11 +392,11 @@ def reference_lines(settings: Mapping[str, Any], joints: Sequence[str]) -> list[
 
 
 def timing_lines(asked: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
-    """A line where the loop's timing was rounded up to whole steps of the model, else none.
+    """Returns a line if the loop's timing was rounded up to whole time steps, else no line.
 
     Args:
-        asked: Settings of the sensors as they were asked for.
-        settings: Of the run, from the content of `run.json`.
+        asked: Sensor settings that the user gave.
+        settings: Settings of the run, from the content of `run.json`.
     """
     from leglab.machine.sensors import SensorConfiguration
 

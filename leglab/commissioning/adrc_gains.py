@@ -1,6 +1,6 @@
 """Tuning of the bandwidths of `adrc` on the linearised plant, with the stability margins of `pd`.
 
-Those of the shipped models are stored in `adrc_gains.toml`, which
+Bandwidths of the shipped models are stored in `adrc_gains.toml`, which
 `python -m leglab.commissioning.adrc_gains` rewrites.
 """
 
@@ -24,23 +24,23 @@ from leglab.control.feedforward.valve_table import ValveTable
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation
 
-# Control bandwidth over observer bandwidth. Gao 2003 has 1/5 to 1/3: a law slower than its
-# observer. On a lightly damped oil spring the observer's lag costs more than its noise.
+# Ratios of control to observer bandwidth to try. Gao 2003 has 1/5 to 1/3, a fast observer. Larger
+# ratios are tried as well, because with a lightly damped oil spring a slow observer may be better.
 RATIOS = (0.1, 0.2, 0.33, 1.0, 3.0, 10.0, 30.0)
-# Observer bandwidths that are tried [rad/s].
+# Observer bandwidths to try [rad/s].
 _TRIED = np.geomspace(0.3, 600.0, 160)
-# Ratios and bandwidths tried behind native actuators. The observer of a pure inertia must be fast:
-# with a slow one the phase lag of its integrator falls into the crossover of the law.
+# Ratios and observer bandwidths [rad/s] to try for native actuators, which move an inertia. Their
+# observer must be fast, otherwise its integrator's phase lag falls into the crossover of the law.
 FORCE_RATIOS = (0.05, 0.1, 0.2, 0.5)
 _FORCE_TRIED = np.geomspace(3.0, 300.0, 30)
 _FREQUENCIES = 1500
 
 
 def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
-    """Computes b_0 of a joint in the present pose, and its number of integrations (order).
+    """Computes b_0 of a joint in the present pose, and its order, the number of integrations.
 
-    A valve sets a speed: b_0 is that of the calibrated map at half range. A native actuator sets
-    an acceleration: b_0 is that with the other joints free and the actuator's filter settled.
+    A valve sets a speed: b_0 is speed per command by the calibrated map at mid-position. A native
+    actuator sets an acceleration: b_0 is acceleration per filtered command, other joints free.
     """
     if simulation.actuators[joint] in simulation.native:
         plant = native_plant(simulation, joint, 0.0)
@@ -51,13 +51,13 @@ def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
 
 
 def speeds_per_command(simulation: Simulation) -> np.ndarray:
-    """Computes speeds per command of the calibrated joints at half valve range, (joints,)."""
+    """Computes speed per command by the calibrated maps at mid-position [rad/s], (joints,)."""
     table = ValveTable.of(valve_maps(simulation), drive_signs(simulation))
     return table.full_speed / table.command_per_share()
 
 
 class JointMargins:
-    """Stability margins of one joint for any bandwidths; the plants are linearised once.
+    """Function of bandwidths to stability margins of one joint; linearises the plants once.
 
     Args:
         simulation: The nominal machine; its positions are changed.
@@ -76,10 +76,10 @@ class JointMargins:
         """Computes the smallest gain margin [dB] and phase margin [deg], and the worst response.
 
         The response is the integrated squared error after a disturbance step of magnitude b_0. It
-        is infinite where a margin is below that of `pd` or the loop is unstable.
+        is infinite if a margin is below that required of `pd`, or if the loop is unstable.
 
         Args:
-            gains: Gains of that joint alone.
+            gains: Gains of this object's joint alone.
         """
         sensors = self._sensors
         law = DisturbanceRejection(
@@ -108,8 +108,8 @@ def tuned_gains(
 ) -> DisturbanceGains:
     """Finds the bandwidths with the smallest response to a disturbance at 6 dB and 45 degrees.
 
-    The margins are those of `pd`, at the same poses and piston speeds. At every ratio of the two
-    bandwidths both are raised until a margin is violated.
+    The margins are required at the poses and piston speeds for which `pd` is tuned. For each ratio
+    of the two bandwidths, both are raised until a margin is violated.
 
     Args:
         simulation: The nominal machine; its positions are changed.

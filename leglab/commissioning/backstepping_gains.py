@@ -36,15 +36,15 @@ from leglab.machine.simulation import Simulation
 class OperatingPoint:
     """Sampled plant of one joint, linearised at a pose and a piston speed."""
 
-    a: np.ndarray  #: State matrix with the delayed measurements, (9, 9)
+    a: np.ndarray  #: State matrix; three states are the delayed measurements, (9, 9)
     b: np.ndarray  #: Input matrix of the spool command, (9, 1)
     #: Input matrix of a force on the piston against extension, as a share of the force at supply
     #: pressure, (9, 1).
     disturbance: np.ndarray
     c: np.ndarray  #: Output matrix: piston position and both pressures, as measured, (3, 9)
-    spool_per_speed: float  #: Slope of the inverted valve [s/m]
-    spool_per_force: float  #: Slope of spool over phi [1/m], by the pressures at the valve
-    #: Slope of spool over the measured pressures, by their common mode, (2,) [1/Pa].
+    spool_per_speed: float  #: Slope of the commanded spool position over piston speed [s/m]
+    spool_per_force: float  #: Slope of the spool position over phi [1/m], by expected pressures
+    #: Slope of the spool position over both pressures, by their common mode, (2,) [1/Pa].
     spool_per_sum: np.ndarray
 
 
@@ -64,7 +64,7 @@ def _point(
     # States: piston velocity, both pressures, spool and its velocity, joint position.
     c = np.zeros((3, 6))
     c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
-    # Input of the force: pressure A accelerates the piston by area/m, which contains the mass.
+    # Input of the force, from the column of pressure A, whose entry is area/mass.
     push = np.zeros((6, 1))
     push[0] = -plant.A[0, 1] * model.data.supply_pressure
     plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
@@ -106,22 +106,22 @@ def _point(
     )
 
 
-# Largest sensitivity |1/(1 + L)|: 2 leaves a gain margin of 6 dB and a phase margin of 29 degrees.
+# Largest allowed sensitivity |1/(1 + L)|; 2 guarantees margins of 6 dB and 29 degrees.
 SENSITIVITY = 2.0
-# Bound with valves at this share of their bandwidth, which the controller does not know.
+# Share of the assumed bandwidth that slow valves may have, and largest sensitivity with them.
 VALVE_SHARE, SLOW_SENSITIVITY = 0.5, 3.0
-# Steps by which gains are evaluated: share of the no-load speed and of the piston's force.
+# Steps of unknown flow and force by which gains are rated, over no-load flow and piston force.
 _STEP = 0.05
-# Bounds of the search, decades of (position_gain, force_drift, flow_drift) and force_damping.
+# Search bounds: log10 of position_gain, force_drift and flow_drift, then force_damping.
 _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
 
 
 def _linear_controller(
     law: Feedback, area: np.ndarray, point: OperatingPoint, period: float
 ) -> tuple[np.ndarray, ...]:
-    """Linearises `adaptive_backstepping` of one joint, (x, p_A, p_B) to spool, as (a, b, c, d).
+    """Linearises `adaptive_backstepping` of one joint from (x, p_A, p_B) to spool: (a, b, c, d).
 
-    Its states are the observer, past speeds, the slow force and both filtered pressures.
+    States: the observer's, past speeds, the low-pass filtered force, both filtered pressures.
     """
     smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
     slowly = -math.expm1(-FORCE_CUTOFF * period)
@@ -162,13 +162,13 @@ def _linear_controller(
 class JointLoop:
     """Frequency responses of one joint's plants, for the evaluation of gains.
 
-    The plants are those of `pd`, with the other joints free and held.
+    Poses and speeds are those for which `pd` is tuned, each with the other joints free and held.
 
     Args:
         simulation: The nominal machine in its rest pose; its state is restored.
         joint: Index of the joint.
         sensors: Sensors and timing.
-        valve_share: Bandwidth of the valve, as a share of the one that the controller knows.
+        valve_share: Bandwidth of the valve over the bandwidth that the controller assumes.
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class JointLoop:
 
         Returns:
             Root of the integrated squares of the piston's errors after both steps [m s^(1/2)], and
-            max |1/(1 + L)|; where a loop is unstable, infinity and its largest |eigenvalue|.
+            max |1/(1 + L)|. If a loop is unstable: infinity and the largest |eigenvalue|.
         """
         period, worst, peak, radius = self._sensors.control_period, 0.0, 0.0, 0.0
         law = Feedback(
@@ -239,7 +239,7 @@ class JointLoop:
 
 
 def _derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
-    """Scales position gain and drifts down to meet `SLOW_SENSITIVITY`, to a tenth at the least."""
+    """Lowers position gain and drifts until `SLOW_SENSITIVITY` is met, at most to a tenth."""
     for factor in np.geomspace(1.0, 0.1, 19):
         slower = replace(
             gains,

@@ -11,8 +11,8 @@ from leglab.machine.cylinder import Cylinder
 from leglab.machine.native import NativeActuator
 from leglab.machine.simulation import Simulation
 
-# Fractions of the greatest speed and of the joint range at which the valve map is measured:
-# dense around standstill, where overlap and friction bend it.
+# Speeds and positions at which the valve map is measured, as fractions of the full speed and of the
+# joint range. Speeds are dense around standstill, where overlap and friction curve the map.
 _SPEEDS = np.array([-0.7, -0.45, -0.25, -0.12, -0.05, -0.02, -0.005])
 SPEED_FRACTIONS = np.concatenate([_SPEEDS, [0.0], -_SPEEDS[::-1]])
 POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
@@ -20,7 +20,7 @@ POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
 
 @dataclass(frozen=True, kw_only=True)
 class ValveMap:
-    """Steady command by position and velocity of one joint: of a valve or a native actuator."""
+    """Command of a joint's valve or native actuator in steady motion, by position and velocity."""
 
     position: np.ndarray  #: Joint positions [rad], increasing, shape (p,)
     velocity: np.ndarray  #: Joint velocities [rad/s], increasing, shape (v,)
@@ -38,7 +38,7 @@ def drive_signs(simulation: Simulation) -> np.ndarray:
 def holding_forces(simulation: Simulation) -> np.ndarray:
     """Computes actuator forces [N or N m], (actuators,), that hold every driven joint at rest.
 
-    Inverse dynamics without acceleration; `data` keeps its positions and velocities.
+    Computed by inverse dynamics without acceleration; positions and velocities are not changed.
     """
     model, data = simulation.model, simulation.data
     data.qacc[:] = 0.0
@@ -47,11 +47,11 @@ def holding_forces(simulation: Simulation) -> np.ndarray:
 
 
 def speed_limits(simulation: Simulation) -> np.ndarray:
-    """Computes joint speeds [rad/s], (joints,), of the actuators without load at full command.
+    """Computes joint speeds [rad/s] without load at full command in the present pose, (joints,).
 
-    For a cylinder v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) extending, with A and B exchanged
-    retracting (flow balance of a critically lapped valve); the slower of the two, in the present
-    pose. For a native actuator see `native_speed_limit`.
+    A cylinder extends at v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) (flow balance of a valve
+    without overlap) and retracts at the speed with A and B exchanged; the slower one is returned.
+    For a native actuator see `native_speed_limit`.
     """
     limits = []
     for actuator, lever in zip(simulation.actuators, simulation.levers(), strict=True):
@@ -73,9 +73,9 @@ def speed_limits(simulation: Simulation) -> np.ndarray:
 def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
     """Computes the joint speed [rad/s or m/s] that a native actuator reaches in the present pose.
 
-    The smaller of two speeds under its full force F at standstill: F/d, at which the damping of the
-    joint and of the actuator's loop balances F, and sqrt(F s/m), which an inertia m reaches within
-    half of the joint's range s. Friction and weight are neglected.
+    With F the actuator's full force at standstill, it is the smaller of F/d, at which the damping d
+    of joint and internal loop balances F, and sqrt(F s/m), which the joint with inertia m reaches
+    within half of its range s. Friction and weight are neglected.
     """
     model, data = simulation.model, simulation.data
     lever, dof = drive.lever(data), drive.dof
@@ -90,7 +90,7 @@ def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
 
 
 def free_inertia(simulation: Simulation, dof: int) -> float:
-    """Computes a degree of freedom's inertia [kg m^2 or kg] with all others free, 1/(M^-1)_ii."""
+    """Computes a joint's inertia [kg m^2 or kg] with all other joints free, 1/(M^-1)_ii."""
     model, data = simulation.model, simulation.data
     unit, solved = np.zeros((1, model.nv)), np.zeros((1, model.nv))
     unit[0, dof] = 1.0
@@ -101,10 +101,10 @@ def free_inertia(simulation: Simulation, dof: int) -> float:
 def settle(simulation: Simulation) -> None:
     """Sets pressures, spools and controls so that the machine stands still in its present pose.
 
-    A native actuator that is too weak for that is set to the end of its range.
+    A native actuator that is too weak to hold its joint is set to the end of its range.
 
     Raises:
-        LeglabError: If a cylinder cannot hold its joint there.
+        LeglabError: A cylinder cannot hold its joint in this pose.
     """
     data = simulation.data
     forces = dict(zip(simulation.actuators, holding_forces(simulation), strict=True))
@@ -136,11 +136,11 @@ def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
 
 
 def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
-    """Calibrates the steady map from motion to command of every joint on the machine in its state.
+    """Measures the steady map from motion to command of every joint, as on a test bench.
 
     One joint at a time runs at constant speed through its range, while the others rest in the
-    present pose. Loads are gravity, springs and dampers; friction and leakage are the actuator's.
-    The leg hangs free, as on a stand: contact with the ground is disabled.
+    present pose. The load consists of gravity, springs and dampers, and of the actuator's friction
+    and leakage. The leg hangs free on a stand: contact with the ground is disabled.
     """
     limits, ranges = speed_limits(simulation), simulation.joint_range()
     maps = []
@@ -158,10 +158,10 @@ def steady_commands(
     """Computes commands of steady motion of a joint, (p, v); +-1 beyond its actuator's capability.
 
     Args:
-        simulation: The machine, in the pose of the other joints; its pose is restored.
+        simulation: The machine; other joints rest in its present pose, which is restored.
         joint: Index of the joint.
-        position: Of the joint [rad], (p,).
-        velocity: Of the joint [rad/s], (v,).
+        position: Positions of the joint [rad], (p,).
+        velocity: Velocities of the joint [rad/s], (v,).
     """
     model, data = simulation.model, simulation.data
     steady = _steady_command(simulation, joint)
@@ -185,9 +185,9 @@ def steady_commands(
 
 
 def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, float], float]:
-    """Returns a function of joint speed [rad/s] and actuator force [N] to the present command.
+    """Returns a function of joint speed [rad/s] and actuator force [N] to the steady command.
 
-    That of a native actuator is exact: its force is a function of command, length and velocity.
+    For a native actuator, whose force is a function of command, length and velocity, it is exact.
     """
     name = simulation.actuators[joint]
     if name in simulation.native:

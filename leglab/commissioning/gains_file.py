@@ -1,4 +1,4 @@
-"""Files of tuned gains: a table a model with the timing of its loop, and a row a joint."""
+"""Files of tuned gains: one table per model, with the timing of the loop and a row per joint."""
 
 import inspect
 import json
@@ -32,13 +32,13 @@ class GainsFile:
 
     path: Path  #: The file
     head: Sequence[str]  #: Lines of the comment at its head
-    timing: Sequence[str]  #: Fields of the sensor settings that the gains are tuned for
-    formats: Mapping[str, str]  #: Formats of the values of a row, by name
+    timing: Sequence[str]  #: Names of the sensor settings for whose values the gains are tuned
+    formats: Mapping[str, str]  #: Number formats of a joint's row, by name of the value
 
     def table(
         self, simulation: Simulation, sensors: SensorConfiguration, rows: Sequence[Row]
     ) -> dict[str, Any]:
-        """Returns the table of a model, with its values rounded as written."""
+        """Returns the table of a model, with values rounded as in the file."""
         joints = {
             joint: {name: float(f"{row[name]:{form}}") for name, form in self.formats.items()}
             for joint, row in zip(simulation.joints, rows, strict=True)
@@ -60,7 +60,7 @@ class GainsFile:
         return "\n".join(lines) + "\n"
 
     def store(self, tables: Mapping[str, dict[str, Any]]) -> None:
-        """Writes tables by model; keeps those of other models.
+        """Writes tables by model; keeps the tables of other models in the file.
 
         Raises:
             LeglabError: The file cannot be written.
@@ -71,7 +71,7 @@ class GainsFile:
     def rows(
         self, model: str, simulation: Simulation, sensors: SensorConfiguration
     ) -> list[Row] | None:
-        """Returns the stored gains of each joint; None where there are none for this loop.
+        """Returns the stored gains of each joint; None if the file has none for this loop.
 
         Args:
             model: Name or path of the model.
@@ -90,11 +90,11 @@ class GainsFile:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerGains(GainsFile, Generic[T]):
-    """Gains of a controller: stored for the shipped models, tuned when asked for others."""
+    """Gains of a controller: stored for the shipped models, tuned on request for others."""
 
-    #: Gains as the controller takes them: a dataclass whose fields are arrays (joints,).
+    #: Type of gains that the controller takes: a dataclass whose fields are arrays (joints,).
     kind: Callable[..., T]
-    #: Tunes the machine of a named model, and changes its positions; returns a row per joint.
+    #: Function that tunes a model's machine, whose positions it changes; returns a row per joint.
     tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
 
     def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> T:
@@ -118,13 +118,13 @@ class ControllerGains(GainsFile, Generic[T]):
         self.path.write_text(self.text(tables))
 
 
-# Gains by the name of the controller; modules `leglab.commissioning.*_gains` or others add them.
+# Gains by name of the controller; `leglab.commissioning.*_gains` and other modules add entries.
 GAINS: Registry[ControllerGains[Any]] = Registry("controller with tuned gains")
 GAINS.add_loader(partial(import_modules, __package__, [str(Path(__file__).parent)]))
 
 
 def stored_name(model: str) -> str:
-    """Returns the key of a model's gains: its name, or its file's with a digest of the model.
+    """Returns the key of a model's gains: its name; for other files, file name and digest.
 
     Raises:
         LeglabError: There is no such model.

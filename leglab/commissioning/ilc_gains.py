@@ -1,6 +1,6 @@
-"""Tuning of the learning filter of `ilc` on the linearised plant: the widest that converges.
+"""Tuning of the learning filter of `ilc`: the greatest cutoff that converges on the linear plant.
 
-Those of the shipped models are stored in `ilc_gains.toml`, which
+Filters of the shipped models are stored in `ilc_gains.toml`, which
 `python -m leglab.commissioning.ilc_gains` rewrites.
 """
 
@@ -17,7 +17,7 @@ from leglab.machine.simulation import Simulation, load_model
 
 # Largest share of an error, at any frequency, that may remain from one stride to the next.
 CONTRACTION = 0.7
-# Cutoffs [rad/s] and leads, in control periods, that are tried.
+# Cutoffs [rad/s] and leads [control periods] to try.
 _CUTOFFS = np.geomspace(3.0, 300.0, 93)
 _LEADS = np.arange(13) / 2
 
@@ -29,7 +29,7 @@ def closed_loops(
     gains: tuple[float, float],
     frequency: np.ndarray,
 ) -> np.ndarray:
-    """Computes responses of measured position [rad] to a command added to `pd`'s, (points, n).
+    """Computes responses of measured position [rad] to a command added to `pd`, (points, n).
 
     Args:
         simulation: The nominal machine; its positions are changed.
@@ -57,12 +57,12 @@ def _tuned_filter(
     gains: tuple[float, float],
     speed_per_command: float,
 ) -> tuple[float, float]:
-    """Finds cutoff [rad/s] and lead d [s]: the greatest cutoff at which |Q (1 - L G)| < 0.7.
+    """Finds cutoff [rad/s] and lead d [s]: the greatest cutoff with |Q (1 - L G)| <= `CONTRACTION`.
 
-    This holds at every frequency, pose and piston speed, with the other joints free and held. It is
-    the condition for errors that shrink from stride to stride without growing first (Bristow,
-    Tharayil and Alleyne 2006, monotonic convergence in the frequency domain). Where no cutoff
-    satisfies it, the smallest is returned.
+    The condition is required at every frequency, pose and piston speed, with the other joints free
+    and held. It makes errors shrink monotonically from stride to stride (Bristow, Tharayil and
+    Alleyne 2006, monotonic convergence in the frequency domain). If no cutoff satisfies it, the
+    smallest one is returned.
     """
     frequency = np.geomspace(0.1, 2 * _CUTOFFS[-1], 1500)
     loops = closed_loops(simulation, joint, sensors, gains, frequency)

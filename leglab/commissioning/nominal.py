@@ -11,8 +11,8 @@ from leglab.control.backstepping.data import NominalCylinders
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.simulation import Simulation
 
-# Positions over each joint's range at which levers are tabulated. The interpolation error of a
-# lever of curvature r'' = r is a thousandth for a range of 2 rad.
+# Number of positions over each joint's range at which levers are tabulated. For a range of 2 rad
+# and a lever with curvature r'' = r, the error of linear interpolation is below a thousandth.
 _LEVER_POSITIONS = 33
 
 
@@ -23,7 +23,7 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
         simulation: The nominal machine in its rest pose; its positions are restored.
 
     Raises:
-        LeglabError: An actuator is no cylinder.
+        LeglabError: An actuator is not a cylinder.
     """
     for name in simulation.native:
         told = f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
@@ -57,7 +57,7 @@ def _effective_masses(simulation: Simulation) -> np.ndarray:
 
 
 def inertia_matrix(simulation: Simulation) -> np.ndarray:
-    """Computes the joint-space inertia matrix in the present pose [kg m^2 and alike], (nv, nv)."""
+    """Computes the joint-space inertia matrix in the present pose [kg m^2, kg m, kg], (nv, nv)."""
     inertia = np.zeros((simulation.model.nv, simulation.model.nv))
     mujoco.mj_fullM(simulation.model, simulation.data, inertia)
     return inertia
@@ -66,9 +66,9 @@ def inertia_matrix(simulation: Simulation) -> np.ndarray:
 class NominalDynamics:
     """Inverse dynamics of the nominal machine: torques by bodies, gravity, springs and dampers.
 
-    It uses a separate model, not the machine that runs: on a robot the same masses and lengths
-    would be used in any rigid-body library. The machine hangs free, without ground contact;
-    joints without an actuator stand still.
+    It uses a copy of the model, separate from the running simulation; on a robot, any rigid-body
+    library could compute the same from masses and lengths. There is no ground contact; joints
+    without an actuator stand still.
 
     Args:
         simulation: The nominal machine in its rest pose.

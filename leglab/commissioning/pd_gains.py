@@ -31,7 +31,7 @@ TUNED_MODELS = (*CYLINDER_MODELS, "leg_motor")
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
-# Tuned once by `leglab tune`, and not edited afterwards.
+# File of PD gains, written by `leglab tune` and not edited by hand.
 PD = GainsFile(
     path=Path(__file__).with_name("pd_gains.toml"),
     head=(
@@ -48,13 +48,13 @@ PD = GainsFile(
         "crossover": ".2f",
     },
 )
-# Piston speeds [m/s] at which the plant is linearised: slow and fast, both ways. Dry friction only
-# stabilises the loop (sgn(v) has no slope), so it is left out.
+# Piston speeds [m/s] at which the plant is linearised, in both directions. Dry friction is left
+# out: it has no slope at these speeds, and it stabilises the loop.
 SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
 # Speeds of a native actuator at which the plant is linearised, as shares of its full speed.
 NATIVE_SPEEDS = (-0.5, -0.1, 0.1, 0.5)
-# Bounds of the gains, command per position [1/rad] and per velocity error [s/rad]. Those of a
-# native actuator follow from a crossover that the sampling cannot exceed.
+# Largest gains to try for a valve, command per position error [1/rad] and per velocity error
+# [s/rad]; for native actuators `_most_gains` computes them from the sampling.
 _MOST_POSITION, _MOST_VELOCITY = 50.0, 0.2
 _INDEX = {name: i for i, name in enumerate(CONTINUOUS_STATES)}
 _STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
@@ -65,8 +65,8 @@ def joint_plant(
 ) -> "control.StateSpace":
     """Linearises one joint from valve command to joint position [rad] in the present pose.
 
-    The piston runs at `speed` [m/s] under the load of the pose; the other joints are free, so
-    that the cylinder moves the effective mass 1/(J M^-1 J'), or held.
+    The piston runs at `speed` [m/s] under the load of the pose. The other joints are held, or free,
+    so that the cylinder moves the effective mass 1/(J M^-1 J').
     """
     import control  # takes a second, and most runs use stored gains
 
@@ -107,7 +107,7 @@ def joint_plant(
     b = np.zeros((6, 1))
     b[:5, 0] = (slope(zero, 1e-6) - slope(zero, -1e-6))[rows] / 2e-6
     a[5, 0] = 1.0 / lever  # joint speed from piston speed
-    if held:  # the mass with the other joints free, over that with them held
+    if held:  # times mass with the other joints free over mass with the other joints held
         inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
         a[0] *= 1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof])
     return control.ss(a, b, np.eye(6)[5:], 0)
@@ -118,17 +118,17 @@ def native_plant(
 ) -> "control.StateSpace":
     """Linearises one joint from a native actuator's command to joint position [rad or m].
 
-    m q'' = lever half gain u - d q' - k q, with a servo's internal loop included in d and k. They
-    are slopes of the joint's inverse dynamics in the present pose and of the actuator's force; m is
-    the inertia with the other joints free or held; a filter of the actuator adds a state. Friction
-    without a slope is neglected. A negative k, of an unstable load, is set to 0: PD is much faster
-    than its fall.
+    m q'' = lever half gain u - d q' - k q. d and k are slopes of the joint's inverse dynamics in
+    the present pose and of the actuator's force, with a servo's internal loop; m is the inertia
+    with the other joints free or held; a filter of the actuator adds a state. Dry friction, which
+    has no slope, is neglected. A negative k, of an unstable load, is set to 0, because the load
+    falls much more slowly than PD reacts.
 
     Args:
-        simulation: The machine; joints at rest in the pose, which is left as it is.
+        simulation: The machine at rest; its pose is left unchanged.
         joint: Index of the joint.
         speed: Speed of the joint [rad/s or m/s].
-        held: Whether the other joints are held; without, they are free.
+        held: Whether the other joints are held; otherwise they are free.
     """
     import control  # takes a second, and most runs use stored gains
 
@@ -153,10 +153,10 @@ def native_plant(
 
 
 def _slopes(simulation: Simulation, drive: NativeActuator, speed: float) -> tuple[float, float]:
-    """Computes the slopes of a joint's force over its position and velocity.
+    """Computes the slopes of a joint's load force over its position and velocity.
 
-    Central differences of inverse dynamics without acceleration, contacts, stops and the dry
-    friction of the joints.
+    By central differences of inverse dynamics without acceleration, contacts, joint limits and dry
+    friction.
     """
     model, data = simulation.model, simulation.data
     place, dof = model.jnt_qposadr[drive.joint], drive.dof
@@ -188,8 +188,8 @@ def sampled_plant(
 ) -> "control.StateSpace":
     """Samples a plant behind a zero-order hold, measured `latency` <= period before the command.
 
-    The measurement at t - latency follows from the state one period earlier, advanced by period -
-    latency under the command of that period; the measured outputs are extra states.
+    The measurement for the command at t is the output at t - latency, which follows from the state
+    and the command at t - period. The measured outputs are extra states.
     """
     import control  # takes a second, and most runs use stored gains
 
@@ -209,7 +209,7 @@ def sampled_plant(
 def operating_poses(simulation: Simulation, joint: int) -> Iterator[None]:
     """Moves a machine at rest to the poses in which a joint is linearised, and finally back.
 
-    They are the present pose, and those at a quarter and three quarters of the joint's range.
+    The joint is at its present position, at a quarter and at three quarters of its range.
     """
     data, index = simulation.data, simulation.qpos_index[joint]
     home = data.qpos.copy()
@@ -229,14 +229,14 @@ def sampled_plants(
     """Computes the sampled linear plants of one joint for which gains are tuned.
 
     Args:
-        simulation: The nominal machine at rest, which is left in its pose.
+        simulation: The nominal machine at rest; its pose is restored.
         joint: Index of the joint.
         sensors: Control period and latency of the loop.
-        held: Whether the other joints are held; without, they are free.
+        held: Whether the other joints are held; otherwise they are free.
 
     Returns:
-        From valve command, with the sign that moves the joint forward, to measured position [rad],
-        one a pose and piston speed.
+        One plant per pose and piston speed, from valve command, with the sign that moves the joint
+        forward, to measured position [rad].
     """
     plants = []
     for _ in operating_poses(simulation, joint):
@@ -251,7 +251,7 @@ def sampled_plants(
 def _plants(
     simulation: Simulation, joint: int, *, held: bool = False
 ) -> Iterator["control.StateSpace"]:
-    """Yields linear plants of a joint in the present pose at several speeds, without repeats."""
+    """Yields linear plants of a joint in the present pose at several speeds, equal ones once."""
     name = simulation.actuators[joint]
     if name in simulation.native:
         full = native_speed_limit(simulation, simulation.native[name])
@@ -272,10 +272,10 @@ def _plants(
 def _most_gains(
     simulation: Simulation, joint: int, sensors: SensorConfiguration
 ) -> tuple[float, float]:
-    """Returns the largest gains to try, command per position error and per velocity error.
+    """Returns the largest gains to try: command per position error and per velocity error.
 
-    With an inertia that a command accelerates by B, K_p = w^2/B and K_v = w/B cross over at about
-    w; w is the frequency at which hold and latency alone cost 90 degrees of phase.
+    For a native actuator, whose command accelerates the joint by B, they are K_p = w^2/B and K_v =
+    w/B: crossover at about the frequency w where hold and latency alone cost 90 degrees of phase.
     """
     name = simulation.actuators[joint]
     if name not in simulation.native:
@@ -289,13 +289,13 @@ def _most_gains(
 
 
 def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) -> Row:
-    """Finds the PD gains with the greatest K_p that keep 6 dB and 45 degrees everywhere.
+    """Finds the PD gains with the greatest K_p at which the margins are 6 dB and 45 degrees.
 
-    Margins are those of the sampled loop, with hold, latency and velocity filter, at every pose
-    and piston speed. The error in following a ramp falls with K_p, so the greatest is the best.
+    The margins hold for the sampled loop with hold, latency and velocity filter, at every pose and
+    piston speed. The greatest K_p is the best because the error in following a ramp falls with K_p.
 
     Args:
-        simulation: The nominal machine at rest, which is left in its pose.
+        simulation: The nominal machine at rest; its pose is restored.
         joint: Index of the joint.
         sensors: Control period, latency and velocity filter of the loop.
 
@@ -339,13 +339,13 @@ def stability_margins(
 ) -> tuple[float, float, float]:
     """Computes gain margin [dB], phase margin [deg] and crossover [rad/s] of a frequency response.
 
-    All crossings are evaluated: a resonance crosses the unit circle more than once.
+    All crossings are evaluated, because a resonance may cross the unit circle several times.
 
     Args:
         loop: Response of the open loop at sampled frequencies.
-        frequencies: rad/s.
+        frequencies: The frequencies [rad/s].
         stable: Whether the closed loop is known to be stable. Then the gain margin is the least
-            change of gain up or down: with several integrators the gain must not fall either.
+            change of gain, up or down: with several integrators a lower gain is unstable, too.
     """
     magnitude = np.abs(loop)
     sign_change = loop.imag[1:] * loop.imag[:-1] <= 0
@@ -364,7 +364,7 @@ def stability_margins(
 
 
 def _round_down(value: float) -> float:
-    """Rounds down to three significant digits; exact when written and read again."""
+    """Rounds down to three significant digits, which a file with `.4g` keeps exactly."""
     if value <= 0:
         return 0.0
     scale = 10.0 ** (math.floor(math.log10(value)) - 2)
@@ -377,9 +377,9 @@ def tuned_tables(
     """Tunes models; returns tables of `PD` by model.
 
     Args:
-        models: Names or paths.
-        progress: Called before each joint with the number of joints done, the number of all, and
-            a text with its model and name.
+        models: Names or paths of the models.
+        progress: Function that is called before each joint with the number of joints done, the
+            number of all joints, and a text that names model and joint.
 
     Raises:
         LeglabError: A model cannot be loaded.
@@ -402,13 +402,13 @@ def tuned_tables(
 def stored_gains(
     model: str, simulation: Simulation, sensors: SensorConfiguration
 ) -> list[tuple[float, float]] | None:
-    """Returns the gains of a model from `PD`; None where it has none for this loop."""
+    """Returns the stored gains of a model; None if `PD` has none for this control loop."""
     rows = PD.rows(model, simulation, sensors)
     return None if rows is None else [(row["position"], row["velocity"]) for row in rows]
 
 
 def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Tunes a model or a timing without stored gains; the machine is moved."""
+    """Tunes a machine for which no gains are stored with these sensors; moves the machine."""
     result = []
     for joint in range(len(simulation.joints)):
         simulation.reset()

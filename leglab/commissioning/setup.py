@@ -1,4 +1,4 @@
-"""The nominal machine as controllers know it: from its data sheets and its calibration."""
+"""The nominal machine as controllers know it, from data sheets, calibration and tuning."""
 
 import copy
 import hashlib
@@ -22,7 +22,7 @@ class CommissionedMachine(NominalMachine):
 
     Args:
         simulation: The nominal machine in its rest pose.
-        model: Its name, by which tuned gains are stored.
+        model: Name of the model, by which tuned gains are stored.
         sensors: Sensors and timing of the run.
     """
 
@@ -37,7 +37,7 @@ class CommissionedMachine(NominalMachine):
         self._simulation, self._model, self._sensors = simulation, model, sensors
 
     def find(self, name: str) -> Any:
-        """Measures, calibrates or tunes what a controller asks for; see `NominalMachine`."""
+        """Computes a property of the machine by calibration or tuning; see `NominalMachine`."""
         if name in ("position_gain", "velocity_gain"):
             stored = stored_gains(self._model, self._simulation, self._sensors)
             position, velocity = zip(*(stored or _tuned(self._own(), self._sensors)), strict=True)
@@ -61,12 +61,12 @@ class CommissionedMachine(NominalMachine):
         return GAINS.get(controller).gains(self._model, self._own(), self._sensors)
 
     def _own(self) -> Simulation:
-        """Copies the machine for a calibration, which moves it through its whole range."""
+        """Returns a copy of the machine, which calibration may move through its whole range."""
         return Simulation(copy.copy(self._simulation.model))
 
 
 class _Tuned(dict[str, Any]):
-    """Gains by controller, each made at its first use."""
+    """Gains by name of the controller, looked up or tuned at first use."""
 
     def __init__(self, make: Callable[[str], Any]) -> None:
         self._make = make
@@ -107,7 +107,7 @@ _gains: dict[tuple[bytes, str], list[tuple[float, float]]] = {}
 
 
 def _tuned(machine: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Tunes `pd` for a machine without stored gains; the same model once per process."""
+    """Tunes `pd` for a machine without stored gains; once per process for equal models."""
     key = model_digest(machine), sensors.model_dump_json()
     if key not in _gains:
         _gains[key] = tuned_gains(machine, sensors)
@@ -115,7 +115,7 @@ def _tuned(machine: Simulation, sensors: SensorConfiguration) -> list[tuple[floa
 
 
 def _calibrated(machine: Simulation) -> tuple[ValveMap, ...]:
-    """Calibrates the valve maps of a machine as loaded; the same model once per process."""
+    """Calibrates the valve maps of a machine as loaded; once per process for equal models."""
     key = model_digest(machine)
     if key not in _calibrations:
         maps = valve_maps(machine)

@@ -1,9 +1,9 @@
 """Interface and registry of controllers: measurements and references in, commands out.
 
 A controller sees measurements, references and time, never the simulation, so the same object could
-run on a robot. A closed loop has some tens of microseconds of wall time for each control period,
-with all joints and everything else. So measurements and references are plain tuples of small
-arrays, and whatever can be computed once belongs into a controller's constructor.
+run on a robot. A simulated control period with all joints takes some tens of microseconds. To keep
+the controller's part of it small, measurements and references are plain tuples of small arrays, and
+whatever can be computed once belongs into a controller's constructor.
 """
 
 import inspect
@@ -28,9 +28,9 @@ class Measurement(NamedTuple):
         time: Time since the start of the run [s].
         position: Joint positions [rad]. Shape (joints,).
         velocity: Joint velocities [rad/s]. Shape (joints,).
-        pressure_a: Pressures on the cap side [Pa], or None where none is measured. Shape (joints,).
-        pressure_b: Pressures on the rod side [Pa], or None where none is measured. Shape (joints,).
-        supply_pressure: Supply pressure [Pa], or None where it is not measured.
+        pressure_a: Pressures on the cap side [Pa], or None if not measured. Shape (joints,).
+        pressure_b: Pressures on the rod side [Pa], or None if not measured. Shape (joints,).
+        supply_pressure: Supply pressure [Pa], or None if not measured.
     """
 
     time: float
@@ -61,19 +61,19 @@ class Controller(Protocol):
     `reset` and `command` are required, `diagnostics` is optional.
 
     A controller that adapts has a further method, `freeze()`: it stops adapting until the next
-    `reset`, and its last parameters stay in use. The runner calls it in a second run, the frozen
-    twin, just before the machine changes: comparing both runs shows what adaptation gains.
+    `reset`, and its last parameters stay in use. The runner repeats the run with a "frozen twin",
+    which it freezes just before the machine changes; comparing both shows the gain by adaptation.
 
-    A controller that learns from its commands may have `sent(command)`: it takes the commands that
-    the machine received, where these differ from those that `command` returned.
+    A controller that learns from its commands may have `sent(command)`, which receives the commands
+    sent to the machine if they differ from those that `command` returned.
 
-    A controller that measures pressures sets `uses_pressures = True`. A controller with `joint_wise
-    = True` has no memory, and commands each joint from that joint's measurement and reference only:
-    one object can then command the joints of many machines in one call.
+    A controller that needs pressures sets `uses_pressures = True`. A controller with `joint_wise =
+    True` has no memory and commands each joint from the joint's own measurement and reference only,
+    so that one object can command the joints of many machines in one call.
     """
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run: forgets everything, adapted parameters included.
+        """Starts a run: forgets everything, including adapted parameters.
 
         Args:
             measurement: The first measurement of the run.
@@ -91,18 +91,18 @@ class Controller(Protocol):
         """
 
     def diagnostics(self) -> dict[str, np.ndarray]:
-        """Returns the signals of the last period to be recorded, by name. Each of shape (joints,).
+        """Returns signals of the last period, to be recorded, by name. Each of shape (joints,).
 
-        The runner copies these arrays and those that `command` returns: a controller may reuse
-        them in the next period.
+        The runner copies the arrays that `diagnostics` and `command` return, so the controller may
+        overwrite them in the next period.
         """
 
 
 class NominalMachine:
     """Nominal properties of the machine, unaffected by the changes of a run.
 
-    A subclass computes them in `find` (`leglab.commissioning.setup.CommissionedMachine` computes
-    all); any other raises an error that names it. Each value is computed at its first use, once.
+    Each is computed once, at its first use, by `find`, which subclasses override
+    (`leglab.commissioning.setup.CommissionedMachine`); a property that `find` lacks is an error.
 
     Args:
         known: Values by attribute name, for a machine that is described by numbers alone.
@@ -111,21 +111,21 @@ class NominalMachine:
         direction: Sign of the joint velocity that a positive command gives, (joints,).
         position_gain: PD gains: valve command per position error [1/rad], (joints,).
         velocity_gain: PD gains: valve command per velocity error [s/rad], (joints,).
-        setpoint: Command with which a drive that has a loop of its own follows a reference. Rows
-            are the command at rest, its slopes over position [1/rad] and over velocity [s/rad],
-            (3, joints), with zeros for drives without such a loop; None where no drive has one.
-        valve_maps: Steady command over position and velocity, a `ValveMap` a joint.
+        setpoint: Command with which drives with an internal position or velocity loop follow a
+            reference, (3, joints): the command at rest, its slopes over position [1/rad] and over
+            velocity [s/rad]; zeros for other drives. None if no drive has an internal loop.
+        valve_maps: Steady command over position and velocity, one `ValveMap` per joint.
         cylinders: Data sheets and levers, a `leglab.control.backstepping.data.NominalCylinders`.
         inverse_dynamics: Function of position, velocity, acceleration to joint torques [N m],
             (joints,) each.
-        tuned: Gains of controllers, by the controller's name; each of what its tuning makes.
+        tuned: Tuned gains by name of the controller; their type depends on the controller.
         latency: Age of a measurement when its command takes effect [s].
         velocity_delay: Delay of the measured velocity's filter [s].
         position_noise: Standard deviation of a measured position, resolution included [rad].
         pressure_noise: Standard deviation of a measured pressure [Pa].
 
     Raises:
-        SettingsError: A name is none of the attributes.
+        SettingsError: A name in `known` is not an attribute.
     """
 
     direction: np.ndarray
@@ -171,14 +171,14 @@ class NominalMachine:
 class Foreknowledge:
     """Knowledge that no real controller has, for controllers that serve as bounds only."""
 
-    #: When the machine begins to change [s]; infinite if it never does.
+    #: Time at which the machine begins to change [s]; infinite if it never does.
     first_change: float = math.inf
-    last_change: float = math.inf  #: When its last change begins [s]
-    #: Makes recordings of the machine before and after its changes; None without a machine that
-    #: could be recorded.
+    last_change: float = math.inf  #: Time at which the machine's last change begins [s]
+    #: Makes recordings of the machine before and after its changes; None if there is no machine to
+    #: record.
     bench_runs: Callable[[], Any] | None = None
-    #: Finds the valve commands that the machine of the run needs for its reference, (periods,
-    #: joints); None as above.
+    #: Computes the valve commands with which the machine of the run follows its reference,
+    #: (periods, joints); None if there is no machine.
     exact_commands: Callable[[], np.ndarray] | None = None
 
 
@@ -190,11 +190,11 @@ class ControllerSetup:
         joints: Names of the joints; all arrays follow this order.
         control_period: Time from one command to the next [s].
         machine: The nominal machine.
-        reference_period: Time after which the planned motion repeats [s], or its slowest period
-            where it does not; None where nothing is planned.
-        foreknowledge: Of the run's changes, for yardsticks.
+        reference_period: Time after which the planned motion repeats [s]; for a motion that does
+            not repeat, its slowest period. None without a planned motion.
+        foreknowledge: Knowledge of the run's changes, for controllers that serve as bounds.
         fault_bank: Makes a `leglab.control.feedforward.fault_bank.FaultBank` by simulation of the
-            nominal machine; None without a machine that could be simulated.
+            nominal machine; None if there is no machine to simulate.
     """
 
     joints: tuple[str, ...]
@@ -214,7 +214,7 @@ class ControllerSetup:
         object.__setattr__(self, "joints", tuple(self.joints))
 
     def wrong_length(self, name: str, values: Sequence, controller: str) -> SettingsError:
-        """Builds the error for a setting that needs one value a joint and has another number."""
+        """Builds the error for a setting whose number of values is not the number of joints."""
         return SettingsError(
             f"controller {controller!r}: setting {name!r} has {len(values)} values, needed is ",
             given=values,
@@ -237,12 +237,12 @@ def register_controller(
     Args:
         name: Name that users give.
         summary: One line for listings.
-        configuration: Its settings, a subclass of `leglab.Configuration` with units in its docs;
-            without it the controller has none, and its class is called with the setup alone.
+        configuration: Settings of the controller, a subclass of `leglab.Configuration` with units
+            in its docs. By default there are no settings: the class is called with the setup alone.
 
     Raises:
         SettingsError: The class lacks a method, a method takes other arguments, or `configuration`
-            is no such subclass.
+            is not a subclass of `leglab.Configuration`.
     """
     add = CONTROLLERS.register(name, summary=summary, configuration=configuration)
 
@@ -258,7 +258,7 @@ _METHODS = {"reset": ("measurement",), "command": ("measurement", "reference")}
 
 
 def _check_contract(name: str, factory: Any) -> None:
-    """Raises `SettingsError` for a class that is no controller; does not check functions."""
+    """Raises `SettingsError` for a class without the methods of a controller; skips functions."""
     if not inspect.isclass(factory):
         return
     where = f"controller {name!r}: {factory.__qualname__}"
@@ -296,7 +296,7 @@ def make_controller(
     Args:
         name: One of `controller_names()`.
         setup: Inputs from which it is made.
-        config: Its settings; omitted ones have their defaults.
+        config: Settings of the controller; omitted settings have their defaults.
 
     Raises:
         SettingsError: The name or a setting is not known, or a value is not allowed.
@@ -309,7 +309,7 @@ def make_controller(
 
 
 def diagnostics_of(controller: Controller) -> dict[str, np.ndarray]:
-    """Returns the diagnostics of the last period; empty where a controller has none."""
+    """Returns the diagnostics of the last period; empty for a controller without diagnostics."""
     report = getattr(controller, "diagnostics", None)
     return {} if report is None else report()
 
@@ -320,12 +320,12 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
     Args:
         command: Result of `Controller.command`.
         setup: The setup that the controller was made with.
-        controller: Its name, for the message.
+        controller: Name of the controller, for the message.
         time: Time of the measurement [s].
 
     Raises:
-        SimulationError: It is no array of shape (joints,), or has a NaN or an infinity; names the
-            controller, the time and the joint.
+        SimulationError: The command is not an array of shape (joints,), or contains NaN or
+            infinity; the message names the controller, the time and the joint.
     """
     joints = setup.joints
     shape = getattr(command, "shape", None)

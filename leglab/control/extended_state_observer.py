@@ -2,9 +2,9 @@
 
 Gao 2003, "Scaling and bandwidth-parameterization based controller tuning", American Control
 Conference: all poles of the observer at one bandwidth, all poles of the law at another. The
-discrete observer is the current one of Miklosovic, Radke and Gao 2006, American Control Conference;
-that it observes the tracking error follows Michalek 2016, American Control Conference, so that the
-feed-forward of the reference can be whatever the machine's calibration gives.
+discrete observer is the "current" observer of Miklosovic, Radke and Gao 2006, American Control
+Conference. It observes the tracking error, after Michalek 2016, American Control Conference;
+therefore any feed-forward of the reference can be added, for example by a calibrated valve map.
 """
 
 import math
@@ -16,20 +16,20 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class DisturbanceGains:
-    """Tuning of `DisturbanceRejection`, one value a joint."""
+    """Tuning of `DisturbanceRejection`, one value per joint."""
 
     control_bandwidth: np.ndarray  #: omega_c, rate at which an error decays [rad/s], (joints,)
     observer_bandwidth: np.ndarray  #: omega_o, of all poles of the observer [rad/s], (joints,)
-    #: b_0, gain of the calibrated joint from its command, (joints,): to speed [rad/s] where the
-    #: order is 1, to acceleration [rad/s^2] where it is 2.
+    #: b_0, gain of the calibrated joint, (joints,): speed per command [rad/s] for order 1,
+    #: acceleration per command [rad/s^2] for order 2.
     plant_gain: np.ndarray
-    #: Integrations from command to position, (joints,): 1 behind a valve, which sets a flow, 2
-    #: behind a native actuator, which sets a force.
+    #: Number of integrations from command to position, (joints,): 1 for a valve, which sets a flow,
+    #: 2 for a native actuator, which sets a force.
     order: np.ndarray
 
 
 class LinearLaw(NamedTuple):
-    """A law of one joint as x[k+1] = a x[k] + b e[k], u[k] = c x[k] + d e[k]."""
+    """Control law of one joint: x[k+1] = a x[k] + b e[k], u[k] = c x[k] + d e[k]."""
 
     a: np.ndarray
     b: np.ndarray
@@ -41,10 +41,10 @@ class DisturbanceRejection:
     """u = (omega_c e + f)/b_0, with e and f estimated from e' = f - b_0 u, joint by joint.
 
     With order 2, u = (omega_c^2 e + 2 omega_c e' + f)/b_0 and e'' = f - b_0 u. e is the tracking
-    error; the disturbance f [rad/s or rad/s^2] is everything that moves it besides the command:
-    leakage, load, calibration errors. The observer has all poles at exp(-omega_o T). Errors are
-    measured `latency` before the command takes effect: the observer accounts for the commands that
-    they contain, and predicts the estimate to that time.
+    error; the disturbance f [rad/s or rad/s^2] is everything but the command that changes e:
+    leakage, load, calibration errors. The observer has all poles at exp(-omega_o T). An error is
+    measured `latency` before its command takes effect. Until then earlier commands still act, so
+    the observer predicts the estimate with them to the time when the new command takes effect.
 
     Args:
         gains: Bandwidths.
@@ -66,8 +66,8 @@ class DisturbanceRejection:
         self._damping = self._second * 2.0 * bandwidth
         self._rate = np.asarray(direction) * gains.plant_gain
         self._period, self._latency = period, latency
-        # Gains of a disturbance, the last command and the one before on the change of the error
-        # between measurements: the command before the last still acts for `latency`.
+        # Change of the error between two measurements by a disturbance, by the last command and by
+        # the command before the last, which still acts for `latency` after a measurement.
         held, late = period - latency, latency
         self._drift_moves = np.where(second, 0.5 * period**2, period)
         self._last_moves = np.where(second, 0.5 * held**2, held)
@@ -94,9 +94,9 @@ class DisturbanceRejection:
         self._state[3] = command
 
     def linear(self, joint: int) -> LinearLaw:
-        """Returns one joint's law as a linear system of (e, e', f, last command, the one before).
+        """Returns one joint's law as a linear system; e' is always zero with order 1.
 
-        With order 1, e' is always zero.
+        States: e, e', f, the last command, the command before the last.
         """
         unit, ones = np.eye(len(self._state)), np.ones_like(self._rate)
         columns = [self._next(np.outer(state, ones), 0 * ones)[:, joint] for state in unit]

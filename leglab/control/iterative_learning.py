@@ -2,9 +2,9 @@
 
 Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning control", IEEE Control Systems
 Magazine 26(3), 96: learning function by inversion of the plant, Q-filter, and the condition in the
-frequency domain under which every stride's error is smaller than the last one's. Strides follow
-one another without a pause or a reset: the same instant of the last stride is one stride duration
-ago, in general not a whole number of control periods.
+frequency domain under which the error decreases from stride to stride. Strides follow one another
+without a pause or a reset, so the same phase of the last stride lies one stride duration back,
+which is in general not a whole number of control periods.
 """
 
 import math
@@ -12,33 +12,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# gamma of the learning function: share of an error that an exact plant model undoes in a stride.
+# gamma of the learning function: share of an error that one stride removes if the model is exact.
 LEARNING_GAIN = 0.5
 
-# Half length of the filters' impulse responses, in 1/cutoff: the truncated rest is below 1 %.
+# Half length of the filters' impulse responses, in units of 1/cutoff: less than 1 % is cut off.
 _HALF_LENGTH = 12.0
 
 # Time over which a correction is faded in or out [s].
 _FADE = 0.1
 
-# Samples of the inverse Fourier transform that gives the impulse responses.
+# Number of samples of the inverse Fourier transforms from which the impulse responses are taken.
 _TRANSFORM = 1 << 14
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearningFilter:
-    """Tuning of `IterativeLearning`, one value a joint."""
+    """Tuning of `IterativeLearning`, one value per joint."""
 
-    #: Frequency up to which the Q-filter passes everything; from twice it on it passes nothing
-    #: [rad/s], (joints,).
+    #: Cutoff of the Q-filter, which passes frequencies below the cutoff unchanged and none above
+    #: twice the cutoff [rad/s], (joints,).
     cutoff: np.ndarray
-    lead: np.ndarray  #: d, delay of the plant that is compensated [s], (joints,)
+    lead: np.ndarray  #: d, compensated delay of the plant [s], (joints,)
     #: b_0, speed per command of the calibrated joint [rad/s], (joints,).
     speed_per_command: np.ndarray
 
 
 def q_filter(frequency: np.ndarray, cutoff: float) -> np.ndarray:
-    """Computes Q: 1 to the cutoff [rad/s], 0 from twice it, half a cosine between; zero phase."""
+    """Computes Q: 1 up to the cutoff [rad/s], 0 from twice the cutoff, half a cosine between."""
     place = np.clip(np.abs(frequency) / cutoff - 1.0, 0.0, 1.0)
     return 0.5 + 0.5 * np.cos(math.pi * place)
 
@@ -64,9 +64,9 @@ def learning_function(
 class IterativeLearning:
     """Learned correction of the command, c(t) = Q [c + L e](t - stride).
 
-    While the reference equals that of a stride ago, and has for a whole stride, c is in use;
-    otherwise it is zero and nothing is learned. The filters are non-causal about t - stride: they
-    use samples of the last stride on both sides.
+    c is in use once the reference has equalled the reference a stride earlier for a whole stride;
+    otherwise c is zero and nothing is learned. The filters are non-causal: they use samples before
+    and after t - stride.
 
     Args:
         filters: Tuning.
@@ -75,7 +75,7 @@ class IterativeLearning:
         stride: Time after which the reference is expected to repeat [s]; need not be a multiple of
             the control period.
         period: Control period [s].
-        tolerance: References that differ by less count as equal [rad].
+        tolerance: Reference positions that differ by less count as equal [rad].
 
     Attributes:
         repeats: Whether c is in use.
@@ -97,7 +97,7 @@ class IterativeLearning:
         self._part = stride / period - self._count  # fraction of a period in the stride
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
-        # The instant a stride ago lies between two samples: the filters shift by the fraction.
+        # The instant one stride ago lies between two samples, so the filters interpolate.
         shift = -self._part * period
         tuning = np.stack([filters.cutoff, filters.lead, filters.speed_per_command, crossover])
         kernels = [
@@ -106,7 +106,7 @@ class IterativeLearning:
         sign = np.asarray(direction, dtype=float)
         self._smoothing = np.array([kernel[0] for kernel in kernels]).T
         self._learning = sign * np.array([kernel[1] for kernel in kernels]).T
-        # Rows that are kept: from a stride and half a filter length ago up to the present.
+        # Number of past samples kept: one stride and half the length of a filter.
         self._length = self._count + half + 1
         self.reset()
 
@@ -124,7 +124,7 @@ class IterativeLearning:
     def correction(self, reference: np.ndarray) -> np.ndarray:
         """Computes command corrections, (joints,), for reference positions [rad], (joints,)."""
         half, last = self._half, slice(self._next, self._next + self._length)
-        # Row `half + 1` of the kept rows, oldest first, is `_count` periods old.
+        # Of the kept samples, oldest first, sample `half + 1` is `_count` periods old.
         then = self._reference[last][half : half + 2]
         earlier = then[1] + self._part * (then[0] - then[1])
         known = self._periods > self._count
@@ -149,7 +149,7 @@ class IterativeLearning:
 
         Args:
             error: Measured tracking errors of this period [rad], (joints,); NaN if missing.
-            correction: The correction as sent, after clipping, (joints,).
+            correction: The part of the correction that was sent, after clipping, (joints,).
         """
         self._store(self._error, np.nan_to_num(error))
         self._store(self._correction, correction)
@@ -157,7 +157,7 @@ class IterativeLearning:
         self._periods += 1
 
     def _store(self, rows: np.ndarray, values: np.ndarray) -> None:
-        # Every row is written twice, so that a slice is always in order.
+        # Ring buffer: every sample is written twice, so that the latest samples are one slice.
         rows[self._next] = rows[self._next + self._length] = values
 
 
@@ -173,14 +173,14 @@ def _kernels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Computes impulse responses of Q and Q L, oldest sample first, (2 half + 1,) each.
 
-    `shift` is the time of the output after the middle sample [s]; negative for earlier.
+    `shift` is the time from the middle sample to the output [s]; negative for an earlier output.
     """
     frequency = 2 * math.pi * np.fft.rfftfreq(_TRANSFORM, period)
     passed = q_filter(frequency, cutoff) * np.exp(1j * frequency * shift)
     learning = learning_function(
         frequency, lead=lead, speed_per_command=speed_per_command, crossover=crossover
     )
-    # Sample n of a response weights the input n samples earlier: the oldest has the largest n.
+    # Sample n of a response weights the input n samples earlier, so the oldest comes with n = half.
     wanted = np.arange(half, -half - 1, -1)
     return tuple(  # type: ignore[return-value]
         np.fft.irfft(response, _TRANSFORM)[wanted] for response in (passed, passed * learning)

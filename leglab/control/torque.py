@@ -6,17 +6,17 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import Measurement
 
-# Bandwidth of the force loop times the control period; rate of the integral over that bandwidth.
-# Hold, latency, the valve's lag and the integral leave a phase margin of some 30 degrees.
+# Bandwidth of the force loop times the control period; rate of its integral part over the
+# bandwidth. With hold, latency and valve lag the phase margin is then some 30 degrees.
 _BANDWIDTH, _INTEGRAL = 0.4, 0.5
 
 
 class TorqueLoop:
     """Force loop of all cylinders: flow into the chambers reduces the force error.
 
-    dF/dt wanted = w (e + integral of w_i e) at the present speed and leakage, with the error
-    e = torque/lever - F and F = p_A A_A - p_B A_B as measured; the valve equation, solved for the
-    spool, gives the command. The integral compensates the age of the measured speed, and is halted
+    The wanted rate is dF/dt = w (e + integral of w_i e), with the error e = torque/lever - F and
+    the measured force F = p_A A_A - p_B A_B. The valve equation at the present speed and leakage
+    gives the command for it. The integral compensates the delay of the measured speed; it is halted
     while the valve is fully open. Friction of seals and joints is not compensated.
 
     Args:
@@ -24,13 +24,13 @@ class TorqueLoop:
         control_period: [s].
 
     Attributes:
-        limit: Torque limit [N m, of slides N], (joints,): supply less tank pressure on the smaller
-            piston area, the rod side's, times the largest lever arm.
+        limit: Torque limit [N m, or N for slides], (joints,): supply less tank pressure times the
+            smaller piston area (rod side) times the largest lever arm.
     """
 
     def __init__(self, data: NominalCylinders, control_period: float) -> None:
         self._model, self._bandwidth = CylinderModel(data), _BANDWIDTH / control_period
-        self._share = _INTEGRAL * _BANDWIDTH  # of an error, added to the integral per period
+        self._share = _INTEGRAL * _BANDWIDTH  # share of an error added to the integral per period
         self._integral = np.zeros(len(data.stroke))
         self._leakage = np.zeros((3, len(data.stroke)))
         self._leakage[0] = data.internal_leakage
@@ -54,11 +54,11 @@ class TorqueLoop:
 
         Args:
             torque: Wanted torques [N m], (joints,).
-            position: Measured [rad], (joints,).
-            velocity: Measured [rad/s], (joints,).
-            pressure: Measured, cap and rod side [Pa], (2, joints).
-            supply_pressure: Measured [Pa], one or (joints,).
-            rests: Joints of machines that are not stepped: no integration, (joints,) of bool.
+            position: Measured positions [rad], (joints,).
+            velocity: Measured velocities [rad/s], (joints,).
+            pressure: Measured pressures on cap and rod side [Pa], (2, joints).
+            supply_pressure: Measured supply pressure [Pa], one number or (joints,).
+            rests: Mask of joints of machines that are not stepped, without integration, (joints,).
         """
         data = self._model.data
         lever, piston = self._model.geometry(position)
@@ -71,7 +71,7 @@ class TorqueLoop:
         return spool.clip(-1.0, 1.0)
 
     def of(self, torque: np.ndarray, now: Measurement) -> np.ndarray:
-        """Computes `command` from the readings of a measurement that has pressures."""
+        """Computes `command` for a measurement, which must contain pressures."""
         assert now.pressure_a is not None
         assert now.pressure_b is not None
         assert now.supply_pressure is not None

@@ -43,9 +43,9 @@ __all__ = [
     "write_atomically",
 ]
 
-# A format has `read_table(path, left_out, columns)`, which returns arrays of shape (n,) by column
-# name and the metadata, and uses the map only for settings that the file does not determine;
-# `write(recording, path)`; `losses(recording)` if it loses more than metadata.
+# Modules of formats. Each has `read_table(path, left_out, columns)`, which returns arrays (n,) by
+# column name and metadata, and uses the map `columns` only for settings that the file leaves open;
+# `write(recording, path)`; and `losses(recording)` if the format loses more than metadata.
 _MODULES = {"parquet": parquet, "csv": csv, "mcap": mcap, "matlab": matlab, "sysid": sysid}
 SUFFIXES = tuple(contents.SUFFIXES)
 """Suffixes of files that `read` knows."""
@@ -126,7 +126,7 @@ def read_tables(
 
     Returns:
         Arrays of shape (n,) by column name, for `inspect`, and the metadata, by the recording's
-        name as of `read_all`.
+        name as in `read_all`.
     """
     path = Path(path)
     if columns is not None and not isinstance(columns, ColumnMap):

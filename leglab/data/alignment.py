@@ -9,8 +9,8 @@ from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut
 
-# A pause of this many usual intervals is a gap without interpolation. It exceeds the jitter of a
-# topic on a busy computer, where single messages come one or two periods late.
+# Interval of messages, in usual intervals, beyond which nothing is interpolated. It exceeds the
+# jitter of a topic on a busy computer, where single messages come one or two periods late.
 _GAP = 3.5
 
 
@@ -20,12 +20,12 @@ class TopicSeries:
 
     topic: str  #: The topic, or the variable
     stamps: np.ndarray  #: Time of each message [ns]. Shape (m,), int64.
-    columns: Mapping[str, np.ndarray]  #: By name, (m,) each; NaN where a message has none
+    columns: Mapping[str, np.ndarray]  #: Values by name, (m,) each; NaN if a message lacks it
     stamped_by: str = "its own"  #: "header" or "log" for a topic
 
     @property
     def span(self) -> str:
-        """First and last stamp in seconds, for messages."""
+        """First and last stamp in seconds, as text for error messages."""
         if not self.stamps.size:
             return "no message"
         first, last = self.stamps.min() / 1e9, self.stamps.max() / 1e9
@@ -41,10 +41,10 @@ def on_clock(
     others are interpolated linearly.
 
     Args:
-        series: The other series.
+        series: Series to resample.
         clock: Series whose stamps become the rows.
-        columns: Map with the names that identify commands; its columns must overlap with the clock.
-        left_out: Gets duplicate columns and those with errors.
+        columns: Map, whose names identify commands; its columns must overlap the clock in time.
+        left_out: Gets duplicate columns and columns with errors.
 
     Returns:
         Arrays of shape (n,) by column name, the clock's first, and notes on the resampling.
@@ -80,7 +80,7 @@ def on_clock(
 
 
 def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
-    """Resamples one column to a clock, (n,), whose stamps may be in any order.
+    """Resamples one column to the stamps of a clock, (n,); these stamps may be in any order.
 
     Values are held (zero-order hold) or interpolated linearly. They are NaN before the first
     message, and with interpolation also after the last one and in gaps.
@@ -99,7 +99,7 @@ def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -
     before = np.searchsorted(stamps, clock, side="right") - 1
     if hold:
         return np.where(before >= 0, values[before], np.nan)
-    # Nanoseconds since 1970 do not fit into a float64, those since the first message do.
+    # Nanoseconds since the first message fit into a float64; nanoseconds since 1970 do not.
     drawn = np.interp(clock - stamps[0], stamps - stamps[0], values, left=np.nan, right=np.nan)
     width = np.diff(stamps, append=stamps[-1])
     usual = np.median(width[:-1]) if stamps.size > 1 else 0

@@ -29,12 +29,12 @@ _SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 
 @dataclass
 class Bag:
-    """The content of the files of a recording."""
+    """The content of all files of a recording."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)  #: Message definitions by id
-    channels: dict[int, Channel] = field(default_factory=dict)  #: By id; a topic may have several
-    messages: list[Message] = field(default_factory=list)  #: Of supported types, in file order
-    metadata: dict = field(default_factory=dict)  #: Of the recording, if leglab wrote it
+    channels: dict[int, Channel] = field(default_factory=dict)  #: Channels of topics by id
+    messages: list[Message] = field(default_factory=list)  #: All supported ones, in file order
+    metadata: dict = field(default_factory=dict)  #: Metadata, if leglab wrote the recording
     lost: list[str] = field(default_factory=list)  #: One line for each damaged or missing part
     offset: int = 0  #: Added to the 16-bit ids of the present file, as each file starts at 0
 
@@ -49,7 +49,7 @@ class Bag:
             self.channels.setdefault(record.id, record)
         elif isinstance(record, Message):
             record.channel_id += self.offset
-            # If its chunk is broken, the channel's record follows in the summary at the end.
+            # A channel whose chunk is broken is unknown until the summary at the end.
             if record.channel_id not in self.channels or supported(self.kind(record.channel_id)):
                 self.messages.append(record)
         elif isinstance(record, Metadata) and record.name == METADATA_NAME:
@@ -77,7 +77,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
         bag.offset, before = 2**16 * index, (len(bag.messages), len(bag.channels))
         try:
             with path.open("rb") as file:
-                # Mapped, so that a broken record's length cannot make `read` allocate more.
+                # Mapped, so that a wrong length in a broken record cannot exhaust memory.
                 stream: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             if path.suffix == ".zstd":
                 packed = ZstdDecompressor().stream_reader(stream, read_across_frames=True)
@@ -103,7 +103,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
 
 def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
     chunks, broken, missing, whole = 0, 0, 0, True
-    # The checksum of a broken file as a whole is wrong; those of its chunks are checked singly.
+    # The checksum of a whole broken file is wrong; checksums of its chunks are checked one by one.
     for record in StreamReader(stream, validate_crcs=not salvage, emit_chunks=True).records:
         if isinstance(record, Chunk):
             chunks, whole = chunks + 1, True
@@ -124,7 +124,7 @@ def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
     database = sqlite3.connect(":memory:")
-    # Format versions 2 stand for a write-ahead log in a separate file, absent in a closed bag.
+    # Versions 2 in the head ask for a write-ahead log, a separate file that a closed bag lacks.
     database.deserialize(content[:18] + b"\1\1" + content[20:])
     definitions = {kind: ("ros2msg", text) for kind, text in DEFINITIONS.items()}
     with suppress(sqlite3.OperationalError):  # The table exists from ROS 2 Iron on.
@@ -142,7 +142,7 @@ def _scan_sqlite(content: bytes, bag: Bag) -> None:
 def decode(
     bag: Bag, clock_topic: str, wanted_stamps: str, left_out: LeftOut
 ) -> dict[str, TopicSeries]:
-    """Decodes all messages; those of a topic in the order of their log times.
+    """Decodes all messages, in the order of their log times within each topic.
 
     Args:
         bag: Content of the files.

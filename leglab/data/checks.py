@@ -10,7 +10,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
-# Smallest gap in usual intervals: between 1 (no sample lost) and 2 (one lost), to allow for jitter.
+# Smallest interval that is a gap, in usual ones: 1 is no sample lost, 2 one lost, rest for jitter.
 _GAP = 1.5
 
 MAP_HINT = "--columns FILE says what the columns are called here (docs/guides/recordings.md)"
@@ -22,14 +22,14 @@ _FATAL = frozenset({"empty", "no_time", "missing_time", "repeated_time", "revers
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong with a table."""
+    """One defect of a table."""
 
     #: "empty", "no_time", "missing_time", "repeated_time", "repeated_row", "reversed_time", "gap",
     #: "nan_run", "infinite" or "constant".
     kind: str
     column: str  #: The column
     row: int  #: The first row, from 0
-    count: int  #: How many rows it covers
+    count: int  #: Number of rows
     message: str  #: One line with the row, the column, the value and what is usual
 
     @property
@@ -87,7 +87,7 @@ def to_recording(
         table, notes = drop_redundant_rows(table)
         if notes:
             metadata = {**metadata, "repairs": [*metadata.get("repairs", ()), *notes]}
-    # Repeated rows remain only without repair.
+    # Repeated rows are left here only if they were not repaired.
     fatal = [
         finding for finding in inspect(table) if finding.fatal or finding.kind == "repeated_row"
     ]

@@ -12,17 +12,17 @@ from leglab.data.time_column import time_column
 from leglab.data.units_in_names import split
 
 _SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Plausible rates of machines' logs [Hz], 10 Hz to 20 kHz with a margin for drift: more slowly, rows
-# miss motion between them (25 Hz is slow already); no controller of a drive is faster. Integer
-# seconds are never faster than 1 Hz; fractional stamps at 1 Hz or more are in seconds.
+# Least and greatest plausible rate of a log [Hz]: 10 Hz and 20 kHz with a margin for drift. Slower
+# logs miss motion between rows, no drive's controller is faster. Third, the least rate at which
+# stamps with fractions are taken as seconds: about 1 Hz, which integer seconds never exceed.
 _LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
-# Stamps from 2000 to 2100 count from 1970, if the period is at most 10 s.
+# Stamps count from 1970 if they date from 2000 to 2100 [s] and their rate is at least 0.1 Hz.
 _EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
 # Largest time [s], 104 days, at which seconds in a float64 resolve nanoseconds. Stamps since 1970
 # are larger, so such recordings begin at 0 s and their start is kept in the metadata.
 LAST_EXACT = 2**53 / 1e9
-# Allowed relative error of the period of rounded stamps: it shifts a window of the diagnosis, a few
-# hundred rows, by less than a row.
+# Allowed relative error of the period of rounded stamps, so small that a window of the diagnosis, a
+# few hundred rows, shifts by less than a row.
 _KNOWN = 1e-3
 
 
@@ -47,15 +47,15 @@ def time_axis(
     Args:
         table: Arrays of shape (n,) by column name.
         metadata: Metadata of the file.
-        left_out: Gets "time" if it cannot be used.
+        left_out: Gets "time" if the time column cannot be used.
         source: Origin of the table, for messages.
         given: Original name and rule of the table's "time" if a column map names it.
         timed: Whether the format defines `time` in seconds.
 
     Returns:
-        Arrays of float64 by column name, "time" in s first if there is one, and the metadata with
-        `start_ns`, ns since 1970, if time was shifted to begin at 0, and under "time" a remark
-        on the column and unit used unless they are obvious.
+        Arrays of float64 by column name, "time" [s] first if there is one; and the metadata. If
+        time was shifted to begin at 0, `start_ns` holds its start in ns since 1970; unless they are
+        obvious, "time" holds a remark on the column and the unit used.
 
     Raises:
         LeglabError: Two columns or two units are possible; the time does not resolve the rows.
@@ -117,7 +117,7 @@ def _in_seconds(
 
 
 def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
-    """Returns the unit in the name, else the one with a plausible rate, and its value in s."""
+    """Returns the unit in the name, else the unit with a plausible rate, and its value in s."""
     named = split(f"t {name}") if split(name).si != "s" else split(name)
     if named.si == "s":
         return named.unit, named.factor
@@ -130,7 +130,7 @@ def _unit(name: str, raw: np.ndarray) -> tuple[str, float]:
     early = [unit for unit, start in starts.items() if start <= _EPOCH[1]]
     fraction = "s" in early and bool((known != np.rint(known)).any())
     epoch = [unit for unit in early if starts[unit] >= _EPOCH[0]]
-    if raw.dtype != np.float32:  # Its rounding hides the rate.
+    if raw.dtype != np.float32:  # The rounding of float32 hides the rate.
         epoch = [unit for unit in epoch if rates[unit] >= _LEAST_OF_EPOCH]
     fits = [unit for unit in early if _LEAST <= rates[unit] <= _MOST]
     fits = [unit for unit in fits if unit in epoch] or list(dict.fromkeys(fits + epoch))
@@ -155,7 +155,7 @@ def _straight(
 ) -> tuple[np.ndarray, str]:
     """Replaces stamps of an even clock by a straight line if their rounding hides the rate.
 
-    `moved`, (n - 1,), is true where the other columns differ from those of the row before.
+    `moved`, (n - 1,), is true where another column differs from its value in the row before.
     """
     short, steps = raw.dtype.kind == "f" and raw.dtype.itemsize < 8, np.diff(time)
     if time.size < 3 or not np.isfinite(time).all():
@@ -213,7 +213,7 @@ def _moved(table: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _floats(samples: np.ndarray, start: int) -> np.ndarray:
-    """Converts a column to float64; further clocks to seconds since the recording's start."""
+    """Converts a column to float64; times become seconds since the recording's start."""
     if samples.dtype.kind not in "Mm":
         return samples.astype(np.float64)
     ticks = samples.astype(f"{samples.dtype.kind}8[ns]")

@@ -78,7 +78,7 @@ def _is_list(kind: pa.DataType) -> bool:
 
 
 def _elements(column: pa.ChunkedArray) -> np.ndarray | None:
-    """Returns lists of equal length as array (n, length), nested ones flattened; else None."""
+    """Converts lists of equal length, also nested, to an array (n, length); None for others."""
     lengths = pc.unique(pc.list_value_length(column).drop_null()).to_pylist()
     if len(lengths) != 1 or not lengths[0]:
         return None
@@ -94,7 +94,7 @@ def _elements(column: pa.ChunkedArray) -> np.ndarray | None:
 
 def _is_number(text: object, decimal: str) -> bool:
     try:
-        float(str(text).replace(decimal, "."))  # As text, so that a bool is no number.
+        float(str(text).replace(decimal, "."))  # str, because float accepts a bool
     except ValueError:
         return False
     return True

@@ -1,7 +1,7 @@
 """Layout of a table in text: encoding, separator, decimal sign, lines before the first row.
 
 DuckDB's sniffer takes the longest uniform run from the first line on and fails for heads of several
-lines (dSPACE, LabVIEW, oscilloscopes) and for blanks as separators; this one uses the last rows.
+lines (dSPACE, LabVIEW, oscilloscopes) and for blanks as separators; this module uses the last rows.
 """
 
 import codecs
@@ -30,7 +30,7 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(?i:i
 _SAMPLE = re.compile(r"(?i:true|false|on|off|yes|no)|[\[(]\s*[-+.]?\d.*[\])]")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _COMMENT = re.compile(r"\s*[#%;!]+\s?")
-# Largest length of a head [characters], and most rows from which the separator is detected.
+# Maximum length of a head [characters] and maximum number of rows used to detect the separator.
 _HEAD, _ROWS = 1_000_000, 100
 
 
@@ -130,7 +130,7 @@ def _head(
 
 
 def _names(head: list[_Line], width: int) -> tuple[int | None, tuple[str, ...]]:
-    """Returns the last line of the names or units in the head (None: none), and full names."""
+    """Returns the head's last line with names or units (None if it has neither), and full names."""
     fits = [k for k, line in enumerate(head) if line.fits]
     named = [k for k in fits if not head[k].numbers] or fits[-1:]
     if not named:
@@ -157,7 +157,7 @@ def _body(text: str, first: int, separator: str) -> str:
 
 
 def _fit(rows: list[str], separator: str, decimal: str) -> tuple[float, int, list[list[str]]]:
-    """Returns the share of rows that split into samples, the usual number of cells, the cells."""
+    """Returns the share of well-split rows, the usual number of cells in a row, and all cells."""
     table = [_cells(row, separator) for row in rows]
     width, count = Counter(map(len, table)).most_common(1)[0]
     cells = [cell for row in table if len(row) == width for cell in row]

@@ -11,7 +11,7 @@ class LeftOut(dict[str, str]):
     """Reasons why columns cannot be read, by column, or by topic if its columns are unknown.
 
     Args:
-        partial: Whether such columns are left out; else the first one's error is raised.
+        partial: Whether such columns are left out; if not, the first column's error is raised.
         salvage: Whether the intact parts of a broken file are read; else the file is rejected.
     """
 
@@ -31,7 +31,7 @@ class LeftOut(dict[str, str]):
 
 
 def first_line(error: Exception) -> str:
-    """Returns the first line of an error's message, or its type where there is no message."""
+    """Returns the first line of an error's message, or the error's type if it has no message."""
     return next(iter(str(error).splitlines()), "") or type(error).__name__
 
 

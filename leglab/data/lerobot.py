@@ -76,7 +76,7 @@ def _features(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _names(given: Any) -> list[str]:
-    """Returns element names from a list, lists by group {"motors": [...]}, or indices by name."""
+    """Returns element names, given as a list, lists by group {"motors": [...]}, or name: index."""
     if isinstance(given, dict) and all(isinstance(place, int) for place in given.values()):
         return sorted(given, key=lambda name: given[name])
     parts = given.values() if isinstance(given, dict) else [given or ()]

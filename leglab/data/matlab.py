@@ -32,13 +32,13 @@ _KEYWORDS = frozenset(
     | {"global", "if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try"}
     | {"while"}
 )
-# Replaces scipy's header with the time of day, so that equal recordings give equal bytes.
+# Replaces scipy's header, which has the time of day, so that equal recordings give equal bytes.
 _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 # scipy's reader is compiled and trusts the counts in a file: a broken file can crash the process or
 # exhaust its memory. So it runs in a separate process with limited memory [bytes]: two variables of
-# the format's largest size plus a multiple of the file's, as zeros compress to a thousandth.
+# the format's largest size plus a multiple of the file's size, as zeros compress to a thousandth.
 _READER = """
 import os, pickle, sys, warnings
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -73,7 +73,7 @@ _WAYS_OUT = {
 def read_table(
     path: Path, left_out: LeftOut, columns: ColumnMap | None = None
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads a file written by leglab, or the variables of any other (`leglab.data.variables`).
+    """Reads leglab's file, or the variables of any other file (`leglab.data.variables`).
 
     The metadata list units other than the usual ones under "units", and variables that are no
     samples under "left_out".
@@ -175,7 +175,7 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
         field = min(missing)
         raise FileError(f"field {field!r} of 'name_map' is missing in 'signals'", given=field)
     table = {"time": _vector(content["time"], "time")}
-    # Columns that were added in MATLAB are not in the name map: their field is their name.
+    # Columns added in MATLAB are not in the name map, so their field is used as their name.
     for field in dict.fromkeys((*names, *signals)):
         name = names.get(field, field)
         if name in table:

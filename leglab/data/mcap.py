@@ -25,7 +25,7 @@ from leglab.data.files import LeftOut, to_json
 from leglab.data.scene import Scene
 
 _CLOCK_TOPIC = "/joint_states"
-# Columns of a joint that describe its cylinder, in addition to those named after its actuator.
+# Columns of a joint that describe its cylinder, in addition to columns named after its actuator.
 _HYDRAULIC = frozenset(
     ("pressure_a", "pressure_b", "spool", "oil_temperature", "seal_clearance", "energy_supply")
 )
@@ -65,7 +65,7 @@ def read_table(
 
 
 def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
-    """Writes a recording: joints as JointState, their other columns as one or two messages.
+    """Writes a recording: joints as JointState, other columns of a joint as one or two messages.
 
     A column of no joint has its own topic. Samples and metadata keep every bit, times are rounded
     to 1 ns. A scene becomes `/robot_description` and `/tf`, its efforts go to the JointState.

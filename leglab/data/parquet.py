@@ -22,7 +22,7 @@ from leglab.data.files import LeftOut, first_line, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 
-# No dictionaries: measured values seldom repeat, and files would be a quarter larger.
+# Dictionaries are off: measured values seldom repeat, so files would be a quarter larger with them.
 _OPTIONS: dict[str, Any] = {
     "compression": "zstd",
     "write_page_checksum": True,
@@ -36,7 +36,7 @@ _GROUP = 65536
 def read_table(
     path: Path, left_out: LeftOut, _: object = None, *, without: Set[str] = frozenset()
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Reads the columns of a Parquet file except those in `without`.
+    """Reads the columns of a Parquet file except the columns in `without`.
 
     Raises:
         LeglabError: The file is truncated, damaged or not Parquet, its metadata is not JSON, or a
@@ -87,7 +87,7 @@ class Growing:
         """Writes rows.
 
         Args:
-            columns: Samples by name, "time" first, (n,) each. A column that is new gets NaN in the
+            columns: Samples by name, "time" first, (n,) each. A new column becomes NaN in the
                 earlier rows.
 
         Raises:

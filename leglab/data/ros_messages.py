@@ -34,7 +34,7 @@ _WITHIN = {
 
 
 def _whole(fields: str) -> str:
-    """Returns the definition of a message followed by those of the messages it contains."""
+    """Returns a message's definition, followed by the definitions of the messages in it."""
     for kind, inner in _WITHIN.items():
         if f"{kind} " in fields or f"{kind}[] " in fields:
             fields += f"{'=' * 80}\nMSG: {kind}\n{inner}"
@@ -73,7 +73,7 @@ def own_definition(fields: Mapping[str, str]) -> str:
 def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, float]:
     """Returns the numbers of a decoded message of a `supported` type, by column name.
 
-    Columns of the JointState topic of the time axis are `<joint>_position` and so on; those of
+    Columns of the JointState topic of the time axis are `<joint>_position` and so on; columns of
     other topics begin with the topic.
 
     Raises:
@@ -94,7 +94,7 @@ def numbers(kind: str, message: Any, topic: str, is_clock: bool) -> dict[str, fl
     found: dict[str, float] = {}
     for field in ("position", "velocity", "effort"):
         values = getattr(message, field)
-        # The definition allows an empty array for what is not measured.
+        # The definition allows an empty array for a quantity that is not measured.
         if len(values) not in (0, len(names)):
             raise ValueError(f"{len(values)} values of {field} for {len(names)} joints")
         ends = f"_{field}" if is_clock else f"/{field}"

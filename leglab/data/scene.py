@@ -12,9 +12,9 @@ class Scene:
 
     urdf: str  #: The machine as a URDF with the link names of `links`; meshes are `data:` URIs
     links: tuple[str, ...]  #: Names, the world first
-    parents: tuple[int, ...]  #: Index of the parent of each link; that of the world is -1
+    parents: tuple[int, ...]  #: Index of the parent of each link; -1 for the world
     rows: np.ndarray  #: Rows of the recording to which the poses belong, (k,)
-    positions: np.ndarray  #: Of the links in the frames of their parents [m], (k, links, 3)
-    quaternions: np.ndarray  #: Of the links in the frames of their parents, w x y z, (k, links, 4)
+    positions: np.ndarray  #: Positions of links in their parents' frames [m], (k, links, 3)
+    quaternions: np.ndarray  #: Rotations of links to their parents, w x y z, (k, links, 4)
     #: Torque or force of the drives at a joint [N m or N] by joint, (n,) each.
     efforts: Mapping[str, np.ndarray] = field(default_factory=dict)

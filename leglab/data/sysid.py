@@ -19,7 +19,7 @@ from leglab.data.variables import elements, table_of
 if TYPE_CHECKING:
     from mujoco.sysid import TimeSeries
 
-# Ending of leglab's column name: ending of MuJoCo's signal name, and the signal's type.
+# Ending of MuJoCo's signal name and type of the signal, by the ending of leglab's column name.
 _SIGNALS = {
     "position": ("qpos", "MjStateQPos"),
     "velocity": ("qvel", "MjStateQVel"),

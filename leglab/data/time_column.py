@@ -32,7 +32,7 @@ def time_column(
     of day, in two columns are combined. A column that only counts rows is never taken.
 
     Returns:
-        Name, samples, (n,), and the columns of their origin; samples are None if there is no time.
+        Name, samples, (n,), and names of the columns they come from; no time gives samples None.
 
     Raises:
         RecordingError: Two columns can be the time; names both.

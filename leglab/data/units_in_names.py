@@ -14,7 +14,7 @@ class NamedUnit(NamedTuple):
     si: str
 
 
-# SI units, and for each factor the spellings in lower case, a blank in them as "~".
+# By SI unit: factors, each followed by its unit's spellings in lower case, with "~" for a blank.
 _TABLE = {
     "s": "1 s sec secs second seconds|1e-3 ms msec millis millisecond milliseconds|60 min minutes|"
     "1e-6 us usec µs μs micros microseconds|1e-9 ns nsec nanos nanosec nanosecond nanoseconds|"

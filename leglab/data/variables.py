@@ -26,7 +26,7 @@ def table_of(
     """Converts variables to columns on one clock.
 
     Series with the same clock keep their samples. With several clocks, series are resampled to the
-    one with the most samples: commands (`..._command`) by zero-order hold, the others linearly.
+    clock with the most samples: commands (`..._command`) by zero-order hold, the others linearly.
 
     Args:
         variables: Variables by name.
@@ -57,7 +57,7 @@ def table_of(
 
 
 def check_lengths(table: dict[str, np.ndarray], left_out: LeftOut) -> None:
-    """Leaves out columns whose length differs from that of `time`.
+    """Leaves out columns whose length differs from the length of `time`.
 
     Raises:
         RecordingError: Lengths differ, and nothing may be left out or there is no `time`.

@@ -1,9 +1,9 @@
-"""Least-squares fit of parameters that the user chooses to recordings, by replays.
+"""Fit of parameters that the user chooses, by least squares of replay errors.
 
-Bounds are the only prior. If a recording's metadata name no simulation, the lead of its commands
-has a standard deviation of half a time step. Errors of neighbouring windows are correlated, so the
-covariance is estimated from parts of the recordings (the "sandwich" of Liang and Zeger 1986,
-Biometrika 73, 13).
+Bounds are the only prior. If a recording's metadata name no simulation, the time by which commands
+act early is uncertain by half a time step (standard deviation). Errors of neighbouring windows are
+correlated, so the covariance is estimated from parts of the recordings (the "sandwich" of Liang and
+Zeger 1986, Biometrika 73, 13).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,7 +41,7 @@ class Wanted(NamedTuple):
     """A parameter to fit, as `ELEMENT:NAME`, or `ELEMENT:NAME=LOWER:UPPER` in SI units."""
 
     element: str  #: Joint, actuator, body or plugin instance
-    name: str  #: Of the effect, of its parameter, or EFFECT.PARAMETER
+    name: str  #: Name of the effect or of its parameter, or EFFECT.PARAMETER
     lower: float = -inf
     upper: float = inf
 
@@ -104,7 +104,7 @@ def fit(
         progress: Called with a line of text on the present step.
 
     Raises:
-        LeglabError: Model or recordings cannot be used, or a parameter is not of the machine.
+        LeglabError: Model or recordings cannot be used, or the machine lacks a parameter.
     """
     began, settings = perf_counter(), settings or DiagnosisSettings()
     machine = model if isinstance(model, Machine) else Machine(model)
@@ -156,7 +156,7 @@ def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
 
 
 class _Fitted:
-    """Least-squares fit of departures from nominal of single parameters, in smallest trials."""
+    """Least-squares fit of single parameters' departures from nominal, in smallest trials."""
 
     def __init__(
         self, problem: Problem, places: Sequence[tuple[Key, int]], wanted: Sequence[Wanted]
@@ -174,7 +174,7 @@ class _Fitted:
                 for p, ends in zip(self._rows, self._ends, strict=True)
             ]
         ).T
-        # A reflective trust region takes tiny steps from a start at a bound.
+        # The start keeps off bounds, from which a reflective trust region takes tiny steps.
         inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
         self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
@@ -203,13 +203,13 @@ class _Fitted:
         return self._errors.unknowns.moved(Hypothesis(), by)
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
-        """Returns weighted whitened errors, (windows, size), with the effect of early commands."""
+        """Returns weighted errors, (windows, size), whitened also for uncertain command times."""
         noise = self._problem.noise.whitening[self._errors.chosen]
         own, early = (
             np.sqrt(self._weight)[:, None] * whitened(noise, each[:, : self._errors.size])
             for each in (errors, self._early)
         )
-        # Whitens all windows together by I + e e'; e: change of the errors by early commands.
+        # Whitens all windows together for the covariance I + e e', e: change by early commands.
         square = max(float((early**2).sum()), 1e-300)
         return own - (1.0 - (1.0 + square) ** -0.5) / square * float((early * own).sum()) * early
 
@@ -232,7 +232,7 @@ class _Fitted:
         return self._white(self._errors.at(self._hypothesis(z)))
 
     def _jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Returns differences over small steps within the bounds, (windows, size, parameters)."""
+        """Returns difference quotients of `_white` in the bounds, (windows, size, parameters)."""
         step = np.maximum(FINE[0], FINE[1] * np.abs(z))
         step = np.where(z + step > self._upper, -step, step)
         points = [z, *(z + row for row in np.diag(step))]
@@ -262,24 +262,24 @@ class _Fitted:
         square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
         limit = self._problem.thresholds.robust_limit
         self._weight = robust_weight(square / max(float(np.median(square)), 1.0), limit)
-        # The noise model is recomputed: the fitted model propagates errors of start states.
+        # The noise model changes, since errors of start states propagate by the fitted model.
         self._problem = self._problem.about(self._hypothesis(self._z))
         self._errors = Errors(self._problem, self._errors.unknowns, self._problem.fitted)
         self._early = self._half_a_step_early()
 
     def _covariance(self) -> np.ndarray:
-        """Returns the departures' covariance by parts of recordings, (parameters, parameters)."""
+        """Estimates the departures' covariance by parts of recordings, (parameters, parameters)."""
         jacobian, white = self._jacobian(self._z), self._residual(self._z)
         part = parts_of(self._errors.recording)
         bread = np.linalg.pinv(np.einsum("wip,wiq->pq", jacobian, jacobian))
         slopes = np.einsum("wip,wi->wp", jacobian, white)
         sums = np.stack([slopes[part == k].sum(axis=0) for k in range(int(part.max()) + 1)])
         few = len(sums) / max(len(sums) - 1, 1)
-        # Adds the covariance by noise alone, so that it is the lower limit.
+        # The covariance by noise alone is added, so that the result cannot be below it.
         return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
 
     def told(self, began: float) -> ParameterFit:
-        """Returns the fit with the errors and figures of its page."""
+        """Returns the fit with the errors and figures that its page shows."""
         problem, final = self._problem, self._hypothesis(self._z)
         values = [float(final[key][i]) for key, i in self._places]
         steps = np.array([p.step(v) for p, v in zip(self._rows, values, strict=True)])

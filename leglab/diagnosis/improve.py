@@ -37,7 +37,7 @@ class ReplayError:
     """Replay errors of one recording, before and after the improvement."""
 
     recording: str
-    held_out: bool  #: Whether no fit has seen it
+    held_out: bool  #: Whether no fit has used the recording
     noise_levels: tuple[float, float]  #: RMS of whitened errors; noise alone gives 1
     #: RMS error at the end of the windows by channel [rad, m or Pa].
     at_horizon: dict[str, tuple[float, float]]
@@ -45,18 +45,18 @@ class ReplayError:
 
 @dataclass(frozen=True, kw_only=True)
 class Improvement:
-    """An improved model, or the statement that nothing improves it."""
+    """Summary of an improved model, or of the finding that nothing improves the model."""
 
     improved: bool  #: Whether a gain was proved on held-out recordings
     words: str  #: The learned effects and remainder in words, or why nothing was learned
     #: Parameters of the named effects in the model, by "effect at element".
     effects: dict[str, dict[str, float]]
-    remainder: dict[str, Any] | None  #: As `Remainder.to_json`; None for none
+    remainder: dict[str, Any] | None  #: As `Remainder.to_json`; None if none was learned
     closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
     horizon: float  #: Length of the replayed windows [s]
     recordings: tuple[ReplayError, ...]
-    units: dict[str, str]  #: Of the channels
-    model: str | None = None  #: File name of the improved model; None where there is none
+    units: dict[str, str]  #: Units of the channels
+    model: str | None = None  #: File name of the improved model; None if it does not exist
     #: Reasons why parts of the result are missing, by part (`leglab.base.output.piece`).
     missing: dict[str, str] = field(default_factory=dict)
 
@@ -69,10 +69,10 @@ class Improvement:
 class ImprovedModel:
     """Parts of the improved model."""
 
-    problem: Problem  #: Without the learned remainder
+    problem: Problem  #: Recordings and machine, without the learned remainder
     hypothesis: Hypothesis  #: Effects, and parameters that moved noticeably within tolerances
     named: tuple[Key, ...]
-    remainder: Remainder | None  #: Learned remainder; None for nothing
+    remainder: Remainder | None  #: Learned remainder; None if none was learned
 
     def __repr__(self) -> str:
         return f"ImprovedModel({self.learned or 'nothing learned'})"
@@ -93,7 +93,7 @@ class ImprovedModel:
 
     @property
     def moved(self) -> tuple[Moved, ...]:
-        """Parameters without a name that moved within their tolerances."""
+        """Parameters of effects that are not named, if they moved within their tolerances."""
         library, found = self.problem.library, []
         for key, values in sorted(library.whole(self.hypothesis).items()):
             site = library.sites[key]
@@ -117,7 +117,7 @@ class ImprovedModel:
 
 
 def write_improved(found: Outcome, folder: Path) -> Path | None:
-    """Writes DIR/improved.xml, as the command does; None where nothing improves the model.
+    """Writes DIR/improved.xml like the command; returns None if nothing improves the model.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
@@ -130,10 +130,10 @@ def write_improved(found: Outcome, folder: Path) -> Path | None:
 def improved_model(
     found: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> ImprovedModel | None:
-    """Returns a diagnosis's model: recalibrated, with the named effects and a learned remainder.
+    """Returns a diagnosis's recalibrated model with the named effects and a learned remainder.
 
     Effects that were fitted but not named are left out. A remainder is learned if much error is
-    left. None if the held-out recordings are not replayed better than by the original model.
+    left. Returns None if the original model replays held-out recordings equally well.
     """
     problem, result = found.problem, found.result
     limits = problem.thresholds
@@ -155,7 +155,7 @@ def improved_model(
 def _recalibrated(
     found: Outcome, kept: Iterable[NamedEffect]
 ) -> tuple[tuple[Key, ...], Hypothesis]:
-    """Returns the kept effects, and the model with them and with fitted tolerances."""
+    """Returns the keys of kept effects, and the written hypothesis without other named ones."""
     told = {(e.name, e.element) for e in kept}
     named = tuple(key for key in found.named if key in told)
     return named, found.written.without(*(set(found.named) - set(named)))
@@ -164,9 +164,9 @@ def _recalibrated(
 def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
     """Restores the model's values of unnamed parameters whose change the errors hardly show.
 
-    Backward elimination: parameters go back one by one, each time the one that costs least while
-    the others are refitted, by errors that are linear in them. It ends before replays of the fitted
-    windows would err by more than a tenth more.
+    Backward elimination: one parameter after another goes back to the model's value, each time the
+    parameter that costs least after a refit of the others by linearised errors. The elimination
+    ends before the replay errors of fitted windows grow by more than a tenth.
     """
     library, chosen = problem.library, thinned(~problem.held, WINDOWS)
     whole = library.whole(fitted)
@@ -179,7 +179,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     ]
 
     def at(back: np.ndarray) -> Hypothesis:
-        """Returns the hypothesis in which each parameter has gone back by a share, (moved,)."""
+        """Returns the hypothesis in which each parameter has gone back by its share, (moved,)."""
         values = {key: whole[key].copy() for key in {*fitted, *(key for key, *_ in moved)}}
         for share, (key, i, value, own, _) in zip(back.tolist(), moved, strict=True):
             values[key][i] = own if share == 1.0 else value + share * (own - value)
@@ -198,7 +198,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     stay = np.zeros(count)
     before = errors(stay).ravel()
     columns = np.stack([errors(one).ravel() - before for one in np.eye(count)], axis=1)
-    # Departures in tolerances; that of a parameter without a tolerance counts as 1.
+    # Departures in tolerances; without a tolerance the departure of a parameter counts as 1.
     away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
     paths = [stay, *_going_back(before, columns, away)]
     limit = (1.0 + SMALL) * level(stay)
@@ -207,7 +207,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
 
 
 def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> Iterator[np.ndarray]:
-    """Yields shares by which parameters go back to the model's values; each adds one share of 1.
+    """Yields shares by which parameters go back to the model's values, each time one more of 1.
 
     Args:
         before: Errors before any parameter goes back, (errors,).
@@ -217,8 +217,8 @@ def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> It
     Yields:
         Shares, (parameters,).
     """
-    # Half the squares of errors and departures are x'Hx/2 - s'x at shares x; to set share i to 1
-    # costs (1 - x_i)^2/(H^-1)_ii while the others are refitted.
+    # Half the sum of squared errors and departures is x'Hx/2 - s'x + const for shares x. To set x_i
+    # to 1 and refit the others adds half of (1 - x_i)^2/(H^-1)_ii to the minimum over x.
     curvature = columns.T @ columns + np.diag(away**2)
     slope = away**2 - columns.T @ before
     kept = np.ones(away.size, dtype=bool)
@@ -227,7 +227,7 @@ def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> It
         share = np.ones(away.size)
         share[kept] = inverse @ (slope[kept] - curvature[np.ix_(kept, ~kept)].sum(axis=1))
         if not kept.all():
-            # With a share below 0 a parameter could imitate a missing effect.
+            # Clipped, because with a share below 0 a parameter could imitate a missing effect.
             yield np.clip(share, 0.0, 1.0)
         if not kept.any():
             return
@@ -251,12 +251,12 @@ def improve(
         model: MJCF file, the name of a model that ships with leglab, or its machine.
         recordings: By name.
         held_out: Recordings by which the gain is judged; None for the choice of `split_held_out`.
-        effects: Whether effects are searched for first; those of confidence 0.8 are kept.
-        settings: Of the diagnosis.
+        effects: Whether to search for effects first and keep those of confidence >= 0.8.
+        settings: Settings of the diagnosis.
         progress: Called with a line of text on the present step.
 
     Returns:
-        The improvement, and the improved model; None where nothing improves.
+        The improvement, and the improved model, or None if nothing improves the model.
 
     Raises:
         LeglabError: Model or recordings cannot be used.
@@ -325,7 +325,7 @@ def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) 
 def _errors(
     pairs: Sequence[tuple[Problem, Hypothesis]], squares: Sequence[np.ndarray]
 ) -> tuple[ReplayError, ...]:
-    """Returns the errors of all recordings before and after; `squares` are those of windows."""
+    """Returns each recording's errors before and after; `squares` are mean squares of windows."""
     errors = [problem.raw_errors(hypothesis) for problem, hypothesis in pairs]
     problem, out = pairs[0][0], []
     columns = [channel.column for channel in problem.channels]

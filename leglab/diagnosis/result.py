@@ -1,7 +1,7 @@
 """Result of a diagnosis: verdict and all figures of reports and pages; immutable.
 
-`before` refers to the original model, `baseline` to it with nuisance parameters refitted within
-their tolerances, and `after` to the one with the named effects.
+`before` is a result of the original model, `baseline` of the model with its parameters refitted
+within their tolerances, and `after` of the model that also has the named effects.
 """
 
 import math
@@ -38,7 +38,7 @@ class Moved:
 
     effect: str
     element: str
-    estimate: Estimate  #: Its interval is the tolerance
+    estimate: Estimate  #: Its `interval` is the 95 % range of good machines
     share: float  #: Signed change as a share of the tolerance
 
 
@@ -50,19 +50,19 @@ class NamedEffect:
     element: str
     group: str
     physics: str
-    #: Recording and time [s] at which it begins; empty if it is present throughout.
+    #: Recording and time [s] at which the effect begins; empty if it is present throughout.
     onset: tuple[tuple[str, float], ...]
-    #: Probability of the name in [0, 1], among all fitted sets of effects (the least of several
-    #: estimates) and against causes that no effect describes.
+    #: Probability in [0, 1] that the effect is the cause, rather than another of the fitted sets of
+    #: effects or a cause that no effect describes; the least of several estimates.
     confidence: float
-    contribution: float  #: Share of the gap that it closes when it is added last
+    contribution: float  #: Share of the gap that the effect closes when it is added last
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings equally well
     #: Normalised replay error on the held-out recordings without this effect alone.
     without: float = math.nan
-    #: Recording, earliest and latest time [s] of an onset; between these no motion shows it.
+    #: Recording, earliest and latest time [s] of the onset; between them no motion shows it.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
-    #: Differences between the directions that the effect distinguishes; surer than each value.
+    #: Differences between values for the two directions; they are surer than the values.
     differences: tuple[Estimate, ...] = ()
 
     @property
@@ -71,7 +71,7 @@ class NamedEffect:
         return (*self.differences, *self.parameters)
 
     def begins(self) -> tuple[str, ...]:
-        """Returns when it begins in each recording: a time, or an interval that contains it."""
+        """Returns when the effect begins in each recording: a time, or an interval around it."""
         wide = {
             name: f"between {low:.2f} and {high:.2f} s of {name}"
             for name, low, high in self.onset_interval
@@ -103,7 +103,7 @@ class Remaining:
 class Calibration:
     """Calibration of a specimen by its healthy recordings."""
 
-    #: Name, normalised error of the original model, and of the calibrated one.
+    #: Name, normalised error of the original model, normalised error of the calibrated model.
     recordings: tuple[tuple[str, float, float], ...]
     #: Effect, element and parameter that differ, the largest difference first.
     estimates: tuple[tuple[str, str, Estimate], ...]
@@ -114,7 +114,7 @@ class Where:
     """Element at which simulation and data disagree, and the region of the largest error."""
 
     #: "mechanical" (pressures to motion), "hydraulic" (command and motion to pressures) or "motion"
-    #: (command to motion) where there are no pressures.
+    #: (command to motion) if no pressures are measured.
     residual: str
     element: str
     level: float  #: Error of the original model, in multiples of the noise
@@ -143,21 +143,21 @@ class Gap:
     after: float
     #: Error that the calibrated specimen had in its healthy recordings; None without any.
     healthy: float | None = None
-    #: Error of the final fit without the named effects; NaN where there are none.
+    #: Error of the final fit without the named effects; NaN if no effect is named.
     unnamed: float = math.nan
-    #: `shown` in multiples of the errors of noise and healthy specimen, over all recordings if the
-    #: held-out ones hardly show the named effects; None: `unnamed`, `after` and `noise_floor`.
+    #: Value of `shown` if effects are named: errors relative to noise and the healthy specimen, of
+    #: all recordings if the held-out ones hardly show the effects. None if no effect is named.
     compared: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
     @property
     def shown(self) -> tuple[float, float, float]:
-        """Errors without the named effects and with them, and the error that is not in the gap."""
+        """Error without the named effects, error with them, and noise floor (not in the gap)."""
         return self.compared or (self.unnamed, self.after, self.noise_floor)
 
     @property
     def explained(self) -> float | None:
-        """Share of the gap without the named effects that they close; None where nothing is named.
+        """Share that the named effects close of the gap without them; None if nothing is named.
 
         Noise, and model errors from before the machine changed, are no part of the gap.
         """
@@ -166,7 +166,7 @@ class Gap:
 
     @property
     def closed_fraction(self) -> float | None:
-        """(before - after)/(before - noise_floor); None where there was no gap."""
+        """(before - after)/(before - noise_floor); None if there was no gap."""
         return closed(self.before, self.after, self.noise_floor)
 
 
@@ -184,8 +184,8 @@ class Rank:
     element: str
     #: First-order log of the factor by which this effect alone makes the recordings more probable.
     gain: float
-    #: Predicted log evidence of the best set with it that is one step from a good set, less that of
-    #: the best set; None if no such set was scored.
+    #: Predicted log evidence of the best set with this effect that is one step from a good set,
+    #: minus the log evidence of the best set of all; None if no set with this effect was scored.
     added: float | None = None
 
 
@@ -195,9 +195,9 @@ class Tried:
 
     names: tuple[tuple[str, str], ...]  #: Effects and elements; empty for the model itself
     move: str  #: Move of the search that proposed it first
-    reason: str  #: In words
+    reason: str  #: Reason of the proposal, in words
     level: float  #: Median whitened RMS error
-    behind: float  #: Log evidence of the most probable set less that of this set
+    behind: float  #: Log evidence of the most probable set minus that of this set
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,7 +206,7 @@ class Rivals:
 
     #: Effects of each set, joined by " + ", or "nothing"; most probable first.
     names: tuple[str, ...]
-    cost: tuple[float, ...]  #: Mean square error of each; noise alone gives about 1
+    cost: tuple[float, ...]  #: Mean square error of each set; noise alone gives about 1
     preference: np.ndarray  #: [i, j] is the probability of set i against set j
 
 
@@ -218,9 +218,9 @@ class ResidualTrace:
     channel: str
     unit: str  #: Of the channel and its errors
     time: np.ndarray  #: s
-    position: np.ndarray  #: Of the channel's joint [rad or m], with its velocity
-    velocity: np.ndarray
-    #: Pressure difference across the piston [Pa]; None where not measured.
+    position: np.ndarray  #: Position of the channel's joint [rad or m]
+    velocity: np.ndarray  #: Velocity of the channel's joint [rad/s or m/s]
+    #: Pressure difference across the piston [Pa]; None if not measured.
     pressure: np.ndarray | None
     before: np.ndarray  #: Measured minus predicted, like `after`
     after: np.ndarray
@@ -274,8 +274,8 @@ class Proposal:
     name: str
     description: str
     rivals: tuple[str, str]
-    separation: float  #: Expected chi-square between them
-    separation_now: float  #: Chi-square between them in the present recordings
+    separation: float  #: Expected chi-square between the rivals
+    separation_now: float  #: Their chi-square in the present recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -291,8 +291,8 @@ class Diagnosis:
         changed: Unified diff between the model and the improved model, as lines.
         notes: Remarks for the reader: repairs, missing pressures, bounds that were hit.
         among: Probability that the cause is one of a confusion set; None for other verdicts.
-        smaller: Effects that close less than a tenth of the gap each: differences, not the cause.
-        model: File of the improved model; empty before it is written, or where nothing improves.
+        smaller: Effects that close less than a tenth of the gap each: deviations, not the cause.
+        model: File of the improved model; empty before it is written, or if nothing improves.
         learned: Description of the remainder that the improved model has learned.
         covariance: ELEMENT:EFFECT.PARAMETER of each fitted parameter, and their covariance [SI
             units], (parameters, parameters); None for a diagnosis.
@@ -336,7 +336,7 @@ class Diagnosis:
 
     @property
     def recalibrated(self) -> bool:
-        """Whether parameters moved within tolerances; `leglab fit` moves only those it fits."""
+        """Whether parameters moved within tolerances; `leglab fit` moves only fitted ones."""
         return self.verdict != "fitted"
 
     @property
@@ -384,7 +384,7 @@ class Diagnosis:
         return axes
 
     def to_pandas(self) -> Any:
-        """Returns the parameters of the effects as a `pandas.DataFrame`, one row a parameter.
+        """Returns the parameters of the effects as a `pandas.DataFrame`, one row per parameter.
 
         Raises:
             LeglabError: pandas is missing.
@@ -400,7 +400,7 @@ class Diagnosis:
     def with_model(self, name: str, learned: str = "", errors: Sequence[float] = ()) -> "Diagnosis":
         """Returns the diagnosis with the improved model's file, learned remainder and errors.
 
-        The errors are in the order of `remaining`; empty where nothing was learned.
+        `errors` are in the order of `remaining`; empty if nothing was learned.
         """
         remaining = self.remaining
         if errors:
@@ -483,13 +483,13 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
 
 
 def _fields(row: Estimate | NamedEffect | Gap | RecordingGap, *left_out: str) -> dict[str, Any]:
-    """Returns the fields in order, `baseline` under its name in diagnosis.json."""
+    """Returns the fields in order, with `baseline` renamed as in diagnosis.json."""
     names = {"baseline": "recalibrated"}
     return {names.get(k, k): v for k, v in asdict(row).items() if k not in left_out}
 
 
 def _plain(value: Any) -> Any:
-    """Converts a value for JSON, with five significant digits: more would pretend precision.
+    """Converts a value for JSON, with five significant digits, since more would pretend precision.
 
     Infinite values and NaN become None.
     """

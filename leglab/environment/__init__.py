@@ -1,7 +1,7 @@
 """The leg as a reinforcement-learning environment: dm_env through dm_control, and Gymnasium.
 
-Importing this package registers the Gymnasium environments where Gymnasium is installed;
-dm_control is loaded with the first environment. All of them come with
+Importing this package registers the Gymnasium environments if Gymnasium is installed;
+dm_control is imported when the first environment is made. Both are installed by
 `pip install ".[rl]"` in a clone of leglab.
 """
 

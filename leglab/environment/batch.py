@@ -1,8 +1,8 @@
-"""Batch of machines: control periods run in C++ threads, everything else in arrays.
+"""Batch of machines: control periods run in C++ threads, all else is computed with arrays.
 
-Each machine is a separate closed loop (`leglab.runs.loop.Loop`) with its episode, scenario,
-specimen and noise, and equals the same episode alone to the bit; only its steps are run together
-with those of the others (`leglab._native.batch`).
+Each machine is a separate closed loop (`leglab.runs.loop.Loop`) with its own episode, scenario,
+specimen and noise. Its results equal those of the same episode run alone, to the bit; only the time
+steps of all machines are run together (`leglab._native.batch`).
 """
 
 import math
@@ -38,7 +38,7 @@ from leglab.machine.simulation import SPEED_LIMIT, Simulation
 from leglab.runs.loop import Loop
 from leglab.runs.preparation import Preparation
 
-# Settings of controllers with one value a joint.
+# Names of the controller settings that have one value per joint.
 _PER_JOINT = ("position_gain", "velocity_gain")
 
 
@@ -55,27 +55,27 @@ class BatchMachine:
 class Batch:
     """Machines that are stepped together by whole control periods.
 
-    Arrays have a row a machine and change with the next step.
+    Arrays have one row per machine and change with the next step.
 
     Args:
-        plan: Settings.
-        episodes: Draws what differs between episodes, one a machine.
+        plan: Settings of the environment.
+        episodes: Sources of random episodes, one per machine.
         threads: Number of threads that step machines; None for one per core.
 
     Attributes:
         count: Number of machines.
         joints: Names of the joints.
-        observation: That of `LegEnv` with `flat_observation=True`, float32, (machines, size).
-        limits: Bounds of an observation, infinite where there is none, (size,).
-        torque_limit: Torque [N m] that an action of 1 stands for, (joints,); None for others.
+        observation: As of `LegEnv` with `flat_observation=True`, float32, (machines, size).
+        limits: Bounds of an observation's values, infinite without a bound, (size,).
+        torque_limit: Torque [N m] of an action of 1, (joints,); None if actions are not torques.
         command: Commands that were sent last, in [-1, 1], (machines, joints).
         error: True tracking error, position less reference [rad], (machines, joints).
         steps: Control periods since the start of the episodes, (machines,).
-        terminated: Where a simulation blew up or an error exceeded the limit, (machines,).
-        truncated: Where the duration is over, (machines,).
+        terminated: Mask: the simulation blew up or an error exceeded the limit, (machines,).
+        truncated: Mask: the duration of the episode is over, (machines,).
 
     Raises:
-        LeglabError: A setting does not fit, or the model gives its sensors faults of their own.
+        LeglabError: A setting does not fit, or the model itself defines sensor faults.
     """
 
     def __init__(self, plan: Plan, episodes: Sequence[Episodes], *, threads: int | None) -> None:
@@ -161,14 +161,14 @@ class Batch:
         return loop
 
     def reseed(self, machine: int, seed: int) -> None:
-        """Starts a machine's sequence of episodes of another seed with its next episode."""
+        """Sets the seed from which a machine's episodes are drawn, beginning with its next one."""
         self._machines[machine].episodes.reseed(seed)
 
     def reset(self, chosen: np.ndarray) -> None:
         """Starts the next episode of some machines.
 
         Args:
-            chosen: Mask of these machines, (machines,) of bool.
+            chosen: Mask of the machines to reset, (machines,) of bool.
         """
         for i in np.flatnonzero(chosen).tolist():
             self._begin(i)
@@ -186,10 +186,10 @@ class Batch:
         """Runs one control period; machines whose episode was over begin the next one instead.
 
         Args:
-            action: In [-1, 1], clipped otherwise, (machines, joints).
+            action: Actions, clipped to [-1, 1], (machines, joints).
 
         Returns:
-            Rewards, (machines,), 0 where an episode begins; mask of these, (machines,) of bool.
+            Rewards, (machines,), 0 for machines whose episode begins, and the mask of these.
 
         Raises:
             LeglabError: The action has another shape, or is not finite.
@@ -206,7 +206,7 @@ class Batch:
         self.previous, self.command = self.command, wish.clip(-1.0, 1.0)
         self.command[rests] = self.previous[rests]
         self.steps[moves] += 1
-        # Time of a period with the rounding of the loop.
+        # The time is computed as in `Loop`, so that both round it equally.
         late = self._due <= self.steps * self.period
         self._core.step(commands=self.command, late=late, rests=rests)
         for i in np.flatnonzero(late & moves & ~self.diverged).tolist():
@@ -242,7 +242,7 @@ class Batch:
         )
 
     def _begin(self, number: int) -> None:
-        """Starts the next episode of a machine, up to its first measurement."""
+        """Starts the next episode of a machine and takes the first measurement."""
         machine = self._machines[number]
         episode = machine.episodes.next()
         if machine.loop is not None and episode == machine.episode:
@@ -281,7 +281,7 @@ class Batch:
         self._core.measure(number)
 
     def _change(self, number: int) -> None:
-        """Applies the changes of a machine's scenario that are due in the present period."""
+        """Applies those changes of a machine's scenario that are due in the present period."""
         sampled = self.loop(number).machine
         assert sampled is not None
         now = int(self.steps[number])
@@ -290,7 +290,7 @@ class Batch:
         self._due[number] = sampled.schedule.next
 
     def _begin_controller(self, preparation: Preparation, threads: int) -> None:
-        """Makes one controller for all machines, or a team of threads, where possible."""
+        """Makes one controller for all machines or a team of threads, if the controller allows."""
         self._shared: Controller | None = None
         self._team: Team | None = None
         self._feedforward = False
@@ -316,7 +316,7 @@ class Batch:
             probe.observe()
             self._feedforward = "feedforward" in probe.diagnostics()
             kind = type(probe.controller)
-            # The compiled core does its control period, unless a subclass overrides `command`.
+            # The C++ core computes the control period, unless a subclass overrides `command`.
             if issubclass(kind, AdaptiveController) and kind.command is AdaptiveController.command:
                 self._team = Team(threads)
                 self._adaptive: dict[int, AdaptiveController] = {}
@@ -324,7 +324,7 @@ class Batch:
             probe.close()
 
     def _command_of_controllers(self, chosen: np.ndarray, *, first: bool) -> None:
-        """Computes the controllers' commands of the present period."""
+        """Computes the controllers' commands in the present period."""
         if self._scale is None:
             return
         if self._shared is not None:
@@ -354,7 +354,7 @@ class Batch:
                 self._forward[i] = diagnostics_of(controller)["feedforward"]
 
     def _command_of_team(self, team: Team, chosen: np.ndarray, first: bool) -> None:
-        """Computes the commands of compiled controllers, in threads."""
+        """Computes the commands of controllers with a C++ core, in threads."""
         time = self.time
         if first:
             for i in chosen.tolist():
@@ -372,7 +372,7 @@ class Batch:
         step_together(team, learning, chosen, self.command, measured, self.reference, out)
 
     def _measurement(self, i: int) -> Measurement:
-        """Returns the measurement for a machine's controller: rows of the arrays."""
+        """Returns the measurement for the controller of machine `i`, as rows of the arrays."""
         row, hydraulic = self._pressure[i], self._pressure.shape[1] // 2
         pressures = (row[:hydraulic], row[hydraulic:-1], float(row[-1])) if hydraulic else ()
         now = float(self.steps[i] * self.period)
@@ -387,14 +387,14 @@ class Batch:
             if self._feedforward:
                 parts.append(self._forward)
         columns = self._raw[:, -joints * len(parts) :]
-        # Where a simulation blew up, the last observation stays.
+        # After a simulation has blown up, its last observation is kept.
         fine = ~self.diverged[:, None]
         np.copyto(columns, np.concatenate(parts, axis=1), where=fine, casting="same_kind")
         if self._scaled is not None:
             self.observation = self._scaled(self._raw)
 
     def _sizes(self, hydraulic: int) -> dict[str, int]:
-        """Returns the number of values of each part of an observation, in order."""
+        """Returns the number of values of each part of an observation, in the parts' order."""
         joints = len(self.joints)
         found = {"position": joints, "velocity": joints}
         if hydraulic:
@@ -409,7 +409,7 @@ class Batch:
         return found
 
     def _command_of_torques(self, torque: np.ndarray, rests: np.ndarray) -> np.ndarray:
-        """Computes valve commands for torques [N m], (machines, joints), by the last readings."""
+        """Computes valve commands from torques [N m], (machines, joints), and the last readings."""
         joints = len(self.joints)
         wish = self._torque.command(
             torque.ravel(),
@@ -423,10 +423,10 @@ class Batch:
 
 
 class ManyMachines(NominalMachine):
-    """A nominal machine repeated, for a controller that commands joint by joint.
+    """Nominal machine with the joints of several equal machines, for joint-wise controllers.
 
     Args:
-        one: The machine.
+        one: Nominal machine to repeat.
         count: Number of repetitions.
     """
 
@@ -435,7 +435,7 @@ class ManyMachines(NominalMachine):
         self._one, self._count = one, count
 
     def find(self, name: str) -> Any:
-        """Repeats a value of one machine for the joints of all."""
+        """Repeats a property of one machine for the joints of all machines."""
         match name:
             case "direction":
                 return np.tile(self._one.direction, self._count)

@@ -14,26 +14,26 @@ from leglab.runs.preparation import RunSettings, scenario_of
 RANDOM = ("seed", "scenario", "severity", "onset", "ramp_duration", "tolerance")
 _SEEDS = 2**31 - 1
 
-# Function that draws values by the names in `RANDOM`.
+# Function of a random generator that returns drawn values by name, with names from `RANDOM`.
 Draw = Callable[[np.random.RandomState], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One episode."""
+    """One episode: a run, optionally with another onset of its changes."""
 
-    #: Settings of the run; `leglab.runs.run.run_scenario` repeats it where `onset` is None.
+    #: Settings of the run; if `onset` is None, `leglab.runs.run.run_scenario` repeats the episode.
     settings: RunSettings
-    #: When the first change begins [s]; None for the scenario's own time.
+    #: Time at which the first change begins [s]; None for the scenario's own time.
     onset: float | None = None
-    #: Whether the scenario was drawn: `onset` is then ignored for a scenario without changes.
+    #: Whether the scenario was drawn; if so, a scenario without changes ignores `onset`.
     drawn: bool = False
 
     def scenario(self) -> Scenario:
-        """Builds the scenario, all its changes shifted together to the onset.
+        """Builds the scenario, with all changes shifted so that the first begins at `onset`.
 
         Raises:
-            SettingsError: If an option is not allowed or a change ends after the episode.
+            SettingsError: An option is not allowed or a change ends after the episode.
         """
         scenario = scenario_of(self.settings)
         if self.onset is None:
@@ -56,17 +56,17 @@ class Episodes:
 
     Args:
         base: The episode to vary.
-        randomize: None: every episode is the base. A mapping of names in `RANDOM` to ranges
-            (low, high), from which values are drawn uniformly, and of "scenario" to names, of which
-            one is drawn; or a callable that is given a `numpy.random.RandomState` and returns
-            values by name. Each episode then has a new seed too, unless one is given.
+        randomize: None: every episode equals `base`. Otherwise a mapping of names in `RANDOM` to
+            ranges (low, high), from which values are drawn uniformly, and of "scenario" to names,
+            of which one is drawn; or a function of a `numpy.random.RandomState` that returns values
+            by name. Each episode then also has a new seed, unless "seed" is among these names.
 
     Attributes:
         base: The episode that is varied.
-        random: Source of the draws; `reseed` replaces it.
+        random: Random generator of the draws; `reseed` replaces it.
 
     Raises:
-        SettingsError: If a name or a range is not allowed.
+        SettingsError: A name or a range is not allowed.
     """
 
     def __init__(self, base: Episode, randomize: Mapping[str, Any] | Draw | None) -> None:
@@ -87,7 +87,7 @@ class Episodes:
         self.random = np.random.RandomState(base.settings.seed)
 
     def _try_ends(self, name: str, value: Any) -> None:
-        """Raises the errors that later episodes would raise, by trying the ends of a range."""
+        """Tries the ends of a range, so that errors are raised now and not in a later episode."""
         for end in (value,) if isinstance(value, str) else value:
             drawn: dict[str, Any] = {name: int(end) if name == "seed" else end}
             try:
@@ -99,7 +99,7 @@ class Episodes:
                 raise error.at(f"randomize {name!r}") from None
 
     def reseed(self, seed: int) -> None:
-        """Starts the sequence of episodes of another seed."""
+        """Restarts the sequence of episodes from another seed."""
         self.base = replace(self.base, settings=replace(self.base.settings, seed=seed))
         self.random = np.random.RandomState(seed)
 
@@ -107,7 +107,7 @@ class Episodes:
         """Draws the next episode.
 
         Raises:
-            SettingsError: If the callable gives a name that is not allowed.
+            SettingsError: The function `randomize` returned a name that is not allowed.
         """
         if self._draw is None:
             return self.base

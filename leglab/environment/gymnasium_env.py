@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from dm_control.rl import control
 
 RENDER_MODES = ("human", "rgb_array", "depth_array")
-# Pictures a second: a window needs no more, and a film of one picture a step is slow motion.
+# Pictures per second of the window and of films. A film with one picture per step is slow motion.
 FRAME_RATE = 50
-# Where a model lacks the usual camera, MuJoCo's free one shows it.
+# Default camera, and index of MuJoCo's free camera, which is used if a model lacks the default.
 USUAL_CAMERA, FREE_CAMERA = "three_quarter", -1
 
 
@@ -28,29 +28,29 @@ class LegEnv(gymnasium.Env):
 
     Observations are float32: one array with `flat_observation=True`, otherwise a dict of arrays.
 
-    A seed passed to `reset` is that of the episode's run, as in `leglab run --seed`, and of the
-    draws of later episodes. An episode is truncated at its duration, and terminated where the
+    A seed passed to `reset` is the seed of the episode's run, as in `leglab run --seed`, and of the
+    draws of later episodes. An episode is truncated at its duration, and terminated if the
     simulation blows up or an error exceeds the limit.
 
-    `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the `command` in [-1, 1]
-    that was sent, (joints,); of `reset` also the episode's `scenario`, `seed`, `severity`, `onset`
-    [s], None without a change, and `ramp_duration` [s]; of the last step also `ended`: "duration",
-    "error_limit" or "blow_up".
+    `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the sent `command` in
+    [-1, 1], (joints,). After `reset` it has also the episode's `scenario`, `seed`, `severity`,
+    `onset` [s] (None without a change) and `ramp_duration` [s]; after the last step also `ended`:
+    "duration", "error_limit" or "blow_up".
 
     Args:
-        env: From `leglab.environment.load`.
+        env: Environment made by `leglab.environment.load`.
         render_mode: One of `RENDER_MODES`, or None.
-        camera: Name of a camera of the model; where it lacks the usual one, the free camera.
-        width: Of the pictures [px].
-        height: Of the pictures [px].
+        camera: Name of a camera of the model; the free camera if the model lacks the default one.
+        width: Width of the pictures [px].
+        height: Height of the pictures [px].
 
     Attributes:
         dm_env: The environment of dm_control.
-        task: Its `leglab.environment.task.TrackingTask`.
-        physics: Its `leglab.environment.physics.LegPhysics`.
+        task: The environment's `leglab.environment.task.TrackingTask`.
+        physics: The environment's `leglab.environment.physics.LegPhysics`.
 
     Raises:
-        LeglabError: There is no such render mode or camera, or no display for a window.
+        LeglabError: The render mode or camera does not exist, or there is no display for a window.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class LegEnv(gymnasium.Env):
         self._camera: str | int = camera if camera in cameras else FREE_CAMERA
         self._size = {"width": width, "height": height}
         self._window: LiveWindow | None = None
-        self._shown = 0.0  # when the window showed its last picture [s]
+        self._shown = 0.0  # simulated time of the window's last picture [s]
         named = env.observation_spec()
         self._flat = tuple(named) == (FLAT_OBSERVATION_KEY,)
         self.observation_space = (
@@ -128,7 +128,7 @@ class LegEnv(gymnasium.Env):
     def render(self) -> np.ndarray | None:
         """Returns a picture, (height, width, 3) of uint8, or the depth in m, (height, width).
 
-        None without a render mode, and for "human", whose window follows `step`.
+        Returns None without a render mode and for "human", because `step` updates the window.
         """
         if self.render_mode in (None, "human"):
             return None
@@ -136,14 +136,14 @@ class LegEnv(gymnasium.Env):
         return self.physics.render(camera_id=self._camera, depth=depth, **self._size)
 
     def close(self) -> None:
-        """Closes window and physics."""
+        """Closes the window and the physics."""
         if self._window is not None:
             self._window.close()
             self._window = None
         self.dm_env.close()
 
     def _show(self) -> None:
-        """Shows the machine in MuJoCo's window, not faster than real time."""
+        """Updates MuJoCo's window; waits so that the motion is not faster than real time."""
         if self._window is None:
             self._window = LiveWindow(
                 self.physics.model.ptr,
@@ -175,6 +175,6 @@ class LegEnv(gymnasium.Env):
 
 
 def _box(spec: specs.Array) -> spaces.Box:
-    """Returns the float32 space of a specification."""
+    """Returns the float32 space that corresponds to a dm_env specification."""
     low, high = (end.astype(np.float32) for end in ends(spec))
     return spaces.Box(low=low, high=high, dtype=np.float32)

@@ -58,35 +58,35 @@ def load(
         model: Name of a model or path of an MJCF file.
         action: "valve": valve commands in [-1, 1]. "residual": `residual_scale` times the action
             is added to the command of a controller, and the sum clipped to [-1, 1]. "torque": the
-            action times the task's `torque_limit` per joint; a force loop turns it into commands.
-        controller: Name of the controller of a residual action; None for static_feedforward.
-        controller_config: Its settings.
+            action times the task's `torque_limit` is a torque; a force loop computes the commands.
+        controller: Name of the controller for residual actions; None for static_feedforward.
+        controller_config: Settings of the controller.
         residual_scale: Valve command that a residual action of 1 stands for, in (0, 2].
         reward: Name of a reward in `REWARDS`, or a function of a `Transition`.
         reference: Name of the reference; None for the scenario's own.
-        reference_config: Its settings, over those of the scenario.
-        severity: Of the scenario's change, in its own unit; None for its own.
-        ramp_duration: How long the change takes [s].
-        element: Joint to which the change happens alone; None for all.
-        onset: When the first change begins [s]; None for the scenario's own time.
-        duration: Of an episode [s]; None for the scenario's own.
-        control_period: [s]; None for the sensors' own.
+        reference_config: Settings of the reference, which override those of the scenario.
+        severity: Severity of the scenario's change, in its own unit; None for the default.
+        ramp_duration: Duration of the change [s].
+        element: Name of the only joint that changes; None for all joints.
+        onset: Time at which the first change begins [s]; None for the scenario's own time.
+        duration: Duration of an episode [s]; None for the scenario's.
+        control_period: Control period [s]; None for the one in the sensor settings.
         sensors: Settings of sensors and timing.
-        timestep: Of the simulation [s]; None for the model's own.
-        tolerance: Of the machine's parameters [1]; the seed picks the specimen.
-        seed: Of sensor noise and of everything random.
+        timestep: Time step of the simulation [s]; None for the model's.
+        tolerance: Relative tolerance of the machine's parameters; the seed selects the specimen.
+        seed: Seed of sensor noise and of everything random.
         randomize: None: every episode is the run of `seed`, bit for bit. Otherwise each episode
-            draws a new seed and what is named: a mapping of severity, onset [s], ramp_duration [s],
-            tolerance or seed to ranges (low, high) and of scenario to names, or a function of a
-            `numpy.random.RandomState` that returns values by these names.
-        preview: Times ahead of now at which the observation shows the reference [s].
+            draws a new seed and further values: by a mapping of severity, onset [s], ramp_duration
+            [s], tolerance or seed to ranges (low, high) and of scenario to names, or by a function
+            of a `numpy.random.RandomState` that returns values by these names.
+        preview: Times ahead of the present at which the observation contains the reference [s].
         error_limit: True error of a joint [rad] beyond which the episode terminates.
-        normalize: Whether observations are numbers of about one, within finite bounds, by
-            `leglab.environment.observations`; without, they are in SI units.
+        normalize: Whether `leglab.environment.observations` scales observations to about one within
+            finite bounds; otherwise they are in SI units.
         flat_observation: Whether the observation is one array.
 
     Raises:
-        LeglabError: If a name or a setting does not fit, or dm_control is missing.
+        LeglabError: A name or a setting does not fit, or dm_control is missing.
     """
     settings = dict(locals())  # the arguments; copied, since a debugger writes into the original
     del settings["randomize"], settings["flat_observation"]
@@ -102,7 +102,7 @@ def load(
     return control.Environment(
         LegPhysics.of(simulation),
         TrackingTask(plan, simulation, episodes, flat=flat_observation),
-        # Half a period less, so that rounding of the limit cannot add a period.
+        # Half a period less than the duration, so that rounding cannot add a period.
         time_limit=(plan.periods - 0.5) * plan.period,
         control_timestep=plan.period,
         flat_observation=flat_observation,
@@ -119,7 +119,7 @@ def make_batch(
     randomize: Mapping[str, Any] | Draw | None = None,
     **settings: Any,
 ) -> "LegVectorEnv":
-    """Makes many environments that are stepped together in threads, as Gymnasium vectorises them.
+    """Makes many environments that are stepped together in threads, as one Gymnasium `VectorEnv`.
 
     Machine i has the episodes of `load_gymnasium(scenario, seed=seed + i, flat_observation=True)`,
     bit for bit, with any number of threads. `.dm_env` is the same batch with dm_env's interface.
@@ -128,13 +128,13 @@ def make_batch(
         num_envs: Number of machines.
         scenario: Name of the scenario.
         threads: Number of threads that step machines; None for one per core.
-        autoreset: "next_step": the step after an episode's last one begins the next episode;
-            "same_step": the last step does, and `info` has what it observed.
+        autoreset: "next_step": the step after an episode's last step begins the next episode;
+            "same_step": the last step itself does, and `info` has its final observation.
         randomize: As for `load`.
         settings: As for `load`, without `flat_observation`: an observation is one array.
 
     Raises:
-        LeglabError: If a name or a setting does not fit, or a package is missing.
+        LeglabError: A name or a setting does not fit, or a package is missing.
     """
     if num_envs < 1:
         told = f"num_envs {num_envs} is not allowed, must be "
@@ -165,19 +165,19 @@ def load_gymnasium(
 ) -> "gymnasium.Env":
     """Makes the environment of `load` with the interface of Gymnasium.
 
-    Registered as "leglab/SealWear-v0" and alike, one per scenario.
+    Gymnasium knows it by one name per scenario, such as "leglab/SealWear-v0".
 
     Args:
         scenario: Name of the scenario.
         render_mode: "rgb_array" for pictures by `render()`, "depth_array" for depths, "human" for
             a window, or None.
         camera: Name of a camera of the model.
-        width: Of the pictures [px].
-        height: Of the pictures [px].
+        width: Width of the pictures [px].
+        height: Height of the pictures [px].
         settings: As for `load`.
 
     Raises:
-        LeglabError: If a name or a setting does not fit, or a package is missing.
+        LeglabError: A name or a setting does not fit, or a package is missing.
     """
     _require("dm_control.mujoco", "gymnasium")
     from leglab.environment.gymnasium_env import LegEnv
@@ -192,7 +192,7 @@ def load_gymnasium(
 
 
 def register() -> None:
-    """Registers one environment per scenario, where Gymnasium is installed."""
+    """Registers one environment per scenario if Gymnasium is installed."""
     if importlib.util.find_spec("gymnasium") is None:
         return
     import gymnasium
@@ -207,9 +207,9 @@ def register() -> None:
 
 
 def _choose_renderer() -> None:
-    """Makes dm_control render off-screen where there is no display and MUJOCO_GL is not set.
+    """Makes dm_control render off-screen if there is no display and MUJOCO_GL is not set.
 
-    By default it uses GLFW, with which the first picture ends the process.
+    Otherwise dm_control would use GLFW, which ends the process at the first picture.
     """
     if has_display() or os.environ.get("MUJOCO_GL") or "dm_control._render" in sys.modules:
         return
@@ -217,8 +217,8 @@ def _choose_renderer() -> None:
         os.environ["MUJOCO_GL"] = backend
         try:
             importlib.import_module("dm_control._render")
-        except Exception:  # A missing library: PyOpenGL raises several kinds.
-            os.environ.pop("PYOPENGL_PLATFORM", None)  # which dm_control has set
+        except Exception:  # PyOpenGL raises several kinds of exception if a library is missing
+            os.environ.pop("PYOPENGL_PLATFORM", None)  # dm_control has set it for this backend
             continue
         finally:
             del os.environ["MUJOCO_GL"]
@@ -227,7 +227,7 @@ def _choose_renderer() -> None:
 
 def _require(*modules: str) -> None:
     with warnings.catch_warnings():
-        # Without a display dm_control tries GLFW, which complains.
+        # Without a display dm_control tries GLFW, which warns.
         warnings.filterwarnings("ignore", message=".*DISPLAY environment variable")
         _choose_renderer()
         for module in modules:

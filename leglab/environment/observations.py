@@ -9,7 +9,7 @@ from leglab.runs.preparation import Preparation, reference_joints
 
 LIMIT = 10.0
 """Scaled observations are clipped there; commands at 1."""
-# An acceleration of 1 reaches the full speed in this time [s].
+# Time in which a scaled acceleration of 1 reaches full speed [s].
 _RISE = 0.1
 _COMMANDS = ("previous_command", "controller_command")
 
@@ -18,12 +18,12 @@ _COMMANDS = ("previous_command", "controller_command")
 class Scale:
     """Scale of one part of an observation: (value - offset) / unit, clipped to [-limit, limit]."""
 
-    offset: np.ndarray  #: In the unit of the part, float32, (size,) or () for all alike
-    unit: np.ndarray  #: Value above the offset that becomes 1, as offset
-    limit: np.ndarray | float  #: [1], as offset
+    offset: np.ndarray  #: Offset in the unit of the part, float32, (size,), or () if all are equal
+    unit: np.ndarray  #: Value above the offset that is scaled to 1; shape as `offset`
+    limit: np.ndarray | float  #: Limit of scaled values; shape as `offset`
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Scales values in SI units, (..., size), in float32 arithmetic, as a batch does."""
+        """Scales values in SI units, (..., size), in float32, so that batches give equal values."""
         scaled = np.asarray(value, dtype=np.float32) - self.offset
         scaled /= self.unit
         return scaled.clip(-self.limit, self.limit, out=scaled)
@@ -32,8 +32,8 @@ class Scale:
 def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
     """Computes the scales of all possible parts of an observation from the nominal machine.
 
-    Positions are scaled by half the joint's range about its middle, speeds by its drive's full
-    speed, accelerations by full speed in 0.1 s, pressures by the supply; commands are in [-1, 1].
+    Units are half the joint's range, from mid-range, for positions; the drive's full speed; full
+    speed in 0.1 s for accelerations; the supply pressure. Commands are in [-1, 1] already.
     """
     nominal = preparation.nominal
     joints = reference_joints(nominal)
@@ -64,7 +64,7 @@ def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
 
 
 def flat_scale(scales: Mapping[str, Scale], sizes: Mapping[str, int]) -> Scale:
-    """Joins scales into that of an observation that is one array.
+    """Joins the scales of all parts into one scale for an observation that is one array.
 
     Args:
         scales: Scales by part.

@@ -1,4 +1,4 @@
-"""dm_control's view of a simulation: the same model and data, stepped by the sampled machine."""
+"""dm_control's physics of a simulation: the same model and data, stepped by the closed loop."""
 
 from collections.abc import Callable
 
@@ -11,11 +11,11 @@ from leglab.machine.simulation import Simulation
 class LegPhysics(Physics):
     """The physics of an environment, on the data of a `Simulation`.
 
-    Its state, `get_state()`, contains the plugins' states and parameters too. A copy is independent
-    and advances by time steps, without sensors and scenario.
+    The state that `get_state()` returns includes the plugins' states and parameters. A copy of the
+    physics is independent and advances by time steps, without sensors and scenario.
     """
 
-    # A copy, too, makes whole steps from its state.
+    # dm_control's non-legacy step: whole time steps from the present state, also in a copy.
     legacy_step = False
     _advance: Callable[[], None] | None = None
 
@@ -33,13 +33,13 @@ class LegPhysics(Physics):
         if self._advance is None:
             super().step(nstep)
             return
-        with without_warnings():  # the task itself checks for their causes
+        with without_warnings():  # the task itself checks for the causes of the warnings
             self._advance()
 
     def after_reset(self) -> None:
         """Recomputes the quantities that follow from the state; valve openings are unchanged.
 
-        The solver starts the first step where it would have started without this.
+        Restores the solver's warm start, so that the next step is as without this call.
         """
         warm_start = self.data.qacc_warmstart.copy()
         self.forward()

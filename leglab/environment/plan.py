@@ -25,13 +25,13 @@ class Plan:
 
     preparation: Preparation  #: Preparation of the runs
     base: Episode  #: The episode to vary
-    periods: int  #: Control periods of an episode
+    periods: int  #: Number of control periods of an episode
     #: Valve command that an action of 1 adds to the controller's; None without a controller.
     residual_scale: float | None
-    #: Data sheets, where an action is a torque; None where it is a valve command.
+    #: Data sheets of the cylinders if actions are torques; None if they are valve commands.
     cylinders: NominalCylinders | None
-    reward: Reward  #: Reward of a transition
-    #: Control periods ahead of now at which the observation shows the reference, (n,).
+    reward: Reward  #: Function of a transition that returns the reward
+    #: Times at which the observation contains the reference, in control periods ahead, (n,).
     ahead: np.ndarray
     error_limit: float  #: True error of a joint [rad] beyond which an episode terminates
     normalize: bool  #: Whether observations are scaled to about one
@@ -42,7 +42,7 @@ class Plan:
         return self.preparation.sensors.control_period
 
     def loop(self, episode: Episode, simulation: Simulation, *, controlled: bool) -> Loop:
-        """Makes the closed loop of an episode; `controlled`: whether it runs a controller."""
+        """Makes the closed loop of an episode; `controlled`: whether the loop has a controller."""
         return Loop(
             episode.settings,
             preparation=self.preparation,
@@ -73,7 +73,7 @@ def made_plan(
     normalize: bool = True,
     **run: Any,
 ) -> Plan:
-    """Checks the settings of `leglab.environment.load` and makes the plan; `run`: of the run."""
+    """Checks settings of `leglab.environment.load`, makes the plan; `run`: other `RunSettings`."""
     if action not in ACTIONS:
         told = f"action {action!r} is not allowed; choose one of "
         raise SettingsError(told, given=action, allowed=ACTIONS)
@@ -107,7 +107,7 @@ def made_plan(
     period = preparation.sensors.control_period
     return Plan(
         preparation=preparation,
-        # Every episode has this duration, whichever scenario is drawn.
+        # Every episode has the duration of this scenario, even if another scenario is drawn.
         base=Episode(settings=replace(settings, duration=length), onset=onset),
         periods=round(length / period),
         residual_scale=residual_scale if action == "residual" else None,
@@ -133,10 +133,10 @@ def _cylinders(preparation: Preparation) -> NominalCylinders:
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Converts an action to an array of a shape: (joints,), or for a batch (machines, joints).
+    """Converts an action to an array and checks its shape: (joints,), or (machines, joints).
 
     Raises:
-        SettingsError: It has another shape or is not finite.
+        SettingsError: The action has another shape or is not finite.
     """
     values = np.asarray(action, dtype=float)
     if values.shape != shape:

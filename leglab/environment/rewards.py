@@ -7,21 +7,21 @@ import numpy as np
 
 from leglab.control import ReferencePoint
 
-# Joint errors [rad] with full reward, and with a tenth of it.
+# Largest joint error with full reward; further error at which a tenth of the reward is left [rad].
 GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2
 
 
 class Transition(NamedTuple):
     """One step of the environment; rewards are functions of it.
 
-    In a batch the arrays have a row a machine: `time` is of shape (machines,), all others of shape
+    In a batch the arrays have one row per machine: `time` has the shape (machines,), all others
     (machines, joints), and a reward returns an array of shape (machines,).
 
     Attributes:
         time: Time at the end of the step [s].
-        position: True joint positions at its end [rad]. Shape (joints,).
-        velocity: True joint velocities at its end [rad/s]. Shape (joints,).
-        reference: Reference of the joints at its end.
+        position: True joint positions at the end of the step [rad]. Shape (joints,).
+        velocity: True joint velocities at the end of the step [rad/s]. Shape (joints,).
+        reference: Reference of the joints at the end of the step.
         command: Valve commands held during the step, in [-1, 1]. Shape (joints,).
         previous_command: Valve commands of the step before. Shape (joints,).
         action: The agent's action, in [-1, 1]. Shape (joints,).
@@ -47,8 +47,8 @@ Reward = Callable[[Transition], Any]
 def tracking(transition: Transition) -> Any:
     """Computes the joints' mean of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
-    1 up to 1 mrad, 0.1 at 51 mrad, and a long tail: the 0.001 at half a radian still ranks two bad
-    actions. The values equal those of dm_control to the bit, in fewer passes.
+    It is 1 up to 1 mrad, 0.1 at 51 mrad and 0.001 at half a radian; the long tail still tells bad
+    actions from worse ones. Equals dm_control's function to the bit, but needs fewer passes.
     """
     beyond = np.maximum(np.abs(transition.error) - GOOD_ERROR, 0.0) / POOR_ERROR
     return (1.0 / ((3.0 * beyond) ** 2 + 1.0)).mean(axis=-1)
@@ -57,8 +57,8 @@ def tracking(transition: Transition) -> Any:
 def smooth_tracking(transition: Transition) -> Any:
     """Computes `tracking` times a factor in [0.8, 1] for small changes of the valve commands.
 
-    The factor weights effort as the suite of dm_control does: 0.8 + 0.2 times a quadratic that is
-    0 for a change of 0.1 of full opening in one step. The product is in [0, 1].
+    The factor weights effort as dm_control's suite does: 0.8 + 0.2 times a quadratic that falls to
+    0 at a change of 0.1 of full opening in one step. The product is in [0, 1].
     """
     from dm_control.utils import rewards
 

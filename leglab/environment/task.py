@@ -21,18 +21,18 @@ from leglab.runs.preparation import reference_joints
 
 
 class TrackingTask(Task):
-    """Tracking task; an action is a valve command, a correction of a controller's, or a torque.
+    """Tracking task; actions are valve commands, corrections of a controller's, or torques.
 
     Args:
-        plan: Settings.
+        plan: Settings of the environment.
         simulation: The machine, which the physics shares.
-        episodes: Draws what differs between episodes.
+        episodes: Source of random episodes.
         flat: Whether the environment joins an observation into one array.
 
     Attributes:
         episode: The present episode.
         diverged: Whether the simulation blew up.
-        torque_limit: Torque [N m] that an action of 1 stands for, (joints,); None for others.
+        torque_limit: Torque [N m] of an action of 1, (joints,); None if actions are not torques.
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class TrackingTask(Task):
         return self._loop.scenario
 
     def reseed(self, seed: int) -> None:
-        """Starts the sequence of episodes of another seed with the next episode."""
+        """Restarts the sequence of episodes from another seed, beginning with the next episode."""
         self._episodes.reseed(seed)
         self._first = None
 
     def initialize_episode(self, physics: LegPhysics) -> None:
         """Puts the machine into the initial state of the next episode and measures it."""
-        # The constructor began the first episode for the specifications; the data was reset since.
+        # The constructor has begun the first episode, for the specifications; it is begun again.
         self._begin(self._first or self._episodes.next())
         self._first = None
         physics.drive(self._loop.advance)
@@ -77,7 +77,7 @@ class TrackingTask(Task):
         """Sets the valve commands.
 
         Raises:
-            LeglabError: If the action has another shape or is not finite.
+            LeglabError: The action has another shape or is not finite.
         """
         self._action = checked_action(action, self._zero.shape).clip(-1.0, 1.0)
         scale = self._plan.residual_scale
@@ -89,7 +89,7 @@ class TrackingTask(Task):
         self._loop.act(self._command)
 
     def after_step(self, physics: LegPhysics) -> None:
-        """Measures, unless the simulation blew up: then the last observation stays."""
+        """Measures; keeps the last observation if the simulation blew up."""
         try:
             self._simulation.check()
         except SimulationError:
@@ -102,13 +102,13 @@ class TrackingTask(Task):
         return collections.OrderedDict(self._observation)
 
     def get_reward(self, physics: LegPhysics) -> float:
-        """Returns the reward of the step; 0 where the simulation blew up."""
+        """Returns the reward of the step; 0 if the simulation blew up."""
         if self.diverged:
             return 0.0
         return float(self._plan.reward(self.transition()))
 
     def get_termination(self, physics: LegPhysics) -> float | None:
-        """Returns discount 0 where the simulation blew up or an error is beyond the limit."""
+        """Returns discount 0 if the simulation blew up or an error exceeds the limit; else None."""
         if self.diverged:
             return 0.0
         error = self._simulation.position() - self._period.reference.position
@@ -132,9 +132,9 @@ class TrackingTask(Task):
         return specs.BoundedArray(self._zero.shape, float, -1.0, 1.0, name=names)
 
     def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
-        """Returns shapes and bounds of all parts; in SI units, bounds only where they are known.
+        """Returns shapes and bounds of the parts of an observation.
 
-        References are bounded by the limits of the joints, commands by those of the valves.
+        In SI units only references, by the joints' limits, and commands are bounded.
         """
         low, high = np.array([(joint.lower, joint.upper) for joint in self._joints]).T
         speed = np.array([joint.velocity_limit for joint in self._joints])
@@ -206,7 +206,7 @@ def _spec(name: str, value: np.ndarray, bounds: _Bounds | None) -> specs.Array:
 
 
 def ends(spec: specs.Array) -> list[np.ndarray]:
-    """Returns lower and upper bounds of a specification, infinite where it has none."""
+    """Returns the lower and upper bounds of a specification, infinite if it has no bounds."""
     found = getattr(spec, "minimum", -np.inf), getattr(spec, "maximum", np.inf)
     return [np.broadcast_to(end, spec.shape) for end in found]
 

@@ -18,21 +18,21 @@ AUTORESETS = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.S
 class LegVectorEnv(gymnasium.vector.VectorEnv):
     """Machines of `leglab.environment.make_batch` as a `gymnasium.vector.VectorEnv`.
 
-    Observations are one float32 array, a row a machine, in the order of
-    docs/guides/environments.md; the arrays that `reset` and `step` return are the caller's.
+    Observations are one float32 array with a row per machine, in the order of
+    docs/guides/environments.md; the arrays that `reset` and `step` return are copies.
 
-    `info` has, with a row a machine, `time` [s], the true `tracking_error` [rad] and the `command`
-    that was sent; of machines whose episode begins, under the mask `_scenario`, also `scenario`,
-    `seed`, `severity`, `onset` and `ramp_duration`; of those whose episode ends, under the mask
-    `_ended`, `ended`: "duration", "error_limit" or "blow_up". With autoreset in the same step,
-    `final_obs` and `final_info` have what the last step of an episode observed.
+    `info` has arrays with a row per machine: `time` [s], the true `tracking_error` [rad], the sent
+    `command`; for machines whose episode begins (mask `_scenario`) also `scenario`, `seed`,
+    `severity`, `onset` and `ramp_duration`; for machines whose episode ends (mask `_ended`) also
+    `ended`: "duration", "error_limit" or "blow_up". With autoreset in the same step, `final_obs`
+    and `final_info` have the observation and the info of the last step of an episode.
 
     Args:
         batch: The machines.
         autoreset: "next_step" or "same_step".
 
     Raises:
-        LeglabError: There is no such way to reset.
+        LeglabError: `autoreset` has another value.
     """
 
     def __init__(self, batch: Batch, *, autoreset: str = "next_step") -> None:
@@ -65,11 +65,11 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts episodes; with a seed, the first episode of seed + i in machine i.
+        """Starts episodes; with one seed, machine i starts the first episode of seed + i.
 
         Args:
             seed: One number, or one per machine; None continues with the next episodes.
-            options: "reset_mask", (machines,) of bool: machines to reset; all if it is absent.
+            options: "reset_mask": mask of the machines to reset, (machines,); by default all.
         """
         chosen = np.ones(self.num_envs, dtype=bool)
         if options and options.get("reset_mask") is not None:
@@ -102,7 +102,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         if not self._begun:
             raise SimulationError("step before reset")
         batch = self.batch
-        reward, begun = batch.step(actions)  # with autoreset in the same step none begins
+        reward, begun = batch.step(actions)  # no episode begins with autoreset in the same step
         terminated, truncated = batch.terminated.copy(), batch.truncated.copy()
         info = self._info()
         if begun.any():
@@ -122,7 +122,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         return batch.observation.copy(), reward, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Closes the loops, which restores their models."""
+        """Closes the closed loops of all machines, which restores their models."""
         if self._begun:
             for i in range(self.num_envs):
                 self.batch.loop(i).close()
@@ -163,10 +163,10 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
 
 class BatchEnvironment:
-    """dm_env interface of a batch of machines: time steps whose parts have a row per machine.
+    """dm_env interface of a batch of machines: arrays in time steps have a row per machine.
 
-    A machine's step after the last one of an episode begins the next episode, as in dm_env; its
-    reward is then 0 and its discount 1.
+    The step after the last step of an episode begins the machine's next episode, as in dm_env, with
+    reward 0 and discount 1.
 
     Args:
         batch: The machines.
@@ -187,7 +187,7 @@ class BatchEnvironment:
         """Runs one control period; the first call resets.
 
         Args:
-            action: In [-1, 1], (machines, joints).
+            action: Actions in [-1, 1], (machines, joints).
 
         Raises:
             LeglabError: The action has another shape or is not finite.

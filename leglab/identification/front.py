@@ -136,8 +136,8 @@ class Identifier:
         Args:
             u: Inputs; see the class for the shape.
             y: Measured outputs, (N,) or (N, J).
-            resume: Whether the arrays directly continue the identifier's last samples. If not,
-                the first `lags` samples only fill the regressor, and their predictions are y.
+            resume: True if the arrays directly continue the identifier's last samples. If False,
+                the first `lags` samples only fill the regressor: y is returned for them.
 
         Returns:
             Predictions, the shape of y.
@@ -177,7 +177,7 @@ class Identifier:
 
     @property
     def lags(self) -> int:
-        """Samples of history the regressor reaches back."""
+        """Number of past samples that the regressor needs."""
         return int(self.settings.lags)
 
     @property
@@ -203,7 +203,7 @@ class Identifier:
 
         Args:
             value: Symmetric and positive definite, (n, n); only the upper triangle is read.
-            joint: Which joint.
+            joint: Index of the joint.
 
         Raises:
             LeglabError: The shape is wrong or a value is not finite.

@@ -29,6 +29,6 @@ def transfer_function(
 
 
 def poles(output: ArrayLike) -> NDArray[np.complex128]:
-    """Returns the poles of y(t) = sum_k output_k y(t-k), complex, (lags of y,)."""
+    """Returns the poles of y(t) = sum_k output_k y(t-k), complex, one per coefficient."""
     roots = np.roots(np.concatenate(([1.0], -np.asarray(output, dtype=float))))
     return roots.astype(np.complex128)

@@ -173,7 +173,7 @@ class SplineNarx(Identifier):
         """Returns the gain of every lag of every signal, d y(t) / d x(t - k), in physical units.
 
         Args:
-            joint: Which joint.
+            joint: Index of the joint.
             at: Value of every signal at the operating point, by name. None takes only linear
                 features and `Hammerstein` features, the latter with slope one.
 
@@ -221,7 +221,7 @@ class SplineNarx(Identifier):
         at: Mapping[str, float] | None = None,
         timestep: float | bool = True,
     ) -> "control.TransferFunction":
-        """Returns the transfer function from an input, or the first, to y; see `linearise`."""
+        """Returns the transfer function from `signal` (None: input 1) to y; see `linearise`."""
         names = [s.name for s in self.settings.inputs]
         name = names[0] if signal is None else signal
         if name not in names:
@@ -239,9 +239,9 @@ class SplineNarx(Identifier):
         """Returns the static map of one feature as a SciPy spline in physical units.
 
         Args:
-            feature: Index among the settings' features. The map of a `Spline` is what it adds to
-                y, that of a `Hammerstein` is n in units of its input.
-            joint: Which joint.
+            feature: Index among the settings' features. The map of a `Spline` is its contribution
+                to y; the map of a `Hammerstein` is its output n in units of its input.
+            joint: Index of the joint.
 
         Raises:
             SettingsError: The feature has no spline.
@@ -257,7 +257,7 @@ class SplineNarx(Identifier):
         return chosen.basis.spline(weights * signal.half_range, signal.centre)
 
     def learned_blocks(self, joint: int = 0) -> Iterator[tuple[ParameterBlock, Array, Array]]:
-        """Yields every block with its parameters and its weights (Hammerstein blocks only)."""
+        """Yields each feature's block, parameters and weights; only Hammerstein has weights."""
         theta = np.atleast_2d(self.theta)[joint]
         weights = np.atleast_2d(self.parameters)[joint, len(theta) :]
         for block in self.settings.blocks:
@@ -269,7 +269,7 @@ class SplineNarx(Identifier):
 def _add_term(
     gains: Array, block: ParameterBlock, theta: float, point: NDArray[np.float64] | None
 ) -> None:
-    """Adds the gains of a term at an operating point; without a point only of a linear term."""
+    """Adds the gains of a term at an operating point; if it is None, of a linear term only."""
     linear = block.curve == "power" and block.degree == 1 and block.factor_signal < 0
     if point is None and not linear:
         return

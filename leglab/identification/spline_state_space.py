@@ -20,8 +20,8 @@ from leglab.identification.settings import SignalSettings
 if TYPE_CHECKING:
     import control
 
-_OBSERVED = 10  # measured samples per state that estimate the initial state of a free run
-# Simulation to rest: largest change of a scaled state in a round, samples a round, most rounds.
+_OBSERVED = 10  # measured samples, per state, from which a free run's initial state is estimated
+# Simulation to rest: change of scaled states per round at which it ends, samples per round, rounds.
 _RESTS, _ROUND, _ROUNDS = 1e-9, 1000, 100
 REACH = 2.0  # bound of the scaled states in the C header, as in the core (state_space.h)
 
@@ -200,12 +200,12 @@ class SplineStateSpace(Identifier):
     def linearise(
         self, joint: int = 0, at: Mapping[str, float] | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        """Returns A (n, n), B (n, M), C (1, n) and D (1, M); inputs and output in their units.
+        """Returns A (n, n), B (n, M), C (1, n), D (1, M), with inputs and output in their units.
 
         Args:
-            joint: Which joint.
-            at: Inputs by name, under which the model rests at the operating point; other names
-                are ignored. None takes the linear part alone.
+            joint: Index of the joint.
+            at: Values of the inputs by name; the model is linearised where it rests under these
+                inputs. Other names are ignored. None takes the linear part alone.
         """
         parts = self.parts(joint)
         a, b, c, d = parts.A.copy(), parts.B.copy(), parts.C.copy(), parts.D.copy()
@@ -232,7 +232,7 @@ class SplineStateSpace(Identifier):
         at: Mapping[str, float] | None = None,
         timestep: float | bool = True,
     ) -> "control.TransferFunction":
-        """Returns the transfer function from an input, or the first, to y; see `linearise`."""
+        """Returns the transfer function from `signal` (None: input 1) to y; see `linearise`."""
         import control  # takes a second
         from scipy.signal import ss2tf
 

@@ -79,9 +79,9 @@ def save(identifier: Identifier, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Identifier:
-    """Builds the identifier that `save` wrote; it continues exactly where the saved one stopped.
+    """Builds the identifier that `save` wrote, in exactly the saved state.
 
-    The file need not be trusted: contents that no identifier can have are refused.
+    The file may come from an untrusted source: contents that no identifier can have are refused.
 
     Raises:
         FileError: The file is missing, truncated, damaged or of another version.
@@ -143,7 +143,7 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
     if hashlib.sha256(state).hexdigest() != digest:
         told = f"{path} is damaged: the checksum of its state does not agree"
         raise FileError(told, given=path)
-    # The state of one joint gives the size for all joints before their memory is allocated.
+    # A model of one joint yields the size for all joints, before memory for all is allocated.
     joint = len(_build(path, header, 1)._bank.state())
     if joint * header["joints"] != len(state):
         raise FileError(

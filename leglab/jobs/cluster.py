@@ -1,7 +1,7 @@
 """Execution of tasks on an existing Dask cluster, in subprocesses of its workers.
 
-So a task that ends its process, hangs or uses too much memory does not harm a worker of the
-cluster. Arguments and results are sent as JSON text.
+The subprocesses protect a worker from tasks that end their process, hang or use too much memory.
+Arguments and results are sent as JSON text.
 """
 
 import itertools
@@ -21,17 +21,17 @@ from leglab.base.errors import LeglabError, SettingsError, SimulationError
 from leglab.base.input import parse_json
 from leglab.jobs.runner import Answered, Executor, Runner, Task, Terms
 
-# Batches submitted for each thread of the cluster: one is running, the others wait.
+# Number of batches submitted per thread of the cluster, of which one runs and the others wait.
 _AHEAD = 3
-_PATIENCE = 60.0  # s, for the scheduler and its first worker
-# Short tasks are sent in batches of about this total duration [s], and of at most this count.
+_PATIENCE = 60.0  # maximum wait for the scheduler and for its first worker [s]
+# Approximate total duration [s] and maximum number of the short tasks that form a batch.
 _TOGETHER, _MOST_TOGETHER = 0.3, 50
-# Batches of answers between two queries of the number of threads.
+# Number of answered batches between two queries of the cluster's number of threads.
 _LOOK = 50
 
-# Task numbers of a batch and its future, by Dask key.
+# Batches without an answer: task numbers and future, by Dask key.
 Waiting = dict[str, tuple[list[int], Any]]
-# Idle processes of this worker, by their terms.
+# Idle subprocesses of this worker, by their `Terms` as JSON.
 _idle: defaultdict[str, list[Runner]] = defaultdict(list)
 _lock = threading.Lock()
 
@@ -86,7 +86,7 @@ def cluster(address: str, terms: Terms) -> Iterator[Executor]:
         raise LeglabError(
             "--scheduler needs the package distributed: pip install 'leglab[cluster]'"
         ) from error
-    # Silences its log of lost connections, which are reported in one line here.
+    # Silences the package's log of lost connections, because errors report them in one line.
     log = logging.getLogger("distributed")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)

@@ -1,7 +1,7 @@
 """Computation of missing results: in this process, in several local ones, or on a Dask cluster.
 
-A task that ends its process, hangs or uses too much memory gets an answer like one that raises: an
-error and its kind. Other tasks are not affected, and stored results are not computed again.
+A task that ends its process, hangs or uses too much memory gets an error and its kind as answer, as
+does a task that raises. Other tasks are not affected; stored results are not computed again.
 """
 
 import os
@@ -64,15 +64,15 @@ def make_missing(
 ) -> dict[Any, LeglabError]:
     """Computes the results that a store lacks, and stores each as soon as it arrives.
 
-    So after an interruption at any moment the same call computes exactly the missing results.
+    Therefore the same call, after an interruption at any moment, computes the missing results only.
 
     Args:
         made_by: Context manager from `executor`; not entered if no result is missing.
         keys: Keys of all results.
         store: Storage of the results.
         given: Returns the function's argument for a key, JSON-serialisable.
-        ready: Returns the keys that can be computed now; called again after these are done, until
-            none of them is missing. None for all keys at once.
+        ready: Function that returns the keys that can be computed now; called again when these are
+            done, until it returns no missing key. None if all keys can be computed at once.
         told: Returns the text that progress shows for a key.
         progress: Called at the start and after each result.
 
@@ -123,11 +123,11 @@ def executor(
             limits of time and memory. Not with a scheduler.
         scheduler: Address of a Dask scheduler, for instance "tcp://10.0.0.1:8786"; or None.
         timeout: Maximum wall time of a task [s].
-        memory: Maximum memory of a process [MB]; None for its share of its machine.
+        memory: Maximum memory of a process [MB]; None for its share of the machine's memory.
         apart: Whether a single worker is also a separate process.
 
     Raises:
-        LeglabError: Both workers and a scheduler are given, or as `name_of`.
+        LeglabError: Both workers and a scheduler are given, or `name_of` rejects `work`.
     """
     if scheduler is not None and workers != -1:
         raise SettingsError("workers are processes of this machine: they go without a scheduler")

@@ -17,10 +17,10 @@ from leglab.base import plugins
 from leglab.base.errors import SimulationError
 from leglab.base.input import parse_json
 
-_START_TIME = 120.0  # s: maximum time for a process to start and import
-_MOST_ANSWER = 100_000_000  # bytes
-_MOST_SAID = 1_000_000  # bytes of standard error kept for the error message if the process dies
-# After a task shorter than this [s] the next is sent ahead, if its request is no longer [bytes].
+_START_TIME = 120.0  # maximum time for a process to start and to import its modules [s]
+_MOST_ANSWER = 100_000_000  # maximum length of an answer [bytes]
+_MOST_SAID = 1_000_000  # maximum length of standard error that is kept for error messages [bytes]
+# After a task shorter than `_SHORT` [s], a request of at most `_MOST_AHEAD` [bytes] is sent early.
 _SHORT, _MOST_AHEAD = 0.5, 30_000
 _TRIES = 2  # attempts at a task whose process dies
 # Several processes share the cores, so each uses one thread for linear algebra. Then the rounding
@@ -48,11 +48,11 @@ class TimedOutError(Exception):
 class Terms:
     """Conditions under which worker processes work; JSON-serialisable."""
 
-    work: str  #: Name of the function that they call, of `leglab.jobs.work.name_of`
-    luggage: plugins.Carried  #: What plug-ins they load
-    code: str  #: Digest of leglab's code that they must have
-    timeout: float  #: Wall time that a piece of work may take [s]
-    memory: float | None  #: Memory that a process may take [MB]; None without a limit
+    work: str  #: Name of the function that they call, from `leglab.jobs.work.name_of`
+    luggage: plugins.Carried  #: Plug-ins that the processes load
+    code: str  #: Digest that their version of leglab's code must have
+    timeout: float  #: Maximum wall time of a task [s]
+    memory: float | None  #: Maximum memory of a process [MB]; None for no limit
 
 
 class Runner:
@@ -68,7 +68,7 @@ class Runner:
         self._rest = b""
         self._closed = False
         self._sent = 0
-        self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  as long as the runner
+        self._errors = tempfile.TemporaryFile("a+b")  # noqa: SIM115  open until `close`
 
     def answers(self, tasks: Iterator[Task]) -> Iterator[tuple[int, dict[str, Any]]]:
         """Runs tasks one after the other.
@@ -84,7 +84,7 @@ class Runner:
         Raises:
             LeglabError: The process cannot be started, or has another version of the code.
         """
-        # The first is running; after a short task the next one is sent ahead.
+        # Sent tasks, of which the first is running; after a short task a second one is sent.
         asked: deque[Task] = deque()
         ahead, tries = 1, 0
         while True:

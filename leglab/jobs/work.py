@@ -1,4 +1,4 @@
-"""Tasks: a function by its name and its argument, both JSON-serialisable."""
+"""Tasks: the name of a function, and its argument; both are JSON-serialisable."""
 
 import json
 import sys
@@ -69,7 +69,7 @@ def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
     """Runs a task and returns its answer.
 
     Returns:
-        `result`, JSON-serialisable, or `error` with its `kind`: that of a `WorkError`, "memory",
+        `result`, JSON-serialisable, or `error` with its `kind`: the `WorkError`'s, "memory",
         "refused" (a `LeglabError`, with its `class` and attributes) or "exception"; and the times
         `wall_s` and `cpu_s` of the task [s].
     """

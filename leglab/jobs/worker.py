@@ -61,7 +61,7 @@ def _serve(requests: int, answers: BinaryIO) -> None:
 
 
 def _end_with(user: int) -> None:
-    """Makes this process end soon after its parent process, however that one ended."""
+    """Ends this process soon after its parent process has ended, whatever the cause."""
 
     def watch() -> None:
         while os.getppid() == user:

@@ -40,7 +40,7 @@ class Target(Protocol):
 
 
 class Schedule:
-    """Schedule of a scenario's parameter changes of a simulation and other targets.
+    """Schedule that applies a scenario's parameter changes to a simulation and other targets.
 
     Args:
         scenario: The changes.
@@ -71,7 +71,7 @@ class Schedule:
         """Switches to another scenario; changes that only the previous one made are undone.
 
         Args:
-            scenario: Replaces the present one.
+            scenario: Scenario that replaces the present one.
             now: Time [s].
 
         Raises:
@@ -81,7 +81,7 @@ class Schedule:
         last = self._scenario
         self._begin(scenario)
         for (element, parameter), nominal in self._nominal.items():
-            # Values that stay the same are not written, so that oil that has warmed up stays warm.
+            # Unchanged values are not written: they would reset oil that has warmed up meanwhile.
             wanted = scenario.value_at(now, parameter, element, nominal)
             if wanted != last.value_at(now, parameter, element, nominal):
                 self._target[element, parameter].set_parameter(element, parameter, wanted)
@@ -187,7 +187,7 @@ def _fit(
 
 
 def _own(pattern: str, joints: Sequence[str]) -> str:
-    """Excludes other joints that begin with "JOINT_" from a pattern "JOINT,JOINT_*"."""
+    """Returns a pattern; "JOINT,JOINT_*" gets exclusions of other joints named "JOINT_..."."""
     for joint in joints:
         if pattern == joint_pattern(joint):
             others = [escape(o) for o in joints if o.startswith(f"{joint}_")]
@@ -221,7 +221,7 @@ def healthy_values(
 
 
 def _able(simulation: Simulation, parameter: str) -> list[str]:
-    """Returns the elements of a machine, its bodies, joints and encoders with a parameter."""
+    """Returns the names of all plugin elements, joints and bodies that have a parameter."""
     found = [e for e in simulation.elements if simulation.has(e, parameter)]
     native = NativeJoints(simulation)
     found += [e for e in native.elements if native.has(e, parameter)]
@@ -249,8 +249,8 @@ def parameter_units() -> dict[str, str]:
 class Bodies:
     """Point masses at the centres of mass of the moving bodies of a model.
 
-    A mass there changes neither the centre of mass nor the inertia about it, so that the compiled
-    frame of principal axes stays valid. The model itself is modified; `restore` undoes it.
+    A mass at the centre of mass changes neither this centre nor the inertia about it. Therefore the
+    compiled frame of principal axes stays valid. `restore` undoes the modification of the model.
 
     Args:
         model: The model to modify; it must not be used elsewhere meanwhile.
@@ -281,10 +281,10 @@ class Bodies:
         return self._added[element]
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
-        """Loads a body from now on.
+        """Sets the mass that a body carries from now on [kg].
 
         Raises:
-            LeglabError: If body or name do not exist or the mass [kg] is out of bounds.
+            LeglabError: If body or name do not exist or the mass is out of bounds.
         """
         self._check(element, name)
         value = ADDED_MASS.check(value, f"body {element!r}")
@@ -293,14 +293,14 @@ class Bodies:
         self._added[element] = value
         body = self._ids[element]
         self._model.body_mass[body] = self._nominal[body] + value
-        # Inverse weights, subtree masses and the like follow from the masses (MuJoCo, "Modeling",
-        # "Changing inertial properties"). On separate data, as mj_setConst overwrites the state.
+        # mj_setConst computes inverse weights, subtree masses etc. anew (MuJoCo, "Modeling",
+        # "Changing inertial properties"). It overwrites the state, so it gets separate data.
         if self._scratch is None:
             self._scratch = mujoco.MjData(self._model)
         mujoco.mj_setConst(self._model, self._scratch)
 
     def restore(self) -> None:
-        """Takes all loads off."""
+        """Removes the masses from all bodies."""
         for element in self.elements:
             self.set_parameter(element, ADDED_MASS.name, 0.0)
 
@@ -314,8 +314,8 @@ class Bodies:
 ACTUATOR_GAIN = Parameter(
     "actuator_gain", "1", 1.0, 0.0, 10.0, True, "factor on the force of a native actuator"
 )
-# Model fields of a joint by the plugins' names of the same quantities; the second field holds the
-# higher orders of a polynomial.
+# Fields of MjModel by the plugins' name for the same quantity of a joint. A second field holds the
+# coefficients of higher orders of a polynomial.
 _JOINT_FIELDS = {
     "viscous": ("dof_damping", "dof_dampingpoly"),
     "coulomb": ("dof_frictionloss",),
@@ -328,9 +328,9 @@ NATIVE_FIELDS = tuple(f for fields in _JOINT_FIELDS.values() for f in fields) + 
 class NativeJoints:
     """Damping, dry friction, stiffness and drive of the joints that native actuators drive.
 
-    MuJoCo's fields have the plugins' names: `viscous` [N m s/rad], `coulomb` [N m], `k1` [N m/rad];
-    `actuator_gain` is a factor on the actuator's force, including its internal control loop. The
-    model itself is modified; `restore` undoes it.
+    MuJoCo's fields are set by the plugins' names: `viscous` [N m s/rad], `coulomb` [N m], `k1`
+    [N m/rad]. `actuator_gain` is a factor on the actuator's force, including its internal control
+    loop. The model itself is modified; `restore` undoes the changes.
 
     Args:
         simulation: The machine, with nominal parameters.
@@ -350,7 +350,7 @@ class NativeJoints:
         self._gain = dict.fromkeys(self.elements, 1.0)
 
     def has(self, element: str, name: str) -> bool:
-        """Tests whether a parameter of a joint can be changed; those that are zero cannot."""
+        """Tests whether a parameter of a joint can be changed; a parameter of value 0 cannot."""
         if element not in self.elements:
             return False
         if name == ACTUATOR_GAIN.name:
@@ -380,7 +380,7 @@ class NativeJoints:
             raise SettingsError(told, given=value, allowed="0 or more")
         place = self._place(element, name)
         first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
-        for field in higher:  # all orders of a polynomial are scaled alike
+        for field in higher:  # all orders are scaled by one factor
             factor = value / self._nominal[first][place] if self._nominal[first][place] else 1.0
             getattr(self._model, field)[place] = factor * self._nominal[field][place]
         getattr(self._model, first)[place] = value

@@ -16,7 +16,7 @@ def has_display() -> bool:
 def check_display(what: str, without: str) -> None:
     """Raises an error if no window can be opened.
 
-    MuJoCo's viewer opens its window in a separate thread and would wait there for ever.
+    MuJoCo's viewer opens its window in a separate thread, and would wait for a window for ever.
 
     Args:
         what: Name of the feature that needs the window, for the message.
@@ -51,7 +51,7 @@ class LiveWindow:
 
     Args:
         model: `mujoco.MjModel` to show.
-        data: Its `mujoco.MjData`.
+        data: `mujoco.MjData` of the model.
         camera: Name of the camera; the free camera if the model has none of this name.
         options: Options of `mujoco.viewer.launch_passive`.
 
@@ -59,7 +59,7 @@ class LiveWindow:
         handle: MuJoCo's handle of the window.
     """
 
-    # Longest wait for the window's thread to end [s].
+    # Longest time that `close` waits for the end of the window's thread [s].
     _FAREWELL = 10.0
 
     def __init__(self, model: Any, data: Any, *, camera: str, **options: Any) -> None:

@@ -15,8 +15,8 @@ from leglab.base.errors import LeglabError, ModelError
 from leglab.machine.library import is_shipped, model_path
 from leglab.machine.plugin import load_error, load_plugin
 
-# A file with time stamps younger than this [s] may change again without new time stamps: the clocks
-# of file systems tick every few milliseconds.
+# Age of a file's time stamps [s] below which the file may change again without new time stamps,
+# because the clocks of file systems tick every few milliseconds.
 _TICK = 0.1
 _MOST = 8  # largest number of models whose content is cached
 _XML = (".xml", ".mjcf", ".urdf")
@@ -42,8 +42,8 @@ class ModelFiles:
     def write(self, folder: Path) -> Path:
         """Writes the files with their relative paths, so that the model loads from anywhere.
 
-        Absolute paths in MJCF are replaced by relative ones; files that they name are copied to
-        every folder a path may be relative to: that of each MJCF file and the folders of assets.
+        Absolute paths in MJCF are replaced by relative ones. The files that they name are copied to
+        every folder to which a path may be relative: folders of MJCF files and of assets.
 
         Args:
             folder: Folder to create.
@@ -74,13 +74,13 @@ class ModelFiles:
         return self.main.relative_to(root)
 
     def _renamed(self, path: bytes) -> bytes:
-        """Returns a path in MJCF as written in the copy: relative if absolute and of this model."""
+        """Returns a path as the copy names it: made relative if absolute and to a model's file."""
         known = any(_is_below(file, {Path(os.fsdecode(path))}) for file in self.content)
         return _APART.encode() + path if path.startswith(b"/") and known else path
 
 
 def _is_below(file: Path, places: Set[Path]) -> bool:
-    """Tests whether a file is one of the places or lies below one of them."""
+    """Tests whether a file is one of the given paths or lies in one of the given folders."""
     return not places.isdisjoint((file, *file.parents))
 
 
@@ -164,8 +164,8 @@ def _state(files: Mapping[Path, bytes]) -> tuple[tuple[int, ...], ...] | None:
 def _files(main: Path) -> set[Path]:
     """Returns the files of a model.
 
-    MuJoCo's list of dependencies of the text lacks the folder of height fields, its list of paths
-    of the compiled model lacks the sides of cube textures: so both lists are combined.
+    MuJoCo has two incomplete lists, which are combined: the dependencies of the text lack the
+    folder of height fields, the paths of the compiled model lack the sides of cube textures.
     """
     load_plugin()
     try:

@@ -1,4 +1,4 @@
-"""Registry of models by name: those that ship with leglab, and those of plug-ins."""
+"""Registry of models by name: models that ship with leglab, and models of plug-ins."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ def register_model(name: str, path: str | Path, *, summary: str | None = None) -
         summary: One line for listings; None for the first sentence of the file's first comment.
 
     Raises:
-        LeglabError: There is no such file, or the name is already taken by another one.
+        LeglabError: There is no such file, or another file already has the name.
     """
     path = Path(path).resolve()
     if not path.is_file():

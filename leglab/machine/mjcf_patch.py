@@ -22,7 +22,7 @@ _NAMES = ("name", "key", "instance", "plugin")
 _ONE_SPACE = ("actuator", "sensor")
 # Attributes of `general` alone; its shortcuts `position` and `velocity` name them differently.
 _OF_GENERAL = {"gainprm", "biasprm", "gaintype", "biastype", "dyntype", "dynprm", "input"}
-_SAME = 2e-5  # MuJoCo writes six digits
+_SAME = 2e-5  # relative tolerance of equal numbers, as MuJoCo writes six digits
 
 # Path from the section down: tag, name, and index among siblings with the same tag and name.
 Place = tuple[tuple[str, str, int], ...]
@@ -33,8 +33,8 @@ Difference = tuple[Place, ElementTree.Element | None, dict[str, str | None] | No
 class MjcfPatch:
     """An MJCF file and its includes, edited by the differences of two MuJoCo specifications.
 
-    Paths of includes and the folders of assets in `dirs` (by attribute of `compiler`) become
-    absolute: the text loads from anywhere. `springref` of hinges `in_degrees` is in degrees.
+    Paths of includes and the asset folders `dirs` (by attribute of `compiler`) become absolute, so
+    that the text loads from anywhere. The hinges `in_degrees` have their `springref` in degrees.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class MjcfPatch:
                 self._change(nodes[0], element, changed)
 
     def texts(self) -> tuple[str, str]:
-        """Returns the text before and after; in both, changed includes are replaced by content."""
+        """Returns the text before and after the edits, both with the text of changed includes."""
         return self._document.text(before=True), self._document.text()
 
     def _found(self, place: Place) -> list["_Node"]:
@@ -153,13 +153,13 @@ def _same(old: str | None, new: str | None) -> bool:
         pairs = [*zip(map(float, old.split()), map(float, new.split()), strict=True)]
     except ValueError:
         return False
-    # Vectors: relative to the largest component, as directions round; scalars may be about 1e-13.
+    # In vectors (directions) rounding is relative to the largest component; scalars may be 1e-13.
     rounding = _SAME * max((abs(a) for a, _ in pairs), default=0.0) if len(pairs) > 1 else 0.0
     return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=rounding) for a, b in pairs)
 
 
 def _six_digits(old: str, new: str) -> str:
-    """Rounds a number to six digits towards the old one, to keep bounds; returns text as it is."""
+    """Rounds `new` to six digits towards `old`, to keep bounds; returns non-numbers unchanged."""
     try:
         value = Decimal(new)
         rounding = ROUND_FLOOR if value > Decimal(old or "0") else ROUND_CEILING
@@ -194,7 +194,7 @@ def _parsed(text: str, folder: Path, file: Path | None = None) -> "_Node":
 
 
 class _Node:
-    """An element of a text, with the edits to make to it."""
+    """An XML element of a file's text, with the edits to make to the element."""
 
     def __init__(
         self, source: str, tag: str, attributes: dict[str, str], start: int, end: int
@@ -233,7 +233,7 @@ class _Node:
         return bool(own or placed) or any(one._changes for one in inner)
 
     def text(self, *, before: bool = False) -> str:
-        """Returns the element's text after all edits, or `before` those of the model."""
+        """Returns the element's text after all edits, or after edits of paths alone (`before`)."""
         if self.included and self.included._changes:
             return self.included._inside(before).strip()
         if self.removed and not before:

@@ -38,10 +38,10 @@ class NativeActuator:
 
     model: mujoco.MjModel  #: The MuJoCo model
     id: int  #: Number of the actuator
-    name: str  #: Name of the actuator; that of its joint if it has none
+    name: str  #: Name of the actuator; the joint's name if the actuator has none
     joint: int  #: Number of the joint that it drives
     centre: float  #: Control in the middle of its range, in the control's own unit
-    half: float  #: Half the width of that range: control = centre + half x command
+    half: float  #: Half the width of the control range: control = centre + half x command
 
     @classmethod
     def of(cls, model: mujoco.MjModel, number: int, moments: np.ndarray) -> "NativeActuator":
@@ -50,7 +50,7 @@ class NativeActuator:
         Args:
             model: The model.
             number: Number of the actuator.
-            moments: Its lever arms in the rest pose, (nv,).
+            moments: Lever arms of the actuator in the rest pose, (nv,).
 
         Raises:
             ModelError: A run cannot command this kind of actuator, it moves several joints, or it
@@ -74,7 +74,7 @@ class NativeActuator:
 
     @property
     def dof(self) -> int:
-        """Number of the degree of freedom that it drives."""
+        """Number of the degree of freedom that the actuator drives."""
         return int(self.model.jnt_dofadr[self.joint])
 
     @property
@@ -96,7 +96,7 @@ class NativeActuator:
         return self._affine(self.model.actuator_biasprm[self.id], True, data)
 
     def slopes(self, command: float) -> tuple[float, float]:
-        """Returns force per transmission length and per velocity at a fixed command."""
+        """Returns the force's derivatives by transmission length and velocity at a command."""
         control = self.centre + self.half * command
         found = np.zeros(2)
         if int(self.model.actuator_biastype[self.id]) != mujoco.mjtBias.mjBIAS_NONE:
@@ -108,7 +108,7 @@ class NativeActuator:
     def command(self, force: float, data: mujoco.MjData) -> float:
         """Returns the steady command that gives a force at the present length and velocity.
 
-        For a force beyond the actuator's range it is the nearer end of [-1, 1].
+        For a force beyond the actuator's range the command is the nearer end of [-1, 1].
         """
         gain = self.gain(data)
         if gain == 0.0:
@@ -137,7 +137,7 @@ class NativeActuator:
         return low, high
 
     def lever(self, data: mujoco.MjData) -> float:
-        """Returns the lever arm on its joint, gear included [m/rad or 1]."""
+        """Returns the actuator's lever arm on the joint, gear included [m/rad or 1]."""
         first, count = int(data.moment_rowadr[self.id]), int(data.moment_rownnz[self.id])
         row = slice(first, first + count)
         places = np.flatnonzero(data.moment_colind[row] == self.dof)
@@ -154,7 +154,7 @@ class NativeActuator:
         gain = self.gain(data) * self.half
         lever = self.lever(data)
         if per_length:
-            # gain (control - kp/gain length): the control that leaves no force at this length.
+            # Force = gain (control - kp/gain length): the control for zero force at this length.
             slope = -per_length * lever / gain
             position = float(data.qpos[self.model.jnt_qposadr[self.joint]])
             length = float(data.actuator_length[self.id]) - lever * position
@@ -215,7 +215,7 @@ def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
 
 
 def _not_supported(model: mujoco.MjModel, number: int) -> str:
-    """Returns the reason why an actuator cannot be commanded; empty if it can."""
+    """Returns the reason why a run cannot command an actuator; empty if it can."""
     if int(model.actuator_plugin[number]) >= 0:
         return "is of a plugin that runs do not know"
     if int(model.actuator_gaintype[number]) not in _GAINS:

@@ -20,7 +20,7 @@ from leglab.base.errors import ModelError, SettingsError
 RESIDUAL = "leglab.residual"
 # Input variables of a learned residual, in the order of its coefficients.
 RESIDUAL_VARIABLES = ("position", "velocity", "load", "command")
-# Format in plugins and core: "attribute 'bore' = 9 m is out of range; allowed: ..."
+# Format of errors of plugins and core: "attribute 'bore' = 9 m is out of range; allowed: ..."
 _GIVEN = re.compile(r" = ('[^']*'|[^\s;]+)")
 _ALLOWED = re.compile(r"; allowed:? (.*)")
 
@@ -30,15 +30,15 @@ class Parameter:
     """One physical parameter of a plugin instance: a row of its table."""
 
     name: str  #: Attribute name in MJCF and in `Simulation.set_parameter`
-    #: SI unit (temperatures in degC); where it acts on a joint, that at a hinge, unless the table
-    #: is of an instance on a slide.
+    #: SI unit (temperatures in degC). Parameters of a joint have the unit at a hinge, unless the
+    #: table belongs to an instance on a slide.
     unit: str
-    nominal: float  #: Default, NaN where MJCF must give it
-    minimum: float  #: Smallest value; excluded itself if `minimum_allowed` is false
+    nominal: float  #: Default; NaN if MJCF must set the parameter
+    minimum: float  #: Smallest value; itself excluded if `minimum_allowed` is false
     maximum: float  #: Largest value
     minimum_allowed: bool  #: Whether `minimum` itself is allowed
     description: str  #: Meaning, with its source
-    offset: int = 0  #: Place in the plugin state of the instance
+    offset: int = 0  #: Index in the plugin state of the instance
 
     @property
     def allowed(self) -> str:
@@ -85,7 +85,7 @@ class PluginTable:
         """Looks a parameter or state up by name.
 
         Raises:
-            SettingsError: If the plugin has no such entry; lists those that exist.
+            SettingsError: If the plugin has no such entry; lists all entries.
         """
         if name in self.parameters:
             return self.parameters[name]
@@ -115,7 +115,7 @@ class PluginTable:
         }
 
 
-# Sources as the tables of the compiled core abbreviate them.
+# Sources in words, by their abbreviations in the tables of the compiled core.
 _SOURCES = {
     "[HyQ]": "(source: leg of the robot HyQ, Ledezma 2016)",
     "[V]": "(source: data sheet of a servo valve, class E024)",
@@ -165,7 +165,7 @@ def residual_table(table: PluginTable, counts: Mapping[str, int], unit: str) -> 
     Args:
         table: Table of the plugin.
         counts: Number of coefficients by variable.
-        unit: Unit of the coefficients: that of the joint's force, or "1" for a cylinder's command.
+        unit: Unit of the coefficients: the unit of the joint's force, or "1" for a command.
     """
     place = len(table.parameters) + len(table.states)
     rows = dict(table.parameters)

@@ -121,7 +121,7 @@ def elements(model: mujoco.MjModel) -> dict[str, tuple[int, PluginTable]]:
                 counts = {v: len(text.split()) + 2 for v, text in knots.items() if text}
                 table = residual_table(
                     table, counts, "N m" if joint >= 0 else "1"
-                )  # 1 of a cylinder
+                )  # "1" for a cylinder's command
             if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
                 table = table_at_slide(table)
             found[owners.get(i) or own] = int(model.plugin_stateadr[i]), table
@@ -141,8 +141,8 @@ _NAMING = {
 def _named(model: mujoco.MjModel, instance: int, plugin: str, attribute: str) -> int:
     """Returns the id of the element that an attribute of an instance names; -1 for none.
 
-    The plugins' `element_named` (leglab/csrc/plugin/config.h) looks it up: when a model is attached
-    to another one with a prefix, names in attributes stay without that prefix.
+    The plugins' `element_named` (leglab/csrc/plugin/config.h) looks the name up, because names in
+    attributes lack the prefix that elements get when a model is attached to another one.
     """
     name = _text(model, instance, plugin, attribute).encode()
     if not name:
@@ -187,8 +187,8 @@ def to_xml(spec: mujoco.MjSpec, referred: Iterable[str] = ()) -> str:
     """Writes a compiled specification as MJCF, including the plugin instances added to it.
 
     `MjSpec.to_xml` of MuJoCo 3.17 omits instances added through `add_plugin`; copying or attaching
-    a specification drops instances that no element refers to. Each of these, except those in
-    `referred`, gets a massless body that refers to it, a child or sibling of its joint's body.
+    a specification drops unreferenced instances. Each unreferenced instance that is not in
+    `referred` gets a massless body that refers to it, a child or sibling of its joint's body.
     """
     root = ElementTree.fromstring(spec.to_xml())
     for plugin in spec.plugins:
@@ -248,7 +248,7 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
     """Turns MuJoCo's error about a model into one line.
 
     Args:
-        error: What `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
+        error: Exception that `MjModel.from_xml_path`, `MjSpec.compile` or `MjData` raised.
         where: The file or model.
         spec: The model's specification; None if it could not be read.
 

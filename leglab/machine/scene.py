@@ -15,7 +15,7 @@ from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import held
 from leglab.machine.simulation import Simulation, actuator_moments
 
-_RATE = 50.0  # poses a second: more than a screen shows
+_RATE = 50.0  # poses per second: more than a screen shows
 _HIDDEN_GROUP = 3  # geoms of this group and above are not shown, as in MuJoCo's viewer
 _ROUND = 12  # sides of an ellipsoid
 _TYPES = {
@@ -30,7 +30,7 @@ def scene_of(model: mujoco.MjModel, recording: Recording) -> Scene:
     """Returns links, poses and efforts of a model that replays the motion of a recording.
 
     Joint positions are the true ones (`<joint>_truth`), else the measured ones
-    (`<joint>_position`), else those of the model's first keyframe. Efforts of cylinders are the
+    (`<joint>_position`), else taken from the model's first keyframe. Efforts of cylinders are the
     forces of the measured pressures on both sides of the piston times the lever arms of the model,
     without friction; columns `<joint>_effort` take precedence over them.
 
@@ -99,7 +99,7 @@ def _name(model: mujoco.MjModel, body: int) -> str:
 
 
 def _shown(time: np.ndarray) -> np.ndarray:
-    """Selects rows at a rate of at most `_RATE`, including the first and the last."""
+    """Selects rows of a recording at a rate of at most `_RATE`, with the first and the last."""
     ticks = np.floor((time - time[0]) * _RATE + 1e-6)
     first = np.concatenate([[True], np.diff(ticks) > 0])
     first[-1] = True
@@ -143,7 +143,7 @@ def _relative(
 
 
 def _cylinder_forces(simulation: Simulation, recording: Recording) -> dict[int, np.ndarray]:
-    """Computes forces of measured pressures [N] by actuator, (n,); extending is positive."""
+    """Computes forces of measured pressures [N] by actuator id, (n,); extension is positive."""
     forces = {}
     for actuator, joint in zip(simulation.actuators, simulation.joints, strict=True):
         columns = [f"{joint}_pressure_{side}" for side in "ab"]
@@ -187,7 +187,7 @@ def _link(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
 
 
 def _joints(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
-    """Writes the joints of a body from parent to body, with a link between each two of them.
+    """Writes the joints of a body from parent to body, with a link between consecutive joints.
 
     MuJoCo rotates a body about an anchor anywhere in its frame, relative to the reference
     coordinates `qpos0`; URDF rotates a link about its origin, relative to 0.

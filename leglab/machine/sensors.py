@@ -3,7 +3,7 @@
 Faults come from a scenario or from the model. MJCF has no element for a shifted or miscounting
 encoder, so a model stores them as custom numerics: `<joint>_encoder_offset` [rad or m] and
 `<joint>_encoder_scale`, measured = scale x true + offset; for pressure sensors likewise
-`<joint>_pressure_a_offset` [Pa], `<joint>_pressure_a_scale`, and those of chamber b.
+`<joint>_pressure_a_offset` [Pa], `<joint>_pressure_a_scale`, and `..._b_...` for chamber b.
 A delayed encoder is a `jointpos` sensor `<joint>_delayed_position` with MuJoCo's `delay`.
 `leglab diagnose` writes them into improved.xml; closed loops and replays read them.
 """
@@ -25,9 +25,9 @@ from leglab.machine.parameters import Parameter
 
 # Upper limit on time steps per control period: more would take hours per simulated second.
 _MOST_STEPS = 100_000
-# Normal numbers drawn at a time to skip them: `advance` needs a known number of random bits each.
+# Normal numbers skipped per draw; `advance` cannot skip them: each takes an unknown number of bits.
 _SKIPPED = 8192
-# Times that differ by less than this count as equal [s].
+# Difference below which two times count as equal [s].
 _SAME_TIME = 1e-9
 
 
@@ -57,9 +57,9 @@ class SensorConfiguration(Configuration):
 def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfiguration:
     """Rounds default values of period and latency up to whole time steps of a model.
 
-    They are rounded up, as the machine's computer could also run a somewhat slower loop with older
-    measurements. Values set explicitly stay; `loop_timing` rejects those that are no multiple of
-    the time step.
+    They are rounded up, because the machine's computer could also run a somewhat slower loop with
+    older measurements. Values set explicitly stay; `loop_timing` rejects values that are no
+    multiple of the time step.
 
     Args:
         config: Sensors and timing.
@@ -76,7 +76,7 @@ def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfig
 
 
 class LoopTiming(NamedTuple):
-    """Time steps of a control period: from command to sample, and from sample to command."""
+    """Numbers of time steps in a control period: command to sample, and sample to command."""
 
     to_sample: int
     to_command: int
@@ -115,7 +115,7 @@ def loop_timing(config: SensorConfiguration, timestep: float) -> LoopTiming:
 
 
 def velocity_filter_coefficient(period: float, cutoff_hz: float) -> float:
-    """Returns a of the first-order filter v[k] += a ((q[k] - q[k-1])/T - v[k-1])."""
+    """Returns the gain a of the filter v[k] += a ((q[k] - q[k-1])/T - v[k-1])."""
     return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
 
 
@@ -144,7 +144,7 @@ class VelocityFilter:
         first = positions[:1] if self._position is None else self._position
         found = np.diff(positions, axis=0, prepend=first) * self._gain
         before = self._velocity
-        # Importing scipy.signal takes longer than a short run, and each run of a sweep would do it.
+        # A loop, because each run of a sweep would import scipy.signal, longer than a short run.
         for now in found:
             now += self._keep * before
             before = now
@@ -303,8 +303,8 @@ class Encoders:
         joints: Names of the joints; changes of a scenario address them as elements.
         sensors: Resolution and timing.
         positions: Array of the true positions [rad], updated by the simulation.
-        index: Indices of the joints in it, (joints,).
-        noise: Noise of the first block of readings [rad], (kept, joints).
+        index: Indices of the joints in `positions`, (joints,).
+        noise: Noise of the first block of readings [rad], (kept, joints), `kept` per block.
         seed: Seed of the losses.
         built_in: Faults stored in the model; None for none.
 
@@ -314,8 +314,8 @@ class Encoders:
         velocity: The filtered difference of readings [rad/s], (joints,).
         sample: Function that samples the present positions for the next reading.
         shift: Shift of every reading since `begin` by faults [rad], (kept, joints).
-        lost: True for those of these readings that were lost, (kept, joints).
-        noise: Noise of these readings [rad], (kept, joints).
+        lost: True for readings since `begin` that were lost, (kept, joints).
+        noise: Noise of the readings since `begin` [rad], (kept, joints).
         built_in: Faults stored in the model; None for none.
         gain: Factor on the difference of two readings in the velocity filter [1/s].
         keep: Factor on the previous velocity in the velocity filter.

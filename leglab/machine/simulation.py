@@ -70,7 +70,7 @@ def load_model(
 def actuator_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Returns lever arms of actuators on degrees of freedom [m/rad or 1], (nactuator, nv).
 
-    For an actuator with several outputs, which leglab does not command, those of the first.
+    Of an actuator with several outputs, which leglab does not command, the first output counts.
     """
     moments = np.zeros((data.moment_rownnz.size, model.nv))
     mujoco.mju_sparse2dense(
@@ -96,7 +96,7 @@ class Simulation:
         native: MuJoCo's built-in actuators of the model, by name.
         centre: Control at command 0, (actuators,); 0 for a cylinder.
         half: Change of the control per unit of command, (actuators,); 1 for a cylinder.
-        varied: Whether the model's parameters are those of a specimen (`leglab.machine.changes`).
+        varied: Whether parameters were varied to make a specimen (`leglab.machine.changes`).
 
     Raises:
         LeglabError: If an actuator is of another kind, moves no joint or several, two move one, or
@@ -191,7 +191,7 @@ class Simulation:
         return self.slot(*((supply, "pressure") if supply else (first, "supply_pressure")))
 
     def slots(self, name: str) -> np.ndarray:
-        """Returns the indices in `data.plugin_state` of an entry of all cylinders, (cylinders,)."""
+        """Returns the index in `data.plugin_state` of `name` for all cylinders, (cylinders,)."""
         return np.array([self.slot(element, name) for element in self.cylinders], dtype=int)
 
     def parameter(self, element: str, name: str) -> float:
@@ -299,7 +299,7 @@ class Simulation:
         return ranges
 
     def levers(self) -> np.ndarray:
-        """Returns actuators' lever arms on their joints [m/rad], (joints,), > 0 if q extends."""
+        """Returns lever arms on the joints [m/rad], (joints,), > 0 if extension increases q."""
         moments = actuator_moments(self.model, self.data)
         return moments[np.arange(len(self.actuators)), self.dof_index]
 
@@ -320,7 +320,7 @@ class Simulation:
         position = np.linspace(low, high, count, axis=1)
         lever, length = np.empty_like(position), np.empty_like(position)
         for column in range(count):
-            # Every cylinder spans one joint alone, so all of them move at once.
+            # Every cylinder spans one joint alone, so all joints can be moved at once.
             self.data.qpos[self.qpos_index] = position[:, column]
             mujoco.mj_fwdPosition(self.model, self.data)
             lever[:, column] = self.levers()
@@ -359,8 +359,8 @@ class Simulation:
     def _check_cylinders(self) -> None:
         """Rejects cylinders whose anchors do not fit the ranges of their joints.
 
-        Over the joint's range both chamber volumes must stay positive, where the dead volume allows
-        for a piston beyond its stroke, in the stops; and the lever arm must keep its sign.
+        Over the joint's range the lever arm must keep its sign, and both chamber volumes must stay
+        positive; owing to the dead volumes the piston may go beyond its stroke, into the stops.
         """
         tables = self.lever_tables(_LOOKED_AT) if self.cylinders else ((), (), ())
         rows = zip(self.actuators, self.joints, *tables, strict=False)
@@ -398,6 +398,6 @@ class Simulation:
                 )
 
     def _supply_of(self, actuator: str) -> str:
-        """Returns the name of a cylinder's supply; empty if it has none (`supply_pressure`)."""
+        """Returns the name of a cylinder's supply; empty if the cylinder refers to none."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
         return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute

@@ -82,7 +82,7 @@ class Reference:
         """Tests that the velocity is the derivative of the position, as feed-forward requires.
 
         Raises:
-            SettingsError: The velocity of a joint is not; the message names the joint.
+            SettingsError: A joint's velocity is not the derivative; the message names the joint.
         """
         times = np.linspace(0.0, 2.0 * self.period, _TRIED)
         before, now, after = (self.motion(times + shift) for shift in (-_NEAR, 0.0, _NEAR))
@@ -131,9 +131,9 @@ class Reference:
                 raise SettingsError(told, given=value, allowed=limits[unit])
 
 
-# Check of velocities by central differences: number of times, half step [s], allowed difference as
-# a share of the peak speed (also the allowed share of times beyond it), and least peak speed that
-# the difference refers to [rad/s].
+# Test of velocities by central differences: number of times; half step [s]; tolerance as a share of
+# the joint's peak speed, and maximum share of times at which it may be exceeded; least peak speed
+# that the tolerance refers to [rad/s].
 _TRIED, _NEAR, _SLACK, _SLOW = 500, 1e-5, 0.1, 1e-3
 
 # Builds the motion of joints from settings; returns the motion and its period [s].

@@ -20,7 +20,7 @@ from leglab.references.blending import scaled, smooth_step
 NAME = "file"
 # Names of columns with the positions of a joint, in order of preference.
 _COLUMNS = ("{}_reference", "{}_position", "{}")
-_FEWEST = 5  # samples that a smoothing spline needs
+_FEWEST = 5  # minimum number of samples for a smoothing spline
 
 
 class FromFile(Configuration):
@@ -164,7 +164,7 @@ def _positions(joints: tuple[Joint, ...], config: FromFile) -> tuple[np.ndarray,
 
 
 def _closed(joints: tuple[Joint, ...], positions: np.ndarray, file: str) -> np.ndarray:
-    """Sets the last sample to the first, if they differ by no more than the largest step."""
+    """Sets the last sample to the first, if they differ by at most the largest sample step."""
     step = np.abs(np.diff(positions, axis=0)).max(axis=0)
     away = np.abs(positions[-1] - positions[0])
     for joint, missed, most in zip(joints, away, step, strict=True):

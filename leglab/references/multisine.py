@@ -16,7 +16,7 @@ from leglab.references.base import (
 )
 from leglab.references.blending import fade_in, scaled
 
-# Samples of a period of which the peak position, speed and acceleration are taken.
+# Number of samples per period from which peak position, speed and acceleration are computed.
 _DENSE = 1024
 # Amplitude of a joint that has neither a range nor a speed limit [rad or m].
 _FREE_AMPLITUDE = 0.2
@@ -55,8 +55,8 @@ def multisine(joints: tuple[Joint, ...], config: Multisine) -> tuple[Motion, flo
     """Makes the motion m + A sum_k cos(2 pi k t/T + phi_k)/k, scaled so that its peak is A.
 
     The middle m is the position nearest to rest that keeps the motion in range. A is the least of
-    three: the share `amplitude` of half the range; the amplitude with peak speed `speed` v, v the
-    limit; that with peak acceleration `speed` v^2/range, for a drive that reaches v over its range.
+    three amplitudes: `amplitude` times half the range; the one with peak speed `speed` v, where v
+    is the speed limit; the one with peak acceleration `speed` v^2/range, v being reached in range.
     """
     order = np.arange(1, config.harmonics + 1)
     rate = 2 * np.pi * order / config.period

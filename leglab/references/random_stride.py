@@ -8,7 +8,7 @@ from leglab.references.base import Joint, Motion, Samples, register_reference
 from leglab.references.blending import fade_in, product
 from leglab.references.walking_stride import gait_series
 
-# Range [Hz] and number of the variations' frequencies: slower than a stride, and never repeating.
+# Range [Hz] and number of the random frequencies of the variations, which are slower than strides.
 _SLOWEST, _FASTEST, _COUNT = 0.03, 0.4, 6
 
 
@@ -66,7 +66,7 @@ def random_stride(joints: tuple[Joint, ...], config: RandomStride) -> tuple[Moti
         )
 
     def path(times: np.ndarray) -> np.ndarray:
-        """Returns the integral of the stride rate's w from time 0."""
+        """Returns the integral from time 0 of w_0, which varies the stride rate."""
         rate = wander_rate[:, first]
         angle = rate * times[:, None, None] + angle_0[:, first]
         return np.sum(weight[:, first] / rate * (np.cos(angle_0[:, first]) - np.cos(angle)), axis=1)

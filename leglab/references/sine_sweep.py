@@ -61,7 +61,7 @@ def sine_sweep(joints: tuple[Joint, ...], config: SineSweep) -> tuple[Motion, fl
         wave = Samples(sin, rate * cos, growth * rate * cos - rate**2 * sin)
         rise = smooth_step(times, 0.0, config.fade)
         fall = smooth_step(times, config.duration - config.fade, config.fade)
-        # The two ends do not overlap, so their difference is their product with 1 - fall.
+        # Rise and fall do not overlap, so that rise - fall equals the product rise (1 - fall).
         envelope = Samples(*(a - b for a, b in zip(rise, fall, strict=True)))
         return scaled(rest, amplitude, product(envelope, wave))
 

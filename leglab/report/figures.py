@@ -1,7 +1,7 @@
 """Figures of a run, tracking, pressures and valve commands, and of a comparison of runs.
 
-Panels are placed to the millimetre, so that all axes line up: automatic layouts move each panel by
-the width of its own tick labels.
+Panels have fixed positions so that their axes line up; automatic layouts would shift each panel by
+the width of its tick labels.
 """
 
 import io
@@ -31,9 +31,9 @@ from leglab.runs.run import Result
 
 _BAR = 1e5  # Pa
 _MILLI = 1e3
-_PAGE_DPI = 130  # of figures on a page
-_CLOSE_UP = 3.0  # strides shown before and after the change
-# Panels [inch].
+_PAGE_DPI = 130  # resolution of figures on a page [dots per inch]
+_CLOSE_UP = 3.0  # number of strides before and after the change in the close-up
+# Dimensions of panels [inch].
 _LEFT = 0.75  # axis label and tick labels
 _RIGHT = 0.12
 _HEAD = 0.6  # title and legend of the figure
@@ -42,12 +42,12 @@ _GAP = 0.12  # between the axes of one panel
 _FOOT = 0.5  # time axis
 _ONE_COLUMN = 7.2
 _TWO_COLUMNS = 4.9
-# Lines of a comparison.
+# Dash patterns of lines in a comparison; the next pattern is used when all colours are used up.
 _DASHES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _LEGEND_COLUMNS = 4
 _SUBDIVISIONS = (1.0, 2.0, 5.0)
-# A line of more than twice as many samples is drawn through the minimum and maximum of each of
-# `_PIECES` pieces: about ten pieces per pixel of the widest panel.
+# Number of pieces of a line, about ten per pixel of the widest panel. A line of more than twice as
+# many samples is drawn through the minimum and the maximum of each piece only.
 _PIECES = 10_000
 
 
@@ -62,9 +62,9 @@ def tracking_figure(
     """Draws reference and measured position of every joint, and the tracking error below.
 
     Args:
-        recording: With `<joint>_position` [rad] and `<joint>_reference` [rad] of every joint that
-            is to be shown.
-        phases: Parts of the run; the change is marked where "before" ends.
+        recording: Recording with columns `<joint>_position` and `<joint>_reference` [rad] of every
+            joint that is to be shown.
+        phases: Phases of the run; the change of the machine is marked at the end of "before".
         window: Length of the window of the moving RMS error [s]; None leaves it out.
         span: First and last time shown [s]; None shows all.
         title: Name of the run or scenario, shown as title.
@@ -75,7 +75,7 @@ def tracking_figure(
     joints = recording.tracked
     if not joints:
         raise RecordingError("no tracking to draw: no joint has '_position' and '_reference'")
-    # Columns of long runs are large and may be read from a file: few are in memory at a time.
+    # Columns of long runs are large and may be read from a file, so few are kept in memory.
     error = recording.stack(joints, "reference")
     error -= recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
@@ -117,11 +117,11 @@ def tracking_figure(
 def pressure_figure(
     recording: Recording, *, phases: Sequence[Phase] = (), title: str = ""
 ) -> Figure:
-    """Draws both chamber pressures of every joint, and the supply where it was recorded.
+    """Draws both chamber pressures of every joint, and the supply pressure if it was recorded.
 
     Args:
-        recording: With `<joint>_pressure_a` and `<joint>_pressure_b` [Pa].
-        phases: As in `tracking_figure`.
+        recording: Recording with columns `<joint>_pressure_a` and `<joint>_pressure_b` [Pa].
+        phases: See `tracking_figure`.
         title: Name of the run or scenario, shown as title.
 
     Raises:
@@ -155,8 +155,8 @@ def command_figure(
     """Draws the command of every joint; commands at the limit are drawn in another colour.
 
     Args:
-        recording: With `<actuator>_command`; that of native actuators is a share of their range.
-        phases: As in `tracking_figure`.
+        recording: Columns `<actuator>_command`; a native actuator's are shares of its range.
+        phases: See `tracking_figure`.
         title: Name of the run or scenario, shown as title.
 
     Raises:
@@ -217,18 +217,18 @@ def save_run_figures(
     window: float | None = None,
     title: str = "",
 ) -> tuple[Path, ...]:
-    """Draws and writes all figures that the recording has columns for, as PNG.
+    """Writes all figures for which the recording has columns, as PNG.
 
     Args:
-        recording: The run.
+        recording: Recording of the run.
         folder: Existing folder to write to.
-        phases: Parts of the run.
-        window: One stride [s], for the moving RMS error and the close-up of the change.
+        phases: Phases of the run.
+        window: Duration of a stride [s], for the moving RMS error and the close-up of the change.
         title: Name of the run, shown as title.
 
     Returns:
-        Paths of `tracking.png`, `tracking_change.png` (with a change), `pressures.png`,
-        `commands.png`: those that were drawn.
+        Paths of the written files: `tracking.png`; if the machine changes, `tracking_change.png`;
+        if recorded, `pressures.png` and `commands.png`.
 
     Raises:
         LeglabError: No joint has position and reference, or the folder cannot be written to.
@@ -261,7 +261,7 @@ def _finish(axes: Axes, phases: Sequence[Phase]) -> None:
 
 
 def _change(phases: Sequence[Phase]) -> tuple[float, float] | None:
-    """Returns start and end of the machine's change [s]; None without a change."""
+    """Returns start and end of the change of the machine [s]; None if it does not change."""
     after = [phase.start for phase in phases if phase.name == "after"]
     if not after:
         return None
@@ -274,15 +274,15 @@ def _line(label: str, color: str, width: float = 1.4) -> Line2D:
 
 
 def comparison_figure(results: Sequence[dict[str, Any]], *, title: str = "") -> Figure:
-    """Draws the mean over seeds and the range between the best and the worst seed.
+    """Draws each controller's windowed RMS error: mean over seeds, and range from best to worst.
 
     Args:
-        results: Runs of one scenario: `metrics` (its `controller`), `changes` [s], `window` [s],
-            `time` [s] and `windowed_error_rad`. Controllers keep the order of the runs.
+        results: Runs of one scenario, each with `metrics` (of which `controller` is read),
+            `changes`, `window` and `time` [s], `windowed_error_rad`. The order is kept.
         title: Name of the run or scenario, shown as title.
 
     Raises:
-        LeglabError: There is no run, or none lasts a window.
+        LeglabError: There is no run, or no run lasts as long as a window.
     """
     controllers = list(dict.fromkeys(result["metrics"]["controller"] for result in results))
     if not any(value for result in results for value in result["windowed_error_rad"]):
@@ -328,17 +328,17 @@ def save_comparison_figure(results: Sequence[dict[str, Any]], path: Path, *, tit
 
 
 def outline(values: np.ndarray, pieces: int = _PIECES) -> np.ndarray:
-    """Selects samples whose line looks like the line through all samples.
+    """Selects samples such that a line through them looks like the line through all samples.
 
-    Matplotlib's memory grows with the number of vertices, in long runs beyond that of the run.
+    Matplotlib's memory grows with the vertices; for a long run it would exceed the run's memory.
 
     Args:
         values: Samples, shape (n,); NaN where missing.
         pieces: Number of pieces into which the samples are cut.
 
     Returns:
-        Increasing row numbers: all where n is at most twice the number of pieces; else the first
-        and the last row, and the rows of the minimum and maximum of each piece.
+        Increasing indices: all n if n is at most twice the number of pieces; otherwise the first
+        and the last index, and the indices of the minimum and maximum of each piece.
     """
     if len(values) <= 2 * pieces:
         return np.arange(len(values))
@@ -347,7 +347,7 @@ def outline(values: np.ndarray, pieces: int = _PIECES) -> np.ndarray:
 
 
 def _ends(marked: np.ndarray) -> np.ndarray:
-    """Returns the first and the last row of each stretch of equal values in `marked`, (n,)."""
+    """Returns the first and last index of each sequence of equal values in `marked`, (n,)."""
     differs = np.concatenate([[True], marked[1:] != marked[:-1], [True]])
     return np.flatnonzero(differs[1:] | differs[:-1])
 
@@ -374,7 +374,7 @@ def _save(figure: Figure, path: Path) -> Path:
 
 
 def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple[Axes, ...]]]:
-    """Makes a figure with equal panels: up to two below each other, more in two columns.
+    """Makes a figure with equal panels: one or two in one column, more in two columns.
 
     Args:
         count: Number of panels.
@@ -399,7 +399,7 @@ def add_panels(count: int, heights: Sequence[float]) -> tuple[Figure, list[tuple
             place = (left / size[0], (top - height) / size[1], width / size[0], height / size[1])
             axes = figure.add_axes(place, sharex=stack[0] if stack else None)
             axes.tick_params(labelbottom=False)
-            # The same distance from all axes, whatever the width of the tick labels.
+            # All axis labels have the same distance from the axes, whatever the tick labels' width.
             axes.yaxis.set_label_coords(-0.53 / width, 0.5)
             stack.append(axes)
             top -= height + _GAP
@@ -425,8 +425,8 @@ def add_head(
         figure: The figure.
         title: Name of the run, or another title.
         lines: A labelled sample of each kind of line; empty for no legend.
-        phases: Parts of a run; if the machine changes, the legend has an entry for the change.
-        columns: Entries in a row of the legend; None puts all entries into one row.
+        phases: Phases of a run; if the machine changes, the legend has an entry for the change.
+        columns: Number of entries per row of the legend; None puts all entries into one row.
         legend: Further spacings of the legend, as arguments of Matplotlib's `legend`.
     """
     if _change(phases) is not None:

@@ -20,7 +20,7 @@ from leglab.runs.comparison import SUMMARY, read_comparison
 from leglab.runs.folder import read_metrics
 
 _RUN_FILES = ("metrics.json", "run.json", "recording.parquet")
-# Bytes read of a page: they hold title and first heading; scripts and data follow.
+# Number of bytes read of a page, enough for title and heading, which precede scripts and data.
 _HEAD_LENGTH = 200_000
 _UNIT = "mrad or mm"
 _NUMBERS = ("seed", *(f"RMS {name} [{_UNIT}]" for name in ("before", "after", "end")))
@@ -37,12 +37,12 @@ class Entry:
     """
 
     name: str  #: Path below the folder
-    #: URL of the page, or else of the best other file; relative and quoted. Empty for none.
+    #: Relative, quoted URL of the page or, without a page, of the best other file; may be empty.
     link: str
     kind: str  #: run, report, comparison, sweep or diagnosis
     #: Complete, stopped before its planned end, or unreadable.
     state: Literal["whole", "stopped", "broken"] = "whole"
-    told: str = ""  #: Outcome, or the error that makes it unreadable
+    told: str = ""  #: Outcome; for an unreadable folder the error
     written: str = ""  #: Time of writing, in UTC
     scenario: str = ""
     controller: str = ""
@@ -64,7 +64,7 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
         The entries of the index, and its path.
 
     Raises:
-        LeglabError: There is no such folder, the path holds a file that is no index, or it cannot
+        LeglabError: `folder` does not exist, `path` is a file that is no index, or the page cannot
             be written.
     """
     if path.is_dir():
@@ -76,7 +76,7 @@ def write_index(folder: Path, path: Path) -> tuple[list[Entry], Path]:
 
 
 def _page(entries: list[Entry], name: str) -> str:
-    """Returns the page of a folder of this name."""
+    """Returns the index page with these entries, for a folder called `name`."""
     counts = sorted(Counter(entry.kind for entry in entries).items())
     parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts]
     summary = ", ".join(parts).replace("diagnosiss", "diagnoses") or "Nothing was found"
@@ -96,20 +96,20 @@ def _page(entries: list[Entry], name: str) -> str:
 
 
 def _find_entries(folder: Path, base: Path) -> list[Entry]:
-    """Returns the entries of a folder and those below it, with links relative to `base`."""
+    """Returns the entries of a folder and of all folders below, with links relative to `base`."""
     if not folder.is_dir():
         raise FileError(f"{str(folder)!r} is not a folder", given=folder)
     found: list[Entry] = []
     for place, folders, files in os.walk(folder):  # links to folders are not followed
         folders.sort()
         found += _entries(Path(place), set(files), folder, base)
-        # Hidden folders are skipped, except those of runs being written, or interrupted then.
+        # Hidden folders are skipped, except `.partial` folders of unfinished or interrupted runs.
         folders[:] = [f for f in folders if not f.startswith(".") or f.endswith(".partial")]
     return sorted(found, key=lambda entry: (entry.name, entry.kind))
 
 
 def _entries(place: Path, files: set[str], folder: Path, base: Path) -> Iterator[Entry]:
-    """Yields the entries of one folder, by the names of the files in it."""
+    """Yields the entries of one folder, of the kinds that the names of its `files` show."""
     name = "." if place == folder else place.relative_to(folder).as_posix()
 
     def entry(

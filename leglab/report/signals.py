@@ -15,21 +15,21 @@ from leglab.data import inspect
 from leglab.report.figures import outline
 from leglab.report.style import BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 
-# Panels [inch], and the numbers of panels from which on there are two, three and four columns.
+# Sizes [inch], widths for 1 to 4 columns of panels; panels from which 2, 3, 4 columns are used.
 _WIDTH, _HEIGHT, _HEAD, _FOOT, _LEFT, _SPACE = (7.2, 3.9, 2.9, 2.3), 0.8, 0.6, 0.5, 0.7, 0.42
 _MANY = (5, 25, 60)
-# More panels make the figure unreadable; lines of 900 vertices stay below Matplotlib's chunk size.
+# Maximum number of panels, and pieces of a line, whose 900 vertices are below Matplotlib's chunk.
 _MOST_PANELS, _PIECES = 120, 450
 
 
 def signals_figure(
     table: Mapping[str, np.ndarray], metadata: Mapping[str, Any], *, title: str = ""
 ) -> Figure:
-    """Draws columns over time, gaps and missing samples shaded.
+    """Draws columns over time; gaps in time and missing samples are shaded.
 
     Args:
-        table: Arrays of shape (n,) by column name; without an increasing `time` the axis shows row
-            numbers.
+        table: Arrays of shape (n,) by column name; without a valid `time` column the axis shows the
+            numbers of the samples.
         metadata: Metadata of the recording, with units of columns if known.
         title: Title of the figure, such as the name of the recording.
     """
@@ -69,7 +69,7 @@ def signals_figure(
 def save_signals(
     table: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: Path, *, title: str
 ) -> None:
-    """Writes the figure as PNG; arguments as `signals_figure`.
+    """Writes the figure that `signals_figure` draws, as PNG.
 
     Raises:
         LeglabError: The file cannot be written.
@@ -80,7 +80,7 @@ def save_signals(
 
 
 def _draw(panel: Any, axis: np.ndarray, samples: np.ndarray, gaps: list[int]) -> None:
-    """Draws one column; gaps break the line."""
+    """Draws one column; the line is broken before each sample of `gaps`."""
     finite = np.where(np.isfinite(samples), samples, np.nan)
     starts = [0, *gaps]
     for first, last in zip(starts, [*gaps, samples.size], strict=True):

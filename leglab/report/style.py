@@ -32,7 +32,7 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.0,
     "figure.dpi": 100.0,
     "savefig.dpi": 160.0,
-    # Vertices drawn at a time: without this limit dense lines took 70 MB a picture.
+    # Number of vertices drawn at a time: without this limit dense lines took 70 MB per picture.
     "agg.path.chunksize": 1000,
     "savefig.facecolor": "white",
     # Names are drawn as they are: a "$" in them starts no formula.

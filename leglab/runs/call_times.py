@@ -4,14 +4,14 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import accumulate
 
-_BINS = 8  # bins per octave
+_BINS = 8  # histogram bins per octave (factor 2) of the duration
 
 
 @dataclass(frozen=True)
 class CallTime:
     """Statistics of call durations [s]."""
 
-    median: float  #: Median, to within an eighth
+    median: float  #: Median, accurate to an eighth of its value
     worst: float
     late: float  #: Share of the calls that took longer than the control period
 

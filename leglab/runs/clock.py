@@ -1,9 +1,9 @@
-"""Adaptation metrics: error added by a fault, share of it removed, time until 90 % is removed.
+"""Adaptation metrics: error that a fault adds, share of it removed, time until 90 % are removed.
 
 `metrics.json`, comparisons, pages and tables all take adaptation figures from this module.
 Errors are RMS over the driven joints and over time, of the true positions, in rad. The recovery
-time is found from whole strides, since the error varies within a stride; a stride is assigned to
-the time at which it begins.
+time is computed from errors averaged over whole strides, because the error varies within a stride;
+the time of a stride is the time at which it begins.
 """
 
 import math
@@ -17,13 +17,13 @@ from leglab.runs.metrics import by_joint, joint_rms, settling_time, sliding_rms
 from leglab.runs.record import AdaptationMetrics
 
 NOTHING_CHANGES = "nothing changes"  # reason why there are no adaptation figures
-# Errors before the change and at the end are taken over the whole strides in this share of the run.
+# The errors before the change and at the end average the whole strides in this share of the run.
 QUARTER = 0.25
 
-# Share of the damage that is removed at `t90_s`.
+# Share of the damage (the error that the change adds) that is removed at `t90_s`.
 UNDONE = 0.9
 
-# An increase of the error by less than this factor is no damage: strides differ by as much.
+# Minimum factor by which damage raises the error; smaller differences occur between any strides.
 HURT = 1.25
 
 # Tolerance for rounding errors of sums of times [s, or strides].
@@ -59,7 +59,7 @@ def adaptation(
         `reason` says why.
     """
     quarter = QUARTER * scenario.duration
-    # Duration of the whole strides that fit into a quarter.
+    # Total duration of the whole strides that fit into a quarter of the run.
     span = math.floor(quarter / stride + _ROUNDING) * stride
     figures: dict[str, Any] = dict.fromkeys(AdaptationMetrics.model_fields)
     figures.update(span_s=span, stride_s=stride)

@@ -48,13 +48,13 @@ class Comparison:
         controllers: Names of controllers; ratios refer to the first.
         seeds: Number of seeds, from 0 on.
         model: Name of a model or path of an MJCF file.
-        duration: [s]; None for each scenario's own.
-        severity: Of the changes; None for each scenario's own.
-        ramp_duration: How long the changes take [s].
-        element: Joint to which the changes happen alone; None for all.
-        reference: Name of the reference; None for each scenario's own.
-        tolerance: Of the machines about the one that controllers know [1]; a specimen a seed.
-        vary: Whether seeds also draw time of the change and phase of the motion.
+        duration: Duration of each run [s]; None for the scenario's default.
+        severity: Magnitude of the changes; None for the scenario's default.
+        ramp_duration: Duration of the changes [s]; 0 is a step.
+        element: The only joint at which the changes happen; None for all joints.
+        reference: Name of the reference; None for the scenario's default.
+        tolerance: Relative standard deviation of each seed's machine from the nominal machine [1].
+        vary: Whether each seed also draws the time of the change and the phase of the motion.
     """
 
     scenarios: tuple[str, ...]
@@ -121,10 +121,10 @@ def run_all(
         progress: Called after each run.
 
     Returns:
-        The results in the order of the runs: `settings`, `metrics`, `changes` [s], `window` [s],
-        `time` [s] with `windowed_error_rad` over one stride and `safety_error_rad` over 2 s, None
-        until the first window is full; `travel_rad` of the reference, by joint. For a run without
-        a result, `metrics` has `completed` False, the reason as `failure`, and no phases.
+        One dict per run: `settings`; `metrics`; `changes`, the times of changes [s]; `window`, a
+        stride [s]; `time` [s] with RMS errors over the stride (`windowed_error_rad`) and the 2 s
+        (`safety_error_rad`) that end then, or None; `travel_rad`, the reference's range by joint.
+        For a failed run, `metrics` has `completed` False, `failure` (the reason) and no phases.
 
     Raises:
         LeglabError: All runs failed, the folder cannot be written to, another process writes to
@@ -234,7 +234,7 @@ def result_of(given: dict[str, Any]) -> dict[str, Any]:
     """Makes a run and returns its result in the form of `run_all`.
 
     Args:
-        given: `settings` of the run and the `model_digest`.
+        given: Dict with the run's `settings` and the required `model_digest`.
 
     Raises:
         LeglabError: The run cannot be set up, or the model's files have changed.
@@ -342,10 +342,10 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         scenario and controller, each an estimate (`estimate`): the errors `before_rad`,
         `after_rad` (of the whole run without a change) and `end_rad`, `damage_rad`, `recovered`,
         `t90_s` (of runs that removed 90 % of the damage), all as defined in `leglab.runs.clock`;
-        `excess_error_area_rad_s`; and `ratio` of the error after the change to that of the first
-        controller with the same seed. `never_undone` counts the runs that never removed 90 % of
-        their damage; `failures` lists the reasons of runs that ended early, which are left out of
-        all estimates.
+        `excess_error_area_rad_s`; and `ratio`, the error after the change divided by the first
+        controller's error with the same seed. `never_undone` counts the runs that never removed
+        90 % of their damage; `failures` lists the reasons of runs that ended early, which are left
+        out of all estimates.
     """
     cells: defaultdict[tuple[str, str], dict[int, dict[str, Any]]] = defaultdict(dict)
     results = list(results)
@@ -387,8 +387,8 @@ def estimate(values: Iterable[float | None]) -> dict[str, Any]:
         values: One value per run; None for a run without a value.
 
     Returns:
-        `values` without None; `mean`, None without values; and `half_width` of the 95 % interval,
-        t s/sqrt(n) with n - 1 degrees of freedom, None for less than two values.
+        `values` without None; their `mean`, None if there are none; and `half_width` of the 95 %
+        interval, t s/sqrt(n) with n - 1 degrees of freedom, None for fewer than two values.
     """
     numbers = [value for value in values if value is not None]
     mean = float(np.mean(numbers)) if numbers else None

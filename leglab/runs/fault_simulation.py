@@ -38,14 +38,14 @@ from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
 from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
 
-# Strides before the first sample, and strides that are sampled; for a motion that does not repeat,
-# the number of its nominal periods.
+# Number of strides that the loop runs before sampling starts, and number of sampled strides. If the
+# motion does not repeat, a stride is its nominal period.
 _SETTLED, _SAMPLED = 3, 3
 
-_SAMPLES = 64  # samples that are collected before they are added to the moments
+_SAMPLES = 64  # number of learning samples that are collected before they are added to the moments
 
-# Valve parameters with their index in the valve state and their sign in it; that of the null bias
-# is negative, since it is added to the command.
+# Index and sign of each valve parameter in the valve state (see `FaultCurve.valves`). The null bias
+# has a negative sign, because the plugin adds it to the command.
 _OF_VALVES = {"null_bias": (0, -1.0), "lap": (1, 1.0), "hysteresis": (2, 1.0)}
 
 _banks: dict[str, FaultBank] = {}
@@ -106,7 +106,7 @@ def cache_folder() -> Path:
 
 
 def _write(bank: FaultBank, file: Path) -> None:
-    """Stores a bank; if the folder cannot be written, does nothing: it is made again next time."""
+    """Stores a bank; does nothing if the folder is not writable, so it is made again next time."""
     names = np.array([(curve.fault, curve.element, curve.meaning) for curve in bank.curves])
     arrays: dict[str, Any] = {"names": names, "code": np.array(fingerprint())}
     for i, curve in enumerate(bank.curves):
@@ -149,8 +149,8 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     moments = partial(_moments, settings, preparation, make_loop)
     healthy = moments(())
     base = _solve(healthy)
-    # Ridge regression shrinks towards the healthy map `base`. The remaining shift of the healthy
-    # machine itself, `drawn`, is subtracted from the shifts of all faults.
+    # The ridge regressions of the faults shrink towards `base`, the healthy machine's parameters.
+    # They give a shift `drawn` even for the healthy machine, which is subtracted from all shifts.
     drawn = _solve(healthy.about(base))
     normal = healthy.about(base).power / np.maximum(healthy.count, 1.0)
     joints = preparation.nominal.joints
@@ -182,7 +182,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     valves=_valves(told, preparation.nominal),
-                    # A fault with no effect beyond noise has an explained share of 0: use 1.
+                    # The share is 0 for a fault without an effect beyond noise: store 1 then.
                     explains=float(explained_share(*sums.tolist())) or 1.0,
                 )
             )
@@ -190,7 +190,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
 
 
 def cases(joints: tuple[str, ...]) -> Iterator[tuple[Cause, str, Side]]:
-    """Yields cause, element (a joint or "all") and side of all faults in the bank."""
+    """Yields each fault of the bank as cause, element (a joint or "all") and direction."""
     for cause in CAUSES.values():
         for side in cause.sides:
             for element in (ALL, *(joints if cause.per_joint and len(joints) > 1 else ())):
@@ -207,7 +207,7 @@ def _changes(
 
 
 def _valves(sizes: list[tuple[ParameterChange, ...]], nominal: Simulation) -> np.ndarray | None:
-    """Returns the valve states for the changes of each magnitude, as in `FaultCurve`, or None."""
+    """Returns `FaultCurve.valves` for the changes by magnitude; None if other parts change, too."""
     if not {change.parameter for changes in sizes for change in changes} <= set(_OF_VALVES):
         return None
     out = np.zeros((len(sizes), len(nominal.joints), 5))
@@ -252,9 +252,9 @@ def _moments(
 
 
 def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Computes squared errors of a fault, weighted as by the monitor: with shift, without, healthy.
+    """Computes the monitor's weighted squared errors: fault with `shift`, fault without, healthy.
 
-    Moments and shift are relative to the healthy map; `normal` are its mean square errors.
+    Moments and shift are relative to the healthy map, whose mean squared errors are `normal`.
     """
     powers = np.stack([changed.about(shift).power, changed.power, changed.count * normal])
     return powers @ changed.weight(normal, DISCREPANCY)

@@ -1,4 +1,4 @@
-"""Folders of runs: default names, writing, and reading with validation, as files may be foreign."""
+"""Folders of runs: default names, writing, and reading with validation of all entries."""
 
 import hashlib
 import json
@@ -48,7 +48,7 @@ def default_folder(settings: RunSettings, *names: str) -> Path:
 
     Args:
         settings: Settings of the run.
-        names: Name parts for a folder of several runs, instead of the four of one run.
+        names: Name parts for a folder of several runs, in place of the four parts above.
     """
     told = ("scenario", "controller", "model", "seed")
     parts = [settings.scenario, settings.controller, Path(settings.model).stem, str(settings.seed)]
@@ -66,7 +66,7 @@ def default_folder(settings: RunSettings, *names: str) -> Path:
 
 
 def _told(settings: RunSettings) -> list[str]:
-    """Returns name parts for controller, reference and sensor settings; a digest if many."""
+    """Returns one name part per controller, reference or sensor setting; a digest if many."""
     own = {
         "controller": settings.controller_config,
         "reference": settings.reference_config,
@@ -184,13 +184,13 @@ class ReportedRun:
 
     @property
     def before(self) -> PhaseMetrics | None:
-        """Phase before the change; None without one."""
+        """Phase before the change; None if the scenario has no change."""
         first = self.metrics.phases[0]
         return first if first.name == "before" else None
 
     @property
     def error(self) -> float:
-        """RMS error by which the run is judged [rad]: `end_rad`, or that of `last` without one."""
+        """RMS error by which the run is judged [rad]: `end_rad`, or the error of `last` if None."""
         end = self.metrics.adaptation.end_rad
         return self.last.rms_rad["all"] if end is None else end["all"]
 
@@ -201,7 +201,7 @@ class ReportedRun:
 
     @property
     def power(self) -> float | None:
-        """Mean power from the supply in `last` [W]; None if energy was not recorded."""
+        """Mean power from the supply in the phase `last` [W]; None if energy was not recorded."""
         energy = self.last.energy_j.get("all")
         seconds = min(self.last.end, self.metrics.duration) - self.last.start
         return None if energy is None or seconds <= 0 else energy / seconds
@@ -228,7 +228,7 @@ def read_runs(folders: Sequence[Path | str]) -> tuple[ReportedRun, ...]:
         folders: Folders of runs, complete or ended early.
 
     Raises:
-        LeglabError: A folder is repeated, is not that of a run, or holds a file that cannot be
+        LeglabError: A folder is repeated, is no folder of a run, or holds a file that cannot be
             read or has an invalid entry; the message names the file and the entry.
     """
     if not folders:
@@ -364,7 +364,7 @@ def make_runs(
 
     Raises:
         LeglabError: A run fails, a folder cannot be written or holds something other than a run,
-            or another process writes to it. The other runs are made all the same.
+            or another process writes to it. The other runs are made nevertheless.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     numbers = range(len(runs))
@@ -391,7 +391,7 @@ def make_runs(
 
 
 def _asked(settings: RunSettings) -> dict:
-    """Returns the settings as they read back from a JSON file."""
+    """Returns the settings in the form in which a JSON file would return them."""
     return json.loads(json.dumps(asdict(settings)))
 
 
@@ -402,7 +402,7 @@ def _is_made(settings: RunSettings, folder: Path, basis: Mapping[str, str]) -> b
 
 
 def content_with(wanted: Mapping[str, Any], path: Path) -> dict[str, Any] | None:
-    """Returns the content of a JSON file if it has these entries; None otherwise."""
+    """Returns the content of a JSON file if it has the entries `wanted`; None otherwise."""
     try:
         content = read_json(path)
     except LeglabError:
@@ -415,7 +415,7 @@ def make_folder(given: dict[str, Any]) -> None:
     """Makes a run with its recording and writes its folder.
 
     Args:
-        given: `settings` of the run, their `basis` and the `folder`.
+        given: Dict with the run's `settings`, its `basis` from `basis_of`, and its `folder`.
 
     Raises:
         LeglabError: The run cannot be set up, or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""History of a closed loop, one row per control period: in blocks, and complete."""
+"""History of a closed loop, one row per control period: blocks of rows, and the whole history."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -38,11 +38,11 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """How a closed loop ended."""
+    """Length, wall time and possible failure of a closed loop."""
 
     rows: int  #: Number of recorded periods
     wall_time: float  #: Wall time of the loop only [s]
-    failure: str = ""  #: Reason of an early end; empty without one
+    failure: str = ""  #: Reason of an early end; empty if the loop did not end early
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class Whole:
             if place not in self._values:
                 # Keeps the memory order of the block, on which the rounding of sums depends.
                 whole = np.empty_like(values, shape=(self._count, *values.shape[1:]))
-                whole[:start] = np.nan  # for a report that the controller began to make later
+                whole[:start] = np.nan  # rows before the first report of this quantity
                 self._values[place] = whole
             self._values[place][start : self._rows] = values
 
@@ -83,7 +83,7 @@ class Whole:
         found: dict[str, Any] = {"passive": {}, "states": {}, "diagnostics": {}, "reference": {}}
         for (field, key), values in self._values.items():
             kept = values[: self._rows]
-            if values.ndim == 1:  # A recording takes over a read-only array without a copy.
+            if values.ndim == 1:  # Read-only: a recording uses it without a copy.
                 values.resize(self._rows, refcheck=False)
                 values.setflags(write=False)
                 kept = values
@@ -96,7 +96,7 @@ class Whole:
 
 
 def _parts(rows: Rows) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
-    """Yields the arrays with the name of their field and, if it holds several, their key in it."""
+    """Yields each array with its place: the field's name, and the key if the field is a dict."""
     for field in fields(rows):
         value = getattr(rows, field.name)
         if isinstance(value, np.ndarray):

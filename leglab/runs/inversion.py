@@ -18,13 +18,13 @@ from leglab.base.scale import rms
 from leglab.commissioning.calibration import ValveMap
 from leglab.controllers.static_feedforward import ValveMapTable
 
-# Cutoff of the low pass of errors and corrections, and of the random commands [Hz]; RMS of these.
+# Low-pass cutoffs [Hz] of errors and corrections, and of random commands; RMS of random commands.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
-# Learning gain; maximum number of trials; number of trials without an improvement by at least the
-# last value (relative) that ends the iteration.
+# Learning gain; maximum number of trials. The iteration ends after `_PATIENCE` successive trials
+# that do not reduce the RMS error by at least the share `_LEAST_GAIN`.
 _GAIN, _TRIALS, _PATIENCE, _LEAST_GAIN = 0.8, 30, 5, 0.03
 _DERIVATIVES = 3
-# Minimum duration of a part of the run to fit an inverse model to it [s].
+# Minimum duration of a part between two changes to which an inverse model is fitted [s].
 _SHORTEST = 1.0
 # Half width of the difference quotient for the slope of the valve maps, as a share of full speed.
 _SLOPE = 0.05
@@ -48,8 +48,8 @@ def exact_commands(
         slope: Nominal valve command per joint speed along the reference [s/rad], (n, joints).
         start: First commands, (n, joints).
         period: Sampling period [s].
-        changes: Rows at which the machine changes. Each part between them has its own inverse
-            model; a part shorter than a second is corrected by the feedback's commands only.
+        changes: Indices of the periods at which the machine changes. Each part of the run between
+            two changes has its own inverse model; below a second only the feedback corrects.
 
     Returns:
         The commands of the trial with the least RMS error, in [-1, 1], (n, joints).
@@ -108,7 +108,7 @@ def valve_slopes(
 
 
 def _filter(order: int, cutoff: float, period: float) -> Callable[[np.ndarray], np.ndarray]:
-    from scipy.signal import butter, sosfiltfilt  # imported late: half a second that few runs need
+    from scipy.signal import butter, sosfiltfilt  # imported late: takes 0.5 s, few runs need it
 
     return partial(sosfiltfilt, butter(order, 2 * cutoff * period, output="sos"), axis=0)
 

@@ -36,17 +36,17 @@ from leglab.runs.inversion import exact_commands, valve_slopes
 from leglab.runs.preparation import Preparation, RunSettings, prepared, scenario_of
 from leglab.runs.sampled_machine import SampledMachine
 
-# Periods between two blow-up checks, progress reports and checks for an interrupt.
+# Number of control periods between two blow-up checks, progress reports and interrupt checks.
 _CHECK_INTERVAL = 50
 
 # Upper limit on the control periods of a run.
 _MOST_PERIODS = 50_000_000
 
-# Minimum number of samples at which a reference is evaluated at once (a short piece is extended to
-# the left), since products of matrices with few rows are rounded differently.
+# Minimum number of samples per evaluation of a reference. A shorter piece is extended by earlier
+# samples, because products of matrices with few rows are rounded differently.
 _LEAST_SAMPLES = 64
 
-# Recording column suffix: plugin state. The suffix `_position` is reserved for joints.
+# Recorded plugin states by suffix of their column. The suffix `_position` is reserved for joints.
 _RECORDED = {
     "pressure_a": "pressure_a",
     "pressure_b": "pressure_b",
@@ -110,8 +110,8 @@ class Loop:
         machine: The machine with sensors and commands in control periods.
         period: Control period [s].
         count: Number of periods in the scenario's duration.
-        wanted: Samples of the reference for the `kept` periods in memory and `ahead` more.
-        present: The period that `observe` began last; number -1 before the first.
+        wanted: Samples of the reference for the `kept` periods in memory and `ahead` more periods.
+        present: The period that `observe` began last; its number is -1 before the first period.
         call_times: Durations of the controller's `command` calls since `reset`.
         watch: Called with the number of each period, after its command and before `advance`.
 
@@ -170,7 +170,7 @@ class Loop:
         self._pressures, self._ahead = pressures, ahead
         self._kept = min(kept or self.count, self.count)
         self.machine: SampledMachine | None = None
-        for first in range(self._kept, self.count, self._kept):  # Raises its errors at once.
+        for first in range(self._kept, self.count, self._kept):  # finds errors of later pieces now
             self._sample_reference(first, min(self._kept, self.count - first))
         self.reset()
 
@@ -367,7 +367,7 @@ class Loop:
         progress: Progress | None,
         interrupted: Callable[[], bool],
     ) -> str:
-        """Runs some periods; returns the reason of an early end, empty without one."""
+        """Runs the periods `numbers`; returns the reason of an early end, or ""."""
         simulation, step = self.simulation, self.step
         try:
             for k in numbers:
@@ -402,7 +402,7 @@ class Loop:
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
         """Records this machine before and after its changes, for offline identification."""
-        # A tolerance needs the run's seed, which selects the specimen; its noise does no harm.
+        # A tolerance needs the run's seed, which selects the specimen; equal noise does no harm.
         seed = self.settings.seed if self.settings.tolerance else BENCH_SEED
         settings = replace(self.settings, controller="bsnn_arx", controller_config={}, seed=seed)
         before = replace(self.scenario, duration=_BENCH_DURATION, changes=())
@@ -515,7 +515,7 @@ class _Records:
         self.rows = row + 1
 
     def _keep(self, reports: dict[str, np.ndarray], row: int) -> None:
-        """Stores reports one by one; sets up a fast copier for rows with the same arrays."""
+        """Stores reports one by one; row 0 sets up a fast copier for rows of the same arrays."""
         kept = self._reports
         for key, value in reports.items():
             if key not in kept:
@@ -537,8 +537,8 @@ class _Records:
             values.fill(np.nan)
 
     def cut(self, first: int, error: LeglabError) -> str:
-        """Returns why a loop failed, and removes the rows from the first unsound state on."""
-        # The error may be late, since blow-ups are checked for periodically only.
+        """Returns why a loop failed, and removes the rows from the first diverged state on."""
+        # The state may have diverged before `error`, since it is checked every 50 periods only.
         for row, values in enumerate(self._qvel[: self.rows]):
             try:
                 self._simulation.check((first + row) * self._loop.period, values)
@@ -548,7 +548,7 @@ class _Records:
         return str(error)
 
     def given(self, first: int) -> Rows:
-        """Returns the rows, the first of which belongs to the period of number `first`."""
+        """Returns the stored rows; the first row belongs to the control period number `first`."""
         rows, machine, qpos = self.rows, self._simulation, self._qpos[: self.rows]
         states = zip(self._columns, self._states[:rows].T, strict=True)
         keys = enumerate(self._schedule.others)

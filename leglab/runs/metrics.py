@@ -12,7 +12,7 @@ from leglab.base.scenario import Phase
 # Tolerance for the rounding of time stamps, as a share of the sampling period.
 _ROUNDING = 1e-6
 
-# Samples per block, where intermediate results need more memory than the samples.
+# Number of samples that are processed at a time, so that intermediate results need little memory.
 _BLOCK = 65536
 
 
@@ -52,7 +52,7 @@ def phase_table(
         time: Sample times [s], increasing. Shape (n,).
         error: Tracking error [rad]. Shape (n, joints).
         joints: Names of the columns.
-        phases: Parts of the run; the last one includes its end.
+        phases: Time intervals of the run; the last interval includes its end.
 
     Returns:
         One dict per phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
@@ -98,14 +98,14 @@ def usage_table(
         energy: Cumulative hydraulic energy drawn from the supply [J], NaN for a joint without a
             supply. Shape (n, joints).
         joints: Names of the columns.
-        phases: Parts of the run; the last one includes its end.
+        phases: Time intervals of the run; the last interval includes its end.
 
     Returns:
         One dict per phase with `effort` (RMS command), `valve_activity_per_s` (RMS rate of the
         command between samples [1/s]) and `energy_j` (drawn from the supply less returned to the
         tank [J], left out if no joint has a supply), each by joint and under "all": the RMS over
         all joints, and the sum of the energies. Phases as in `phase_table`. A difference between
-        two samples counts to the phase of the later one.
+        two samples counts to the phase of the later sample.
     """
     table = []
     for _, part in _parts(time, phases):
@@ -188,8 +188,8 @@ def settling_time(
         threshold: Threshold in the unit of the error.
 
     Returns:
-        Time from the change to the start of the first such window [s]; 0 if no window exceeds the
-        threshold, None if the last one still does.
+        Time from the change to the start of the window after the last one above the threshold [s];
+        0 if no window exceeds the threshold, None if the last window of the run does.
     """
     exceeding = np.flatnonzero((time >= change) & (windowed > threshold))
     if exceeding.size == 0:
@@ -205,8 +205,8 @@ def excess_error_area(
 ) -> float | None:
     """Integrates the excess of the windowed error over its value before a change.
 
-    The area weighs a short high error like a long low one. Times at which the error is below its
-    value before the change count as 0.
+    The area weighs a short high error as much as a long low one. Times at which the error is below
+    its value before the change count as 0.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).

@@ -132,8 +132,8 @@ def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None)
 def _healthy(
     settings: RunSettings, preparation: "Preparation | None", parameter: str
 ) -> tuple[float, ...]:
-    """Returns the values of a parameter in the nominal machine, of the elements that change."""
-    if preparation is None:  # without `parameters`, so that a sweep over them compiles it only once
+    """Returns a parameter's values at those elements of the nominal machine that change."""
+    if preparation is None:  # without `parameters`: a sweep over them compiles the model once
         plain = RunSettings(scenario="", model=settings.model, timestep=settings.timestep)
         preparation = prepared(plain)
     placed = placed_parameters(settings.parameters, preparation.nominal.elements)
@@ -141,7 +141,7 @@ def _healthy(
 
 
 def _draws(seed: int) -> tuple[float, float]:
-    """Draws time and phase for a seed, each in [0, 1), independent of noise and specimen."""
+    """Draws shares in [0, 1) for change time and phase; independent of noise and specimen."""
     time, phase = np.random.default_rng([seed, 3]).random(2).tolist()
     return time, phase
 
@@ -198,7 +198,7 @@ class Preparation:
         References for legs are replaced by `multisine` if no joint is a leg joint.
 
         Raises:
-            SettingsError: The machine lacks all that the scenario changes; lists suitable ones.
+            SettingsError: The machine lacks what the scenario changes; lists suitable scenarios.
         """
         known = fitted(scenario, self.nominal)
         if known.reference in LEG_REFERENCES and not set(self.nominal.joints) & set(GAIT):
@@ -228,7 +228,7 @@ class Preparation:
         Args:
             simulation: Machine from `machine`, in any state, without loads on its bodies.
             seed: Seed that selects the specimen, used if `tolerance` is not 0.
-            tolerance: Relative standard deviation of its parameters [1].
+            tolerance: Relative standard deviation of the specimen's parameters [1].
 
         Raises:
             ModelError: A cylinder cannot hold its joint in the rest pose.
@@ -313,7 +313,7 @@ def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> N
 
 
 def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
-    """Returns the reference's settings: the user's override the scenario's for its own reference.
+    """Merges settings of the reference: the scenario's (for its default only), then the user's.
 
     With `vary` the seed draws the phase, unless scenario or user set it.
     """

@@ -72,7 +72,7 @@ class Recorder:
                 scale, offset = self._pressures[name]
                 noisy = values + self._noise[name].normal(0, sensors.pressure_noise, len(values))
                 columns[name] = scale * noisy + offset
-                columns[name].setflags(write=False)  # Saves the recording a copy.
+                columns[name].setflags(write=False)  # so that the recording need not copy it
         # Encoders of passive joints: linear scales with the same noise, in rad or m.
         for name, values in rows.passive.items():
             read = values + self._noise[name].normal(0, sensors.position_noise, len(values))
@@ -84,7 +84,7 @@ class Recorder:
         """Returns the metadata of the recording.
 
         Args:
-            columns: Names of its columns.
+            columns: Names of the recording's columns.
         """
         simulation, settings = self._loop.simulation, self._loop.settings
         units = units_of_columns(columns, simulation.slides)

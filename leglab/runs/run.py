@@ -99,8 +99,8 @@ def run_scenario(
     Ctrl-C ends the run, which returns what was recorded; during setup it raises KeyboardInterrupt.
 
     Raises:
-        LeglabError: A name, a setting or the machine is not suitable. A run that fails half way
-            does not raise: `history.failure` is the reason.
+        LeglabError: A name, a setting or the machine is not suitable. If the run fails after its
+            start, nothing is raised and `history.failure` is the reason.
     """
     loop = Loop(settings, preparation=preparation, kept=BLOCK)
     recorder, configuration = Recorder(loop), _configuration(loop)
@@ -111,7 +111,7 @@ def run_scenario(
             time=history.time, columns=columns, metadata=recorder.metadata(columns)
         )
         result = _result(loop, configuration, recording, history, progress, hold.take)
-    if result.record.failure:  # of the run of the frozen twin, too
+    if result.record.failure:  # may also come from the run of the frozen twin
         history = replace(history, failure=result.record.failure)
     return Run(**vars(result), history=history)
 
@@ -219,13 +219,13 @@ def _share(loop: Loop, progress: Progress | None) -> Progress | None:
 def _metrics(
     loop: Loop, recording: Recording, ending: Ending, twin: np.ndarray | None
 ) -> dict[str, Any]:
-    """Computes the content of `metrics.json` except names and seed, up to the end of the run."""
+    """Computes the content of `metrics.json` except names and seed, also of an incomplete run."""
     scenario, simulation, stride = loop.scenario, loop.simulation, loop.reference.period
     joints, length = simulation.joints, float(recording.time[-1])
     error = recording.stack(joints, "truth")
     error -= recording.stack(joints, "reference")
     finite = np.isfinite(error).all(axis=1)
-    # Saves memory, since columns of long runs are large: without NaN no copy is made.
+    # A slice, if there is no NaN, avoids a copy of the columns, which are large for long runs.
     kept = slice(None) if finite.all() else finite
     time, error = recording.time[kept], error[kept]
     errors = phase_table(time, error, joints, scenario.phases)
@@ -262,7 +262,7 @@ def _metrics(
 
 
 def _usage(loop: Loop, recording: Recording, kept: slice | np.ndarray) -> list[dict[str, Any]]:
-    """Computes effort, valve activity and energy by phase, of the rows in `kept`."""
+    """Computes effort, valve activity and energy by phase from the samples in `kept`."""
     simulation = loop.simulation
     command = simulation.commands(recording.stack(simulation.actuators, "command")[kept])
     energy = np.full_like(command, np.nan)
@@ -308,5 +308,5 @@ def _configuration(loop: Loop) -> RunConfiguration:
 
 @cache
 def _package_versions() -> dict[str, str]:
-    """Returns the versions of packages that results depend on; cached, as look-ups take ms."""
+    """Returns the versions of packages that results depend on; cached to save milliseconds."""
     return {name: version(name) for name in ("mujoco", "numpy", "scipy", "control", "pyarrow")}

@@ -49,19 +49,19 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def replace_names(values: dict[str, Any], given: Mapping[str, Any]) -> list[str]:
-    """Puts given settings over those of a file.
+    """Overrides settings of a file by given settings.
 
-    Settings of the file's controller or reference hold for the given one where that has them.
+    Another controller or reference takes over the settings of the file's one that it has, too.
 
     Args:
-        values: Settings of the file, which are changed.
-        given: Settings that hold over them.
+        values: Settings of the file; modified in place.
+        given: Settings that override those of the same name.
 
     Returns:
-        A line for each setting that is left out.
+        A warning for each setting in the file that the other controller or reference lacks.
 
     Raises:
-        SettingsError: There is no such controller or reference.
+        SettingsError: `given` names an unknown controller or reference.
     """
     lines = []
     for section, registry in (("controller", CONTROLLERS), ("reference", REFERENCES)):
@@ -113,7 +113,7 @@ def check_type(name: str, value: Any, where: str) -> None:
     """Checks that a value has the type of the field of this name in `RunSettings`.
 
     Raises:
-        SettingsError: The type is wrong; names place, value and what is allowed.
+        SettingsError: The type is wrong; the message names place, value and allowed type.
     """
     try:
         _type(name).validate_python(value, strict=True)

@@ -124,7 +124,7 @@ class SampledMachine:
         return Measurement(now, *self._readings, noisy[:count], noisy[count:], supply)
 
     def _draw(self) -> None:
-        """Draws the noise of the next block of periods; after the last block, the first again."""
+        """Draws the noise of the next `kept` periods; the noise repeats after `count` periods."""
         self._first += self._end
         if self._first == self._count:
             self._first, self._encoder_noise = 0, np.random.default_rng(self._seed)
@@ -134,7 +134,7 @@ class SampledMachine:
         self.encoders.begin(self._first, noise)
 
     def pressure_noise(self, count: int) -> np.ndarray:
-        """Draws the pressure noise of `count` periods, equal to that of as many calls of `measure`.
+        """Draws the pressure noise that the next `count` calls of `measure` would use.
 
         Returns:
             Noise [Pa], (count, 2 cylinders); without columns if no pressure is measured.
@@ -143,7 +143,7 @@ class SampledMachine:
         return self._noise.normal(0.0, self._pressure_noise, (count, columns))
 
     def advance(self) -> None:
-        """Ends a period: holds the command, and takes the next sample before the period's end."""
+        """Ends a period: simulates it with the command held, and samples sensors before its end."""
         if self._to_sample:
             self._step(self._to_sample)
         self._sample()

@@ -1,1 +1,1 @@
-"""Fixed questions: the paper's results, and the plugin's physics."""
+"""Studies: adaptation benchmark, replication of the paper, verification of the plugin's physics."""

@@ -23,13 +23,13 @@ STATIC, PD = "static_feedforward", "pd"
 
 # Standard deviation of the logarithm of every parameter about its nominal value; run length [s].
 TOLERANCE, DURATION = 0.1, 20.0
-# Time from which windows count [s]: earlier ones contain the start of learning.
+# Start of the comparison of windows [s], because earlier windows contain the start of learning.
 SAFE_FROM = 7.0
 _MOST_SPECIMENS = 1000
 
 
 def faults(model: str = "leg") -> dict[str, tuple[float, ...]]:
-    """Returns the magnitudes of each fault on a model: small, middle, and one beyond the bank's.
+    """Returns three magnitudes of each fault on a model, the largest beyond the fault bank's.
 
     Scenarios to which a controller cannot adapt, a cold start and faults of encoders, are left out.
     """
@@ -109,16 +109,16 @@ class Score:
     failed: int  #: Number of failed runs, which the figures below exclude
     before_mrad: float | None  #: Median of the error before the change: the nominal error [mrad]
     recovered: float | None  #: Median share of the added error that is undone at the end
-    #: Median time until nine tenths of that are undone [s]; infinite if most runs never get there.
+    #: Median time until 90 % of the added error are undone [s]; infinite if most runs never do it.
     t90_median_s: float | None
     t90_worst_s: float | None  #: Longest finite time [s]
-    never: int  #: Number of runs that never undo nine tenths
+    never: int  #: Number of runs that never undo 90 % of the added error
     told: int  #: Number of runs whose error the change raised, on which the figures above are based
-    #: Largest ratio of the error over 2 s to that of `static_feedforward` over the same 2 s, from
-    #: 7 s on.
+    #: Largest ratio, from 7 s on, of the error over 2 s to the error of `static_feedforward` over
+    #: the same 2 s.
     worst_over_static: float | None
-    travel_over_pd: float | None  #: Median ratio of valve travel to that of `pd`
-    energy_over_pd: float | None  #: Median ratio of energy from the supply to that of `pd`
+    travel_over_pd: float | None  #: Median ratio of valve travel to the travel with `pd`
+    energy_over_pd: float | None  #: Median ratio of supply energy to the energy with `pd`
 
 
 def scores(rows: Sequence[Mapping[str, Any]]) -> list[Score]:

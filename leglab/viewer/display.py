@@ -11,28 +11,28 @@ from leglab.machine.simulation import load_model
 from leglab.viewer.session import HISTORY, Session
 
 _GHOST = np.array([0.10, 0.45, 0.75, 0.28], dtype=np.float32)
-# Letters of a label that the control panel shows.
+# Maximum number of letters of a label that the control panel shows in full.
 LABEL = 13
-# Share of its distance by which the ghost is moved away from the camera.
+# The ghost is moved away from the camera by this share of its distance from the camera.
 _GHOST_SHIFT = 0.003
 _COLOURS = {
     "error": (0.95, 0.45, 0.30),
     "command": (0.85, 0.85, 0.85),
     "feed-forward": (1.0, 0.6, 0.1),
 }
-# Added to the displayed time [s], so that the viewer's reset, to 0, differs from a restart.
+# Offset of the displayed time [s]: a time of 0 then means that the viewer was reset by the user.
 _NOT_RESET = 1e-9
-# Points of a line, a moment each, and of a dash.
+# Approximate number of points of a line, and number of points of a dash.
 _POINTS, _DASH = 200, 4
-# Size of a figure: share of the view's width and height, and least size for its text [px].
+# Size of a figure as shares of the view's width and height, and minimum size for its text [px].
 _SHARE, _LEAST = (0.30, 0.22), (300, 150)
 
 
 class Display:
     """A copy of the machine for the viewer.
 
-    The machine itself is unchanged: the copy has an additional actuator, without gain, for each
-    slider, and takes its state from the machine. The user's inputs are read from the copy.
+    The machine is not modified: in the copy each slider is an additional actuator without gain.
+    The copy takes its state from the machine, and the user's inputs are read from the copy.
 
     Args:
         session: Session to show.
@@ -40,7 +40,7 @@ class Display:
 
     Attributes:
         model: The viewer's model.
-        data: Its state; `data.ctrl` holds commands, then sliders.
+        data: State of the model; `data.ctrl` holds the commands, then the values of the sliders.
     """
 
     def __init__(self, session: Session, model: str) -> None:
@@ -49,7 +49,7 @@ class Display:
         self._actuators = simulation.model.nu
 
         def add_sliders(spec: mujoco.MjSpec, *, short: bool) -> None:
-            if short:  # the panel cuts long names; sensors, which refer to them, are not shown
+            if short:  # the panel cuts long names; sensors that refer to names are removed
                 for sensor in list(spec.sensors):
                     spec.delete(sensor)
                 for actuator in spec.actuators:
@@ -93,7 +93,7 @@ class Display:
         """Applies the user's inputs, sliders and pushes, to the machine.
 
         Returns:
-            Whether the user reset the viewer's state: the session should restart.
+            True if the user reset the viewer, so that the session should restart.
         """
         session = self._session
         if self.data.time != session.simulation.data.time + _NOT_RESET:
@@ -105,10 +105,10 @@ class Display:
         return False
 
     def draw_ghost(self, scene: mujoco.MjvScene, eye: np.ndarray) -> None:
-        """Replaces a scene's content by a ghost with the driven joints at their reference.
+        """Replaces a scene's content by a ghost: the machine with driven joints at the reference.
 
-        The ghost is moved a little away from the camera at `eye` [m], (3,), so that it does not
-        flicker on the surface of a leg that is at its reference.
+        The ghost is moved a little away from the camera, which is at `eye` [m], (3,). Otherwise the
+        surfaces of ghost and leg would flicker where they coincide.
         """
         ghost, simulation = self._ghost, self._session.simulation
         ghost.qpos[:] = self.data.qpos
@@ -150,7 +150,7 @@ class Display:
             lines["feed-forward"] = feedforward
         sizes = zip(_SHARE, (viewport.width, viewport.height), _LEAST, strict=True)
         width, height = (min(max(round(share * size), least), size) for share, size, least in sizes)
-        # On the right: knees bend to the left, as seen by the camera of every machine.
+        # The figures are on the right because every machine's camera sees knees bend to the left.
         left, bottom = viewport.left + viewport.width - width, viewport.bottom
         upper = mujoco.MjrRect(left, bottom + height, width, height)
         lower = mujoco.MjrRect(left, bottom, width, height)
@@ -183,7 +183,7 @@ def short_label(name: str) -> str:
 
 
 def _figure(ages: np.ndarray, title: str, lines: dict[str, np.ndarray]) -> mujoco.MjvFigure:
-    """Makes a figure of lines over the last `HISTORY` seconds; all but the first are dashed."""
+    """Makes a figure of lines over the last `HISTORY` seconds; the first line is solid."""
     figure = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.title = title
@@ -193,7 +193,7 @@ def _figure(ages: np.ndarray, title: str, lines: dict[str, np.ndarray]) -> mujoc
     figure.range[0] = (-HISTORY, 0.0)
     values = np.concatenate(list(lines.values()))
     figure.range[1] = (min(0.0, float(values.min())), max(float(values.max()), 1e-3))
-    # Earlier lines are drawn over later ones: dashes come first, as their gaps show the others.
+    # MuJoCo draws earlier lines on top, so dashes come first: the solid line shows in their gaps.
     whole, *dashed = lines
     starts = range(0, len(ages), 2 * _DASH)
     pieces = [(name, slice(i, i + _DASH + 1)) for name in dashed for i in starts]

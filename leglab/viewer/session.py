@@ -1,4 +1,4 @@
-"""A live run without a window: the closed loop in single periods, changed by hand."""
+"""Live run without a window: the closed loop, one control period at a time, changed by hand."""
 
 from collections import deque
 from dataclasses import replace
@@ -14,26 +14,26 @@ from leglab.runs.loop import Loop
 from leglab.runs.preparation import RunSettings
 from leglab.viewer.sliders import sliders
 
-# Duration of the scenario of a live run, which has no end [s].
+# Duration of the scenario of a live run [s], so long that a run never ends.
 _NEVER = 1e9
-# Shown history [s].
+# Duration of the history that figures show [s].
 HISTORY = 10.0
 
 
 class Moment(NamedTuple):
-    """One control period, as the figures show it; arrays (joints,)."""
+    """Values of one control period that the figures show; arrays have shape (joints,)."""
 
     time: float  # s
     error: np.ndarray  # true tracking error [rad or m]
     command: np.ndarray  # in [-1, 1]
-    feedforward: np.ndarray  # part of the command, NaN where the controller has none
+    feedforward: np.ndarray  # part of the command; NaN if the controller has no feed-forward
 
 
 class Session:
     """A live run of a controller on a machine, stepped by the caller.
 
-    Until the user changes something, it equals that of `leglab.runs.run.run_scenario`, bit for bit.
-    It continues after the scenario's duration; the sensor noise then repeats.
+    Until the user changes something, the run equals that of `leglab.runs.run.run_scenario`, bit
+    for bit. It continues beyond the scenario's duration, with repeated sensor noise.
 
     Args:
         settings: Settings of the run.
@@ -42,12 +42,12 @@ class Session:
         simulation: The machine.
         scenario: The requested scenario.
         joints: Names of the driven joints.
-        unit: Unit of their errors, "mrad", "mm" or "mrad or mm".
+        unit: Unit of the joints' errors, "mrad", "mm" or "mrad or mm".
         period: Control period [s].
         sliders: Sliders that the user can move, by name.
         values: Present values of the sliders, by name.
         fault: Whether a change of the scenario is in force.
-        moments: The last `HISTORY` seconds.
+        moments: Control periods of the last `HISTORY` seconds.
         point: Present reference of the joints.
         failure: Why the run cannot go on; empty if it can.
 
@@ -101,10 +101,10 @@ class Session:
             self.failure = str(error)
 
     def move(self, name: str, value: float) -> None:
-        """Moves a slider, to the nearest value of its range.
+        """Moves a slider to the value in its range that is nearest to `value`.
 
         Raises:
-            LeglabError: If there is none of this name.
+            LeglabError: If no slider has this name.
         """
         if name not in self.sliders:
             raise SettingsError.unknown("slider", name, self.sliders)
@@ -132,7 +132,7 @@ class Session:
         self._follow()
 
     def named(self) -> dict[str, str]:
-        """Returns the latest fault and slow wear named by the controller: "named" and "wear"."""
+        """Returns the controller's latest fault ("named") and slow wear ("wear"), if any."""
         controller = self._loop.controller
         events = [event for event in getattr(controller, "events", []) if not event.withdrawn]
         trends = getattr(controller, "trends", [])
@@ -140,7 +140,7 @@ class Session:
         return rows | ({"wear": trends[-1].short()} if trends else {})
 
     def close(self) -> None:
-        """Removes the loads from the model's bodies."""
+        """Restores the model: removes added loads and undoes other changes of the machine."""
         self._loop.close()
 
     def _show(self, number: int) -> None:

@@ -16,18 +16,18 @@ _LOADED = "shank"
 class Slider:
     """A slider of the control panel."""
 
-    name: str  #: Its name in the session
+    name: str  #: Name of the slider in the session
     label: str  #: Name of its actuator in the viewer's model, which the panel cuts at 14 letters
     unit: str  #: Unit of its value
     lowest: float  #: Smallest value
     highest: float  #: Largest value
-    change: ParameterChange  #: Change that it makes, with the unchanged machine's value
-    #: Reads the present value from the machine: the joint result of slider and scenario.
+    change: ParameterChange  #: Change of the machine, with the initial value
+    #: Reads the present value from the machine, on which slider and scenario both act.
     present: Callable[[], float]
 
 
 def sliders(simulation: Simulation) -> tuple[Slider, ...]:
-    """Returns the sliders: payload, and with cylinders seal_wear and oil_temperature as well."""
+    """Returns the slider payload; for machines with cylinders also seal_wear, oil_temperature."""
     bodies = Bodies(simulation.model).elements
     loaded = _LOADED if _LOADED in bodies else bodies[-1]
     masses, body = simulation.model.body_mass, simulation.model.body(loaded).id

@@ -1,4 +1,4 @@
-"""MuJoCo's interactive viewer around a session, in real time."""
+"""Window that shows a session in real time in MuJoCo's interactive viewer."""
 
 import queue
 import time
@@ -20,8 +20,8 @@ close the window to end"""
 # GLFW's codes of the keys.
 SPACE, ENTER, BACKSPACE, HOME = 32, 257, 259, 268
 _FRAME = 1.0 / 60.0
-# Bounds of a frame's time for simulation [s], which is the duration of the previous frame; periods
-# that do not fit into it are not caught up.
+# A frame may simulate for as long as the previous frame took, within these bounds [s]. Control
+# periods for which the time does not suffice are not caught up later.
 _BUDGET = (0.25, 1.0)
 
 
@@ -42,7 +42,7 @@ class Window:
         handle: MuJoCo's handle of the window.
 
     Raises:
-        LeglabError: If no window can be opened; the message names the way without one.
+        LeglabError: If no window can be opened; the message names commands that need no window.
     """
 
     def __init__(self, session: Session, model: str) -> None:

@@ -1,4 +1,4 @@
-"""Leakage, valve and friction parameters, estimated from the nominal machine's equations."""
+"""Recursive estimation of leakage, valve and friction parameters, by the machine's equations."""
 
 import math
 
@@ -9,46 +9,46 @@ from leglab.control.backstepping.data import InverseDynamics
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.control.feedforward.motion import SmoothingWindow
 
-# Samples in the smoothing window; control periods from one estimate to the next.
+# Number of samples in the smoothing window; control periods from one update to the next.
 _WINDOW, _INTERVAL = 21, 5
-# No update where any command in the window exceeds this: the valve may be at its stop.
+# No update while a command in the window exceeds this, because the spool may be at its stop.
 _SATURATED = 0.97
-# RMS noise and unmodelled detail of the residuals: share of the flow at full opening, share of the
-# piston's force at supply pressure.
+# RMS residuals by noise and model error: of the flow balance, as a share of the flow at full
+# opening; of the force balance, as a share of the piston's force at supply pressure.
 _FLOW_NOISE, _FORCE_NOISE = 2e-3, 5e-3
-# Nothing is learned below this share of the no-load speed.
+# Piston speed below which nothing is learned, as a share of the no-load speed.
 _LEAST_SPEED = 3e-3
 
 
 class Adaptation:
     """Recursive estimator of the physical parameters of all joints from smoothed measurements.
 
-    Flow balance of each chamber for (C_i, C_A, C_B, null, lap), with Q from the valve equation at
-    the spool position that follows from the commands:
+    The flow balances of both chambers give (C_i, C_A, C_B, null, lap), with Q by the valve equation
+    at the spool position computed from the commands:
 
         Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
         Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
 
-    Force balance for (b, F_c, s, d_0, d_1, d_2), with tau the nominal inverse dynamics of the
-    measured motion, z the bristle force over F_c and q in half ranges from mid-range; d is a load
-    that the nominal machine does not have, such as ground contact of the foot:
+    The force balance gives (b, F_c, s, d_0, d_1, d_2). tau is the torque by nominal inverse
+    dynamics for the measured motion, z the bristle force over F_c, q the position from mid-range
+    over half the range, d a load that the nominal machine lacks, such as contact of the foot:
 
         p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
 
     Args:
         model: The nominal hydraulics.
-        torque: The nominal rigid bodies.
+        torque: Inverse dynamics of the nominal rigid bodies.
         period: Control period [s].
         latency: Age of a measurement when its command is sent [s].
         valve_delay: Delay of the spool behind its command [s].
         speed: No-load speed [m/s], (joints,).
-        flow_memory: Time constant of forgetting of the flow equations while learning [s].
-        force_memory: Time constant of forgetting of the force equation [s].
-        dead_zone: Residuals up to `dead_zone` times the noise change nothing.
+        flow_memory: Forgetting time constant of the flow balances, counted while learning [s].
+        force_memory: Forgetting time constant of the force balance, counted while learning [s].
+        dead_zone: Residuals up to `dead_zone` times the noise are ignored.
 
     Attributes:
         flow: Estimator of (C_i, C_A, C_B, null, lap): leakage [m^3/s/Pa], shift of the valves'
-            nulls and overlap of the metering edges, of full spool travel.
+            nulls and overlap of the metering edges, as shares of full spool travel.
         force: Estimator of (b, F_c, s, d_0, d_1, d_2).
     """
 
@@ -71,9 +71,9 @@ class Adaptation:
         self._step = _INTERVAL * period
         low, high = data.position[:, 0], data.position[:, -1]
         self._middle, self._half = (low + high) / 2, (high - low) / 2
-        # Positions, both pressures, commands, supply pressure.
+        # Signals in the window: positions, pressures of both sides, commands, supply pressure.
         self._window = SmoothingWindow(4 * joints + 1, _WINDOW, period, derivatives=2)
-        # Time shift from command samples to spool: half a period of hold, latency, valve delay.
+        # Time by which the spool follows the command samples: hold (half a period), latency, valve.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
         ones, zero = np.ones(joints), np.zeros(joints)
@@ -115,13 +115,13 @@ class Adaptation:
         supply_pressure: float,
         command: np.ndarray,
     ) -> None:
-        """Adds one period's measurements and the command before them; updates every `_INTERVAL`.
+        """Takes the measurements of one period; updates the parameters every `_INTERVAL` periods.
 
         Args:
-            position: Measured [rad], (joints,).
-            pressure: Measured [Pa], (2, joints).
-            supply_pressure: Measured [Pa].
-            command: Sent to the valves before the measurement, in [-1, 1], (joints,).
+            position: Measured positions [rad], (joints,).
+            pressure: Measured pressures [Pa], (2, joints).
+            supply_pressure: Measured supply pressure [Pa].
+            command: Valve commands sent before the measurement, in [-1, 1], (joints,).
         """
         self._window.push(position, pressure.ravel(), command, (supply_pressure,))
         self._count += 1
@@ -178,13 +178,13 @@ class Adaptation:
     def load_force(
         self, position: np.ndarray, speed: np.ndarray, bristles: np.ndarray, needed: np.ndarray
     ) -> np.ndarray:
-        """Computes the force that a motion needs by the present parameters [N], (joints,).
+        """Computes the load force of a motion by the present parameters [N], (joints,).
 
         Args:
             position: Joint positions [rad], (joints,).
             speed: Piston speeds [m/s], (joints,).
-            bristles: From `Bristles.advance`, (joints,).
-            needed: tau/r of the nominal machine [N], (joints,).
+            bristles: Bristle forces as returned by `Bristles.advance`, (joints,).
+            needed: tau/r of the nominal machine for this motion [N], (joints,).
         """
         row = self._force_regressor(position, speed, bristles, needed)
         return needed + (row * self.force.values).sum(axis=0)

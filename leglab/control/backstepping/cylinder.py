@@ -1,7 +1,7 @@
-"""Equations of all nominal cylinders at once: flow, pressure, their inverse, and seal friction.
+"""Equations of all nominal cylinders at once: flow, pressure, inverse valve, and seal friction.
 
-Chamber quantities have shape (2, joints): cap side (A) first, rod side (B) second. Equations and
-symbols are those of docs/concepts/physics.md.
+Chamber quantities have shape (2, joints): cap side (A) first, rod side (B) second. See
+docs/concepts/physics.md for equations and symbols.
 """
 
 from typing import NamedTuple
@@ -11,10 +11,10 @@ import numpy as np
 from leglab.control.backstepping.data import NominalCylinders
 
 _ATMOSPHERE = 101325.0  # Pa
-# Lower bound of a pressure drop, as a share of the supply pressure: the inverse of the flow
-# equation has no solution without a pressure drop.
+# Lower bound of the pressure drop at an edge, as a share of the supply pressure; without any drop
+# the flow equation cannot be inverted.
 _LEAST_DROP = 0.02
-# Bound of the spool position that is solved for; the spool's mechanical stops are at 1.
+# Bound of the spool position in Newton's method; the spool's mechanical stops are at 1.
 _FULL = 1.5
 
 
@@ -22,10 +22,10 @@ class Chambers(NamedTuple):
     """Hydraulic quantities of both chambers at a piston position and pressures.
 
     Attributes:
-        edge: Flow per edge opening from the supply and to the tank [m^3/s], (2, 2, joints): first
-            axis supply, tank.
+        edge: Flow per opening of the metering edges [m^3/s], (2, 2, joints): first axis edge to the
+            supply and edge to the tank, second axis chamber.
         compliance: V/beta [m^3/Pa], (2, joints).
-        weight: A beta/V, force rate of a flow into the chamber [N/m^3], (2, joints).
+        weight: A beta/V, force rate per flow into a chamber [N/m^3], (2, joints).
         stiffness: Stiffness of the oil spring [N/m], (joints,).
     """
 
@@ -42,7 +42,7 @@ class CylinderModel:
         self.data = data
         joints = len(data.stroke)
         self.joints = joints
-        # The drop over an edge is +-(p - p_end): supply row ps - p, tank row p - pt.
+        # Pressure drop over an edge: p_s - p for the edge to the supply, p - p_t for the tank's.
         self._sign = np.array([-1.0, 1.0])[:, None, None]
         self._transition = np.broadcast_to(
             data.laminar_transition_pressure**2, (2, 2, joints)
@@ -76,8 +76,8 @@ class CylinderModel:
         """Computes edge flows, compliance and stiffness from pressures and piston positions.
 
         Args:
-            pressure: Gauge [Pa], (2, joints).
-            supply_pressure: Gauge [Pa].
+            pressure: Gauge pressures of the chambers [Pa], (2, joints).
+            supply_pressure: Gauge pressure of the supply [Pa].
             piston: Piston positions [m], (joints,).
         """
         data = self.data
@@ -106,7 +106,7 @@ class CylinderModel:
         return (gas + oil) / (gas * self._inverse_index / absolute + oil / data.bulk_modulus)
 
     def openings(self, spool: np.ndarray, lap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes edge openings for positive and negative spool and slopes, (2, joints) each."""
+        """Computes edge openings for positive and negative spool, and slopes, (2, joints) each."""
         d = self._chamber_sign * spool - lap
         root = np.sqrt(d * d + 4 * self._quarter)
         return 0.5 * (d + root), 0.5 * (1.0 + d / root)
@@ -114,12 +114,12 @@ class CylinderModel:
     def rate_for(
         self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
-        """Computes the force rate by valve flow that keeps a piston speed at constant force [N/s].
+        """Computes the force rate [N/s] by valve flow that balances piston speed and leakage.
 
         Args:
             speed: Piston speeds [m/s], (joints,).
-            pressure: [Pa], (2, joints).
-            leakage: Internal, and external of A and B [m^3/s/Pa], (3, joints).
+            pressure: Chamber pressures [Pa], (2, joints).
+            leakage: Coefficients: internal, external of A, of B [m^3/s/Pa], (3, joints).
             chambers: Chambers at these pressures.
         """
         across = leakage[0] * (pressure[0] - pressure[1])
@@ -128,18 +128,18 @@ class CylinderModel:
         return chambers.stiffness * speed + lost_a - chambers.weight[1] * lost_b
 
     def spool_for(self, rate: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
-        """Computes the spool positions that change the load force at a rate, (joints,).
+        """Computes the spool positions at which valve flow changes the force at a rate, (joints,).
 
-        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's method, starting at the
-        solution with one edge open.
+        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's method. It starts at the
+        solution with only the edges of one spool direction open.
 
         Args:
             rate: Wanted force rate by valve flow alone [N/s], (joints,).
-            chambers: Present chambers.
-            lap: Overlap, (joints,).
+            chambers: Chambers at the present pressures.
+            lap: Overlap of the edges, (joints,).
         """
         up, down = _rates(chambers)
-        # One edge: (d + sqrt(d^2 + eps^2))/2 = w has the solution d = w - eps^2/(4 w).
+        # The opening (d + sqrt(d^2 + eps^2))/2 equals w at d = w - eps^2/(4 w).
         one = np.where(rate > 0, rate / up, -rate / down) + 0.3 * self.data.edge_rounding
         spool = np.copysign(np.maximum(lap + one - self._quarter / one, 0.0), rate)
         for _ in range(3):
@@ -157,7 +157,7 @@ class CylinderModel:
 
 
 def _rates(chambers: Chambers) -> tuple[np.ndarray, np.ndarray]:
-    """Computes force rates by valve flow per edge opening, for positive and negative spool."""
+    """Computes force rates by valve flow per opening, for positive and for negative spool."""
     (supply_a, supply_b), (tank_a, tank_b) = chambers.edge
     weight_a, weight_b = chambers.weight
     return weight_a * supply_a + weight_b * tank_b, weight_a * tank_a + weight_b * supply_b
@@ -166,14 +166,14 @@ def _rates(chambers: Chambers) -> tuple[np.ndarray, np.ndarray]:
 class Bristles:
     """LuGre bristles of all seals, in units of their nominal Coulomb friction.
 
-    z' = v - sigma_0 |v| z/g(v), solved exactly for a speed held over a step (Canudas de Wit et al.
-    1995, IEEE Trans. Autom. Control 40(3), 419). Model-based compensation of hydraulic actuators
-    with it: Yao, Deng and Jiao 2015, IEEE Trans. Ind. Electron. 62(10), 6469. After a reversal the
+    z' = v - sigma_0 |v| z/g(v), solved exactly for constant speed during a step (Canudas de Wit et
+    al. 1995, IEEE Trans. Autom. Control 40(3), 419); for compensation of hydraulic actuators see
+    Yao, Deng and Jiao 2015, IEEE Trans. Ind. Electron. 62(10), 6469. After a reversal the friction
     force builds up over some tens of micrometres, which no function of speed can represent.
     """
 
     def __init__(self, data: NominalCylinders) -> None:
-        # Without dry friction the shape does not matter: the friction that scales it is zero.
+        # With zero Coulomb friction the result, which is multiplied by it, may be anything finite.
         coulomb = np.maximum(data.coulomb, 1e-6)
         self._excess = np.maximum(data.static / coulomb, 1.0) - 1.0
         self._stiffness = data.sigma_0 / coulomb

@@ -1,15 +1,15 @@
-"""Tracking error, its rate, the force error and two lumped disturbances, estimated and predicted.
+"""Observer of tracking error, error rate, force error and two lumped disturbances.
 
-Errors of one joint in piston coordinates, e = x_d - x and p = (F - F_d)/k, with F the load force,
-F_d the force that the model predicts for the reference, k the stiffness of the oil, w^2 = k/m:
+In piston coordinates the errors of one joint are e = x_d - x and p = (F - F_d)/k, with F the load
+force, F_d the model's force for the reference, k the stiffness of the oil and w^2 = k/m. They obey
 
     e'' = -w^2 (p - phi) - (b/m) e'      phi k: unmodelled force
     p'  = v + e' - eta                   v: flow beyond that for the reference; eta: flow lost
 
-phi and eta are random walks: the lumped disturbances of both equations that an extended state
-observer gives (Yao, Jiao and Ma 2014, IEEE Trans. Ind. Electron. 61(11), 6285). The Kalman gains
-are stationary. e and p are measured `latency` before the command, which acts after the valve's
-delay: the estimate is predicted over both times.
+The lumped disturbances phi and eta are modelled as random walks and estimated as by an extended
+state observer (Yao, Jiao and Ma 2014, IEEE Trans. Ind. Electron. 61(11), 6285). The Kalman gains
+are stationary. e and p are measured `latency` before the command is sent, which acts after the
+valve's delay; therefore the estimate is predicted over latency and valve delay.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ _STATES = 5  # e, e', p, phi, eta
 
 
 def _sampled(a: np.ndarray, b: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Discretises batches a (n, s, s) and b (n, s): transition and input response over a time."""
-    from scipy.linalg import expm  # the import takes half a second, for this controller alone
+    """Computes transition matrices (n, s, s) and responses to a constant input (n, s) in a time."""
+    from scipy.linalg import expm  # an import of half a second, only needed by this controller
 
     n, states = b.shape
     block = np.zeros((n, states + 1, states + 1))
@@ -39,11 +39,11 @@ class ErrorObserver:
         delay: Time from a measurement to the instant at which its command begins to act [s], at
             most two periods.
         noise: RMS noise of measured e and p [m], (2, joints).
-        drift: Random walk of phi [m/sqrt(s)] and eta [m/s/sqrt(s)], (2, joints).
+        drift: Random walks of phi [m/sqrt(s)] and of eta [m/s/sqrt(s)], (2, joints).
 
     Attributes:
-        state: Estimate at the time of the latest measurement, (joints, 5).
-        past: Whole periods in the delay.
+        state: Estimates of (e, e', p, phi, eta) at the latest measurement, (joints, 5).
+        past: Number of whole periods in the delay.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ErrorObserver:
         a[:, 2, 1], a[:, 2, 4] = 1.0, -1.0
         b = np.zeros((n, _STATES))
         b[:, 2] = 1.0
-        # Commands `past` + 1 and `past` periods old act in turn between two measurements.
+        # Between two measurements, first the command of `past` + 1 periods ago acts, then the next.
         self.past = int(delay / period - 1e-9)
         share = delay - self.past * period
         whole, _ = _sampled(a, b, period)
@@ -72,7 +72,7 @@ class ErrorObserver:
         self._transition = whole
         self._older = np.einsum("nij,nj->ni", late, late_input)
         self._newer = early_input
-        # Prediction to the middle of the period in which the command is held.
+        # The prediction is for the middle of the period in which the new command acts.
         self._ahead, self._ahead_input = _sampled(a, b, delay + period / 2)
         rows = zip(whole, noise.T, drift.T, frequency, strict=True)
         self._gain = np.stack([self._kalman(a, period, *row) for a, *row in rows])
@@ -87,12 +87,12 @@ class ErrorObserver:
         drift: np.ndarray,
         frequency: float,
     ) -> np.ndarray:
-        """Computes the stationary gain (5, 2) of a filter that corrects after each measurement."""
+        """Computes the stationary Kalman gain of the measurement update, (5, 2)."""
         from scipy.linalg import solve_discrete_are
 
         c = np.zeros((2, _STATES))
         c[0, 0] = c[1, 2] = 1.0
-        # Lengths in units of the noise and times in 1/w: the equation is ill-conditioned in SI.
+        # Units are noise for lengths and 1/w for times: in SI, the equation is ill-conditioned.
         scale = noise[0] * np.array([1.0, frequency, 1.0, 1.0, frequency])
         process = np.zeros((_STATES, _STATES))
         process[3, 3], process[4, 4] = period * (drift / scale[3:]) ** 2
@@ -108,13 +108,13 @@ class ErrorObserver:
         self._inputs = [np.zeros(len(self.state)) for _ in range(self.past + 2)]
 
     def start(self, error: np.ndarray, force_error: np.ndarray) -> None:
-        """Starts at rest at measured errors e and p [m]; attributes all of p to phi."""
+        """Starts at rest with measured e and p [m]; assumes phi = p, hence no resulting force."""
         self.clear()
         self.state[:, 0] = error
         self.state[:, 2] = self.state[:, 3] = force_error
 
     def predict(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
-        """Updates with measured e, p [m]; predicts the state when the command acts, (joints, 5)."""
+        """Updates with measured e, p [m]; predicts the state for the new command, (joints, 5)."""
         state, inputs = self.state, self._inputs
         state = np.matmul(self._transition, state[:, :, None])[:, :, 0]
         state += self._older * inputs[0][:, None]
@@ -128,10 +128,10 @@ class ErrorObserver:
         return ahead + self._ahead_input * inputs[-1][:, None]
 
     def sent(self, velocity: np.ndarray) -> None:
-        """Records the speed v that is sent in this period [m/s], (joints,)."""
+        """Records the input v of this period, the speed asked of the valve [m/s], (joints,)."""
         self._inputs = [*self._inputs[1:], velocity]
 
     def matrices(self, joint: int) -> tuple[np.ndarray, ...]:
-        """Returns transition, older and newer input, gain, prediction and its input of a joint."""
+        """Returns a joint's transition, older and newer input, gain, prediction and its input."""
         parts = (self._transition, self._older, self._newer)
         return tuple(part[joint] for part in (*parts, self._gain, self._ahead, self._ahead_input))

@@ -1,4 +1,4 @@
-"""The feedback part: desired-compensation backstepping on estimated and predicted errors."""
+"""Feedback of the backstepping controller, on estimated and predicted errors."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.control.backstepping.error_observer import ErrorObserver
 
-# Lower bounds of the noise that the observer assumes [rad], [Pa]: that of the default sensors.
-# With less noise it would become so fast that the valve's lag, which it models as a delay, makes
-# the loop unstable.
+# Lower bounds of the noise that the observer assumes, of positions [rad] and pressures [Pa]: the
+# noise of the default sensors. With less noise the observer would become so fast that the valve's
+# lag, which the observer models as a delay, makes the loop unstable.
 _LEAST_NOISE = (2e-5, 1.5e4)
 
 
 def no_load_speed(data: NominalCylinders) -> np.ndarray:
-    """Computes the piston speed of a fully open valve without load, retracting [m/s], (joints,).
+    """Computes the no-load speed of the retracting piston, valve fully open [m/s], (joints,).
 
     v = K sqrt(A_B p_s/(A_A^3 + A_B^3)), case a of docs/concepts/physics.md.
     """
@@ -23,12 +23,12 @@ def no_load_speed(data: NominalCylinders) -> np.ndarray:
 
 
 class Feedback:
-    """State feedback: piston speed beyond the reference's that removes position and force errors.
+    """State feedback: a piston speed, added to the reference's, that removes tracking errors.
 
-    With z_1 = e and virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e), the
-    speed that makes the force error decay with k_3 is the state feedback whose error dynamics are
-    (s + k_1)(s + k_2)(s + k_3). The oil spring itself gives s^2 + w^2; it cannot be cancelled
-    behind a hold and a delay, so k_2 and k_3 are the pair k_2 k_3 = w^2, k_2 + k_3 = 2 zeta w:
+    Backstepping: with virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e) and a
+    speed that makes the force error decay at k_3, the error has the characteristic polynomial
+    (s + k_1)(s + k_2)(s + k_3). The oil spring, s^2 + w^2, cannot be cancelled behind a hold and a
+    delay, so k_2 and k_3 are chosen to damp it only: k_2 k_3 = w^2, k_2 + k_3 = 2 zeta w. Then
 
         v = k_1 e + (2 zeta k_1/w) e' - (k_1 + 2 zeta w)(p - phi) + eta
 
@@ -85,12 +85,12 @@ class Feedback:
 
     @property
     def unknown_force(self) -> np.ndarray:
-        """Estimated load force beyond the model's, k phi [N], (joints,)."""
+        """Estimated load force that the model lacks, k phi [N], (joints,)."""
         return self.stiffness * self.observer.state[:, 3]
 
     def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
-        """Computes the speed [m/s], (joints,), from measured e and p [m], (joints,) each.
+        """Computes the speed v [m/s], (joints,), from measured e and p [m], (joints,) each.
 
-        `observer` keeps the estimate; pass the speed that is sent to `observer.sent`.
+        Updates `observer`; the caller passes the speed that is sent to `observer.sent`.
         """
         return np.einsum("ij,ij->i", self.weights, self.observer.predict(error, force_error))

@@ -4,20 +4,20 @@ import numpy as np
 
 
 class BoundedLeastSquares:
-    """Least squares with exponential forgetting, bounded gain and projection, one row a joint.
+    """Least squares with exponential forgetting, bounded gain and projection, for each joint.
 
-    The parameter estimation of indirect adaptive robust control (Mohanty and Yao 2011, IEEE Trans.
-    Control Syst. Technol. 19(3), 567): physical parameters by least squares from the dynamics of
-    the plant instead of from the tracking error, projected onto known bounds, with a dead zone.
+    This is the estimator of indirect adaptive robust control (Mohanty and Yao 2011, IEEE Trans.
+    Control Syst. Technol. 19(3), 567): physical parameters follow by least squares from the plant's
+    dynamics, not from the tracking error; they are projected onto known bounds; with a dead zone.
 
     Args:
-        start: First parameters, (parameters, joints).
-        scale: Expected magnitude of a change, (parameters, joints).
+        start: Initial parameters, (parameters, joints).
+        scale: Expected magnitude of a change of each parameter, (parameters, joints).
         lower: Lower bounds, (parameters, joints).
         upper: Upper bounds, (parameters, joints).
         forgetting_factor: Forgetting factor of one update.
-        noise: RMS of a residual without any change, (joints,).
-        dead_zone: Residuals up to `dead_zone` times the noise change nothing.
+        noise: RMS residual of an unchanged machine, (joints,).
+        dead_zone: Residuals up to `dead_zone` times the noise are ignored.
 
     Attributes:
         values: Parameters, (parameters, joints).
@@ -47,15 +47,15 @@ class BoundedLeastSquares:
         self._information = np.tile(self._identity, (self._start.shape[1], 1, 1))
 
     def update(self, regressor: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> None:
-        """Updates with an equation per joint: residual = regressor . (true - present parameters).
+        """Updates by one equation per joint: residual = regressor . (true - present parameters).
 
         Args:
-            regressor: (parameters, joints), in physical units.
-            residual: (joints,).
-            usable: Joints whose equation is to be used, (joints,).
+            regressor: Regressors in physical units, (parameters, joints).
+            residual: Residuals, (joints,).
+            usable: Mask of the joints whose equation is used, (joints,).
         """
         scaled = residual / self._noise
-        # Residuals are clipped: one far beyond the noise is more often an outlier than a change.
+        # Clip residuals: a residual far beyond the noise is more often an outlier than a change.
         scaled = np.minimum(np.maximum(scaled, -self._largest), self._largest)
         usable = usable & (np.abs(scaled) > self._dead)  # false for NaN
         if not usable.any():
@@ -63,8 +63,8 @@ class BoundedLeastSquares:
         phi = (regressor * self._scale / self._noise).T
         phi = np.where(usable[:, None], phi, 0.0)
         scaled = np.where(usable, scaled, 0.0)
-        # Forgotten information is replaced by that of the prior, the identity. So no eigenvalue of
-        # the information matrix falls below 1, and rounding cannot make it indefinite.
+        # Forgotten information is replaced by the prior's information, the identity matrix, so that
+        # no eigenvalue falls below 1 and rounding cannot make the information matrix indefinite.
         new = np.where(usable, 1.0 - self._factor, 0.0)
         information = self._information
         information *= (1.0 - new)[:, None, None]

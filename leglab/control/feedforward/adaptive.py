@@ -16,40 +16,40 @@ from leglab.control.feedforward.thresholds import DISCREPANCY
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls, SplineNarx
 
-# Signals of a period, in the order of the core's output rows after the command.
+# Names of the rows that the core outputs each period, after the first row, the command.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
-# Passed for a proposed map without a valve state: the map uses the present one.
+# Passed to the core with a map that has no valve state of its own, but uses the present one.
 _AS_USED = np.empty((0, 5))
 
 # Tuning constants, by their names in the C++ core.
 _CONSTANTS = {
-    # Readings with more acceleration [rad/s^2] are rejected: some 15 times the knee's in walking.
+    # Readings that imply a larger acceleration [rad/s^2] are rejected; the knee's is 63 in walking.
     "greatest_acceleration": 1000.0,
     # Supervisor: time constant of the mean squared errors of the learned and the calibrated map
-    # [s]; ratio of their RMS errors above which the calibrated map takes over; RMS tracking error
-    # [rad] below which it never does.
+    # [s]; ratio of the learned map's to the calibrated map's RMS error above which the calibrated
+    # map takes over; RMS tracking error [rad] below which it never takes over.
     "trust_time": 0.5,
     "margin": 1.05,
     "noise": 0.2e-3,
-    # The learned map's difference from the slow map is used by the share that held over this time
-    # [s], as predicted by snapshots this far apart [s]. This share of the slow map's mean squared
-    # error is prior evidence for the difference, so that it is used before there is other evidence.
-    # Differences below the last number need no evidence [share of full speed].
+    # The slow map is a running mean of the learned map. Snapshots of the difference of both predict
+    # the flow; the share of the difference that proves right is used (`csrc/feedforward/proof.h`).
+    # Averaging time of that share [s]; time between snapshots [s]; prior evidence for a share of 1,
+    # in mean squared errors of the slow map; difference that needs no evidence [of full speed].
     "proof_time": 0.15,
     "proof_horizon": 0.02,
     "proof_doubt": 0.06,
     "proof_noise": 0.0005,
-    # A command that goes back by this has reversed [valve command]: feedback noise does less.
+    # Smallest backward step of a command that counts as a reversal, above the feedback's noise [1].
     "turn": 0.002,
     # Time constant with which the valve state in use adapts [s]: half a stride, in which commands
-    # reverse some times; step of the finite difference of flow over that state [valve command].
+    # reverse a few times; step of the valve state for the finite difference of the flow [1].
     "state_time": 0.5,
     "state_step": 0.01,
-    # Squared errors of contending maps are averaged over the first time [s], the logarithms of
-    # their ratios over the second, a quarter of a stride; each mean has this many independent
-    # errors. A map is out where its error over that of the map without a fault exceeds the last
-    # number: a right map errs more than one that has just learned this motion, but not by so much.
+    # Contending maps: averaging time of their squared errors [s]; averaging time of the logarithms
+    # of the ratios of these means [s], a quarter of a stride; number of independent errors in each
+    # mean; ratio of mean squared errors to the map without a fault above which a map is excluded: a
+    # right map may err more than a map that has just learned this motion, but not by such a factor.
     "contest_time": 0.08,
     "contest_gather": 0.25,
     "contest_errors": 4.0,
@@ -146,16 +146,16 @@ class AdaptiveFeedforward:
     """Feed-forward of all joints, added to PD: the calibrated valve map at the learned flow.
 
     A sample is the motion in the middle of the smoothing window and the flow at that instant: the
-    speed that the calibrated valve map gives for the command sent, smoothed alike. The learner's
-    output is that flow less the measured speed: leakage, compression, and losses by load and oil.
-    The reference is evaluated with the same time shift, so any further delay of valve and oil is
-    learned as a dependence on the derivatives. The core is C++ (`csrc/feedforward`); the tests
-    compare it with NumPy.
+    speed that the calibrated valve map gives for the command sent, smoothed by the same window. The
+    learner's output is that flow less the measured speed: leakage, compression, and losses by load
+    and oil. The map is evaluated at the reference with the same time shift; it learns any further
+    delay of valve and oil as a dependence on acceleration and jerk. The core is C++
+    (`csrc/feedforward`); the tests compare it with NumPy.
 
     Args:
         inverse_map: Structure of the learner.
         table: Calibrated valve maps, with which learning starts.
-        position_gain: Gain of the feedback [1/rad], (joints,); sets how fast its errors decay.
+        position_gain: Gain of the feedback [1/rad], (joints,); sets the decay rate of its errors.
         velocity_gain: Gain of the feedback [s/rad], (joints,).
         config: Settings of learning and safeguards.
         loads: Structure of the map from motion to load; None without pressures.
@@ -163,8 +163,8 @@ class AdaptiveFeedforward:
             (joints,) or (joints, p) each; None without pressures.
         valve_states: Whether maps can be proposed with a state of the valves.
         control_period: [s].
-        latency: Age of a measurement when its command takes effect [s].
-        velocity_delay: Age of a velocity estimate at that time [s].
+        latency: Age of a position measurement when its command takes effect [s].
+        velocity_delay: Age of a velocity estimate when its command takes effect [s].
 
     Attributes:
         learner: The learned map.
@@ -172,7 +172,7 @@ class AdaptiveFeedforward:
             pressure]; None without pressures.
         report: Values of the last period, by name, each (joints,): `feedforward` and `feedback`
             [valve command], `model_error` of the last sample [share of full speed], and `fallback`,
-            1 where the calibrated map is used. The arrays are reused in the next period.
+            1 if the calibrated map is used. The next period overwrites the arrays.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class AdaptiveFeedforward:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything learned: the feed-forward is the calibration's."""
+        """Forgets everything learned: the feed-forward is again that of the calibrated map."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
         self._with_valves: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
@@ -242,13 +242,13 @@ class AdaptiveFeedforward:
     def propose(
         self, learner: SplineNarx, odds: float, error: float, valves: np.ndarray | None = None
     ) -> None:
-        """Adds a contender: a map that learns in parallel, weighted by how well it predicts.
+        """Adds a contender: a map that learns in parallel and is weighted by its prediction error.
 
         Args:
             learner: The map, of the same structure as `self.learner`.
             odds: Prior odds of this map against `self.learner`.
-            error: Its mean squared error on the latest samples, over that of `self.learner`.
-            valves: Valve state that the map assumes, as `self.valves`; None for the present one.
+            error: Mean squared error of the map on the latest samples over that of `self.learner`.
+            valves: Valve state that the map assumes, (joints, 5); None for `self.valves`.
         """
         self._core.propose(
             learner._bank, math.log(odds), error, _AS_USED if valves is None else valves
@@ -283,7 +283,7 @@ class AdaptiveFeedforward:
     def narrow(self, best: int) -> None:
         """Keeps `learner` and one contender, by its index in `shares`; drops the others.
 
-        A contender with a valve state is kept alone: `learner` cannot learn that state.
+        A contender with a valve state is kept without `learner`, which cannot learn that state.
         """
         if best == 0 or self._with_valves[best - 1]:
             self.settle(best)
@@ -291,7 +291,7 @@ class AdaptiveFeedforward:
             self._core.only(best - 1)
 
     def settle(self, best: int) -> None:
-        """Keeps a single map, by its index in `shares`."""
+        """Makes one map, by its index in `shares`, the only one; drops all others."""
         if best > 0:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
@@ -299,7 +299,7 @@ class AdaptiveFeedforward:
             self.contenders, self._with_valves = [], []
 
     def keep(self, samples: int) -> None:
-        """Starts to keep learned samples for `kept`, at most `samples`; `reset` ends it."""
+        """Stores samples until the next `reset`, at most `samples` between two calls of `kept`."""
         shape = (samples, self._map.joints, self.learner.parameters.shape[-1] + 3)
         self._kept = np.empty(shape)
         self._core.keep(samples)
@@ -311,8 +311,8 @@ class AdaptiveFeedforward:
     def kept(self) -> np.ndarray:
         """Returns the samples kept since the last call, (samples, joints, parameters + 3).
 
-        A row is a regressor, its output [share of full speed], the a-priori error and 1; all
-        zeros where the sample was not learned for that joint.
+        The last axis is the regressor, the output [share of full speed], the a-priori error and 1;
+        it is all zeros if the joint did not learn the sample.
         """
         count = self._core.take_kept(self._kept)
         return self._kept[:count].copy()
@@ -320,10 +320,10 @@ class AdaptiveFeedforward:
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and computes the valve commands; call it once a period.
 
-        With data sheets the measurement must have pressures. Feedback compares a measurement with
-        the reference at the time it was taken. Where a measurement is NaN the command is the
-        feed-forward alone. The learner takes the command as clipped to [-1, 1]. The array
-        (joints,) is reused in the next period.
+        With data sheets the measurement must have pressures. The feedback compares a measurement
+        with the reference at the time of that measurement. If the measurement is NaN, the command
+        is the feed-forward alone. The learner assumes that the command is sent clipped to [-1, 1].
+        The next period overwrites the returned array, (joints,).
         """
         time, position, velocity, pressure_a, pressure_b, supply = measurement
         if self.loads is None or supply is None:
@@ -335,7 +335,7 @@ class AdaptiveFeedforward:
         return self._out[0]
 
     def sent(self, command: np.ndarray) -> None:
-        """Records the commands (joints,) that were sent, where they differ from those of `step`."""
+        """Records the commands sent, (joints,); needed if they differ from the result of `step`."""
         self._core.sent(command)
 
 
@@ -348,16 +348,16 @@ def step_together(
     reference: ReferencePoint,
     out: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """Calls `AdaptiveFeedforward.step` of each member, in threads.
+    """Calls `AdaptiveFeedforward.step` of several machines, in threads.
 
     Args:
         team: The threads.
         members: Feed-forwards of the machines that are stepped.
-        machines: Rows of these machines in the arrays, (members,) of int64.
+        machines: Rows of these machines in the arrays below, (members,) of int64.
         sent: The commands that were sent last, (machines, joints).
         measurement: Time (machines,), positions and velocities (machines, joints), pressures of
-            cap and rod sides and of the supply (machines, 2 joints + 1), which may be empty.
-        reference: With arrays (machines, joints).
+            cap sides, rod sides and supply (machines, 2 joints + 1), or an empty array.
+        reference: Reference points of all machines, arrays (machines, joints).
         out: Arrays that receive commands and feed-forwards, (machines, joints) each.
     """
     time, position, velocity, pressures = measurement

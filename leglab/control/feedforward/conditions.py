@@ -6,7 +6,7 @@ from leglab.causes.fault_names import ALL
 from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 
-# Conditions by name, with the faults of the bank whose sizes, in one unit, are their values.
+# Conditions by name, each with the faults of the bank whose sizes are values of the condition.
 CONDITIONS = {
     condition: tuple(cause.name for cause in CAUSES.values() if cause.condition == condition)
     for condition in dict.fromkeys(c.condition for c in CAUSES.values() if c.condition)
@@ -14,10 +14,10 @@ CONDITIONS = {
 
 
 def with_conditions(bank: FaultBank) -> FaultBank:
-    """Returns the bank with `CONDITIONS` in place of the faults that they consist of.
+    """Returns the bank with the curves of `CONDITIONS` in place of the faults that belong to them.
 
-    The first value of a condition is unknown: from each of its tabulated values there is a curve
-    upwards and one downwards.
+    The value of a condition at the start is unknown, so each tabulated value is the start of two
+    curves, one to larger and one to smaller values.
     """
     curves = [c for c in bank.curves if not any(c.fault in own for own in CONDITIONS.values())]
     for name, faults in CONDITIONS.items():
@@ -53,7 +53,7 @@ def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
 def joint_by_joint(
     bank: FaultBank, moments: Moments, normal: np.ndarray, discrepancy: float
 ) -> tuple[float, np.ndarray]:
-    """Fits a condition with a separate value per joint; returns cost and values, (joints,)."""
+    """Fits a value of a condition per joint; returns the total cost and the values, (joints,)."""
     cost, values = 0.0, np.zeros(len(normal))
     for joint in range(len(normal)):
         fit = bank.fit(moments, normal, discrepancy, joint)

@@ -1,4 +1,4 @@
-"""Bank of faults: the shift of the learned map's parameters by each fault, over its size.
+"""Bank of faults: for each fault, the shift of the learned map's parameters by size of the fault.
 
 Sums over samples (`Moments`) and fits are C++ (`csrc/monitor`); the tests compare them with NumPy.
 """
@@ -23,20 +23,20 @@ class FaultCurve:
     """
 
     fault: str  #: Name of the fault and of the scenario that it was simulated with
-    element: str  #: Name of a joint whose cylinder and spring have it, or "all"
+    element: str  #: Name of the joint whose cylinder and spring have the fault, or "all"
     meaning: str  #: Meaning of the size, with its unit
-    sizes: np.ndarray  #: Strictly monotone, the healthy one first, (sizes,)
-    #: Parameters with the fault less those without, (sizes, joints, parameters); zero at the
-    #: healthy size.
+    sizes: np.ndarray  #: Sizes of the fault, strictly monotone, the healthy size first, (sizes,)
+    #: Parameters with the fault less the parameters without, (sizes, joints, parameters); zero at
+    #: the healthy size.
     shifts: np.ndarray
     #: Valve states relative to healthy valves, (sizes, joints, 5), with the columns of
-    #: `AdaptiveFeedforward.valves`; None unless the fault is one of valves alone.
+    #: `AdaptiveFeedforward.valves`; None unless the fault affects valves alone.
     valves: np.ndarray | None = None
     #: Share of the weighted squared error beyond noise that the shifts removed in the simulation
-    #: that gave them: the part of the fault that a map of this structure can represent.
+    #: to which they were fitted: the part of the fault that the map's structure can represent.
     explains: float = 1.0
-    #: Onset of the change that the curve undoes [s], starting at its present size; None of a curve
-    #: that leads away from the healthy size.
+    #: For the curve of a repair: onset [s] of the change that it undoes, from the present size of
+    #: that change. None for a curve away from the healthy size.
     undoes: float | None = None
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ class SizeEstimate(NamedTuple):
     Attributes:
         size: Best size, in the unit of the curve, (curves,).
         spread: Change of size that raises the cost by one, (curves,).
-        cost: Weighted sum of squared errors with the shift at that size, (curves,).
+        cost: Weighted sum of squared errors with the shift at the best size, (curves,).
         without: Weighted sum of squared errors without any shift.
         noise: Expected weighted sum of squared errors of a machine that has not changed.
     """
@@ -91,10 +91,10 @@ class FaultBank:
     """Curves of many faults for one machine, motion and map.
 
     Raises:
-        LeglabError: There are no curves, or they differ in shape.
+        LeglabError: There are no curves, or their numbers of joints or parameters differ.
     """
 
-    curves: tuple[FaultCurve, ...]  #: All with the same numbers of joints and parameters
+    curves: tuple[FaultCurve, ...]  #: Curves with equal numbers of joints and parameters
 
     def __post_init__(self) -> None:
         shapes = {curve.shifts.shape[1:] for curve in self.curves}
@@ -104,17 +104,17 @@ class FaultBank:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Names of the faults, in the order of their first curves."""
+        """Names of the faults without repeats, in the order of the curves."""
         return tuple(dict.fromkeys(curve.fault for curve in self.curves))
 
     @cached_property
     def keys(self) -> tuple[tuple[str, str], ...]:
-        """Fault and element of the curves, each once, in the order of their first curves."""
+        """Pairs of fault and element without repeats, in the order of the curves."""
         return tuple(dict.fromkeys((curve.fault, curve.element) for curve in self.curves))
 
     @cached_property
     def group(self) -> np.ndarray:
-        """Index of every curve's fault and element in `keys`, (curves,)."""
+        """Index in `keys` of the fault and element of each curve, (curves,)."""
         return np.array([self.keys.index((c.fault, c.element)) for c in self.curves])
 
     def without(self, faults: Sequence[str]) -> "FaultBank":
@@ -134,7 +134,7 @@ class FaultBank:
 
     @cached_property
     def core(self) -> Bank:
-        """The curves for the compiled core."""
+        """The curves as an object of the C++ core."""
         return Bank(
             [np.ascontiguousarray(curve.sizes, dtype=float) for curve in self.curves],
             [np.ascontiguousarray(curve.shifts, dtype=float) for curve in self.curves],
@@ -147,8 +147,8 @@ class FaultBank:
 
         Args:
             moments: Sums over the samples, relative to the map before the fault.
-            normal: Mean square errors of that map before the fault, (joints,).
+            normal: Mean square errors of that map while the fault was absent, (joints,).
             discrepancy: Standard deviation of the share of the error that the true fault leaves.
-            joint: Index of the only joint whose samples count; -1 for all joints.
+            joint: Index of the joint whose samples are used; -1 for all joints.
         """
         return SizeEstimate(*self.core.fit(moments, normal, discrepancy, joint))

@@ -1,10 +1,10 @@
 """Fault monitor: detects changes of a machine while a controller learns, and names the fault.
 
-It uses nothing but the samples of the learner. A change is detected by a cumulative sum of the
-learner's prediction error (Page 1954, Biometrika 41, 100). From its onset on, samples are summed
-up, and at growing intervals every fault of the bank is fitted to them, its size by least squares
-along its curve. The best fit, if clear enough, is named; its shift gives a map that is proposed at
-once, and later samples may revise it. A change that no fault explains is reported as unknown.
+Its only input are the learner's samples. A cumulative sum of the prediction error (Page 1954,
+Biometrika 41, 100) detects a change and its onset. At growing intervals after the onset, the size
+of every fault of the bank is fitted to the samples since then by least squares. The best fault is
+named if its fit is clear enough. Maps with the shifts of the most probable faults are proposed to
+the controller. Later fits may revise both. A change that no fault explains is reported as unknown.
 
 Sums and fits are C++ (`csrc/monitor`, which also suits a microcontroller); this module decides
 which names are reported and which changes persist.
@@ -83,11 +83,11 @@ class ProposedMap(NamedTuple):
     Attributes:
         key: Fault and element.
         parameters: Parameters of the map, (joints, parameters).
-        gain: Gain to set, as a share of the one on a change, (joints,); NaN leaves it as it is.
-        odds: Prior odds of this map against one that learns without a fault: the probability of
-            the fault among all. The error that it leaves does not enter, since the errors of the
-            maps are compared next.
-        valves: Change of the valve state by the fault, (joints, 5); None unless it is a fault of
+        gain: Gain of the learner to set, over `change_gain`, (joints,); NaN keeps the present gain.
+        odds: Prior odds of this map against the map that learns without a fault: the probability
+            of the fault among all faults of the bank. The prediction error of the map is left out
+            because the controller compares the errors of the maps afterwards.
+        valves: Change of the valve state by the fault, (joints, 5); None unless the fault changes
             valves alone.
     """
 
@@ -100,14 +100,14 @@ class ProposedMap(NamedTuple):
 
 @dataclass(eq=False, kw_only=True)
 class _Case:
-    """An open case: a change whose samples are being collected."""
+    """A case: a detected change whose samples are being collected and evaluated."""
 
     onset: float
     base: np.ndarray
     bank: FaultBank
     look: int = 0
-    # A row per look: its time, squared errors of the map before the change summed up to it, and
-    # number of samples, (joints,) each.
+    # One entry per evaluation ("look"): its time, then the sum of squared errors of the map before
+    # the change and the number of samples, both counted from the onset, (joints,) each.
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     size: float = 0.0
     key: tuple[str, str] | None = None
@@ -115,7 +115,7 @@ class _Case:
 
     @property
     def name(self) -> FaultName | None:
-        """The name in force."""
+        """Last name of the change; None before the first one and after a withdrawal."""
         if self.event is None or self.event.withdrawn is not None:
             return None
         return self.event.names[-1]
@@ -133,12 +133,12 @@ class FaultMonitor:
 
     Attributes:
         events: Changes reported since `reset`.
-        report: By name, each (joints,): `fault` (1 + its number in the bank, -1 for an unknown
+        report: By name, each (joints,): `fault` (1 + its index in the bank, -1 for an unknown
             change, 0 for none), `fault_size` and `fault_confidence`; zero at joints without the
-            fault. The arrays are reused in the next block.
+            fault. The next block of samples overwrites the arrays.
 
     Raises:
-        LeglabError: The bank is of another number of joints.
+        LeglabError: The bank is made for another number of joints.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class FaultMonitor:
         self.events: list[FaultEvent] = []
         self._core.reset(self._warm_up)
         self._case: _Case | None = None
-        self._absorbed: np.ndarray = np.zeros(1)  # shifts that valve states represent
+        self._absorbed: np.ndarray = np.zeros(1)  # shift that the valve state replaces
         self._standings.clear()
         self._tell(None)
 
@@ -209,7 +209,7 @@ class FaultMonitor:
             parameters: Parameters of the map that learns without a fault, (joints, parameters).
 
         Returns:
-            Candidate maps by the latest fit of the bank; None where there was no new fit.
+            Candidate maps by a new fit of the bank; None if no fit is due after this block.
 
         Raises:
             ValueError: Arrays have other shapes.
@@ -235,11 +235,11 @@ class FaultMonitor:
         return self._decide(case, time)
 
     def absorb(self, shift: np.ndarray) -> None:
-        """Records that a valve state has from now on the effect of this parameter shift."""
+        """Records that the valve state now has the effect that this parameter shift had."""
         self._absorbed = self._absorbed + shift
 
     def _close(self, case: _Case) -> None:
-        """Ends a case; its last name becomes a persistent change in the bank of later cases."""
+        """Ends a case; the bank of later cases assumes a machine with the last named fault."""
         self._case = None
         self._core.close(self._slow_window)
         name = case.name
@@ -251,8 +251,8 @@ class FaultMonitor:
             self._standings.add(name, case.base + self._absorbed)
 
     def _decide(self, case: _Case, time: float) -> list[ProposedMap]:
-        """Fits the bank, reports the fault that is clear enough, and returns candidate maps."""
-        # The age of the case is scaled by the period of the motion.
+        """Fits the bank, reports the best fault if clear enough, and returns candidate maps."""
+        # Age of the case [s], scaled to a reference of period `STRIDE`.
         config, age = self._config, (time - case.onset) / self._pace
         moments = self._core.look()
         fit = case.bank.fit(moments, self._core.normal(), config.discrepancy)
@@ -292,9 +292,9 @@ class FaultMonitor:
         return found
 
     def _still_off(self, case: _Case, time: float) -> np.ndarray:
-        """Returns the joints that the map before the change still predicts badly, (joints,).
+        """Returns a mask of the joints that the map before the change still predicts badly.
 
-        A new motion causes errors for a moment only, a change of the machine permanently.
+        Errors older than `RECENT` do not count, because a new motion, too, causes errors at first.
         """
         _, power, count = case.errors[-1]
         earlier = [look for look in case.errors if look[0] <= time - self._pace * RECENT]
@@ -318,7 +318,7 @@ class FaultMonitor:
         self._tell(name)
 
     def _tell(self, name: FaultName | None) -> None:
-        """Fills the report."""
+        """Writes a name into `report`; None clears it."""
         if name is not None and name.fault == UNKNOWN and name.undoes is not None:
             name = None
         confidence = None if name is None else name.confidence

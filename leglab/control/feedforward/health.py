@@ -1,11 +1,11 @@
 """Health monitor: follows slow wear while a controller learns; fault, rate and remaining life.
 
-A learner adapts to slow wear, so its prediction error shows nothing. This monitor compares the
-samples with a fixed map of the healthy machine instead, which it fits to the first looks (of a few
-strides each). In every later look it fits each fault of the bank to the errors of that map. A
-straight line is fitted to the sizes of the best fault over time, from their onset on (`wear_line`);
-the remaining life is the time until the line reaches the end-of-life size. The monitor uses nothing
-but the samples of the learner.
+A learner adapts to slow wear, so its prediction error does not show wear. This monitor uses the
+errors of a fixed map of the healthy machine instead. It divides the learner's samples into looks,
+segments of a few strides that are evaluated at once. The fixed map is fitted to the first looks. In
+every later look the sizes of all faults of the bank are fitted to the errors of the fixed map. A
+straight line is fitted to the sizes of the best fault over time, from the onset of the wear on
+(`wear_line`); the remaining life is the time until the line reaches the end-of-life size.
 """
 
 import math
@@ -70,24 +70,24 @@ class HealthConfiguration(JudgeConfiguration):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Look:
-    """Fits of all curves to the samples of a look, and mean square errors of the healthy map."""
+    """Evaluation of one look, a segment of a few strides of learned samples."""
 
-    fit: SizeEstimate
-    error: np.ndarray
-    own: Mapping[str, tuple[float, np.ndarray]]  # cost and values of conditions, joint by joint
+    fit: SizeEstimate  # of all curves of the bank
+    error: np.ndarray  # mean square errors of the map of the healthy machine, (joints,)
+    own: Mapping[str, tuple[float, np.ndarray]]  # by condition: cost, and a value for each joint
 
 
 class _History:
-    """Sizes of all curves in the looks so far, in one preallocated array.
+    """Sizes of all curves in all past looks, in one preallocated array.
 
-    Small arrays kept between large temporary ones would block much more memory than their own.
+    Many small arrays, allocated between large temporary ones, would fragment the memory.
     """
 
     def __init__(self, curves: int) -> None:
         self._rows, self.count = np.empty((MOST_LOOKS + 1, 1 + curves)), 0
 
     def add(self, time: float, size: np.ndarray) -> None:
-        """Adds a look; beyond `MOST_LOOKS`, every second of the earlier ones is dropped."""
+        """Adds a look; beyond `MOST_LOOKS` looks, drops every second one of the older looks."""
         self._rows[self.count, 0], self._rows[self.count, 1:] = time, size
         self.count += 1
         if self.count > MOST_LOOKS:
@@ -96,7 +96,7 @@ class _History:
             self._rows[: len(kept)], self.count = kept, len(kept)
 
     def of(self, curve: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns times and sizes of a curve, (looks,) each."""
+        """Returns the times of all looks and the sizes of a curve, (looks,) each."""
         return self._rows[: self.count, 0].copy(), self._rows[: self.count, 1 + curve].copy()
 
 
@@ -112,13 +112,13 @@ class HealthMonitor:
 
     Attributes:
         trends: Slow changes reported since `reset`; the last one is still updated.
-        report: By name, each (joints,): `health_fault` (as the `fault` of a `FaultMonitor`; 0 for a
-            condition), `health_size` and `health_remaining` [s] (NaN where unknown), of the joints
-            that it concerns. The arrays are reused in the next look.
+        report: By name, each (joints,): `health_fault` (numbers as in `FaultMonitor.report`; 0 for
+            a condition), `health_size` and `health_remaining`, the remaining life [s] (NaN if
+            unknown), at the joints with the fault. The next look overwrites the arrays.
 
     Raises:
-        LeglabError: An end of life is of a fault that is not in the bank, or is not beyond the
-            healthy size in the direction of wear.
+        LeglabError: The end-of-life size belongs to a fault that is not in the bank, or does not
+            lie beyond the healthy size in the direction of wear.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class HealthMonitor:
         sample_period: float,
         pace: float = 1.0,
     ) -> None:
-        import scipy.special  # noqa: F401  not in the middle of a motion
+        import scipy.special  # noqa: F401  a slow import, which would interrupt the motion later
 
         self._faults, self._joints, self._config = bank.faults, joints, config
         self._bank = with_conditions(bank)
@@ -138,7 +138,7 @@ class HealthMonitor:
         for fault, size in config.end_of_life.items():
             _check_end(self._bank, fault, size)
         self._period, self._pace = sample_period, pace
-        self._samples = round(pace * config.look)  # of a look
+        self._samples = round(pace * config.look)  # learned samples per look
         kinds = ("health_fault", "health_size", "health_remaining")
         self.report = {name: np.zeros(len(joints)) for name in kinds}
         self.reset()
@@ -162,7 +162,7 @@ class HealthMonitor:
         self._number = 0
 
     def renew(self) -> None:
-        """Starts a new fit of the healthy map after an abrupt change; keeps the wear so far."""
+        """Starts a new fit of the healthy map after an abrupt change, less the wear so far."""
         self.drop()
         if self._base is not None:
             judged = self._judged if self.trends else None
@@ -198,7 +198,7 @@ class HealthMonitor:
         self._base = base if self._carried is None else base - self._carried
 
     def _look(self, time: float, moments: Moments) -> None:
-        """Fits the bank to the samples of a look, about the healthy map."""
+        """Evaluates a look; `moments` are sums over its samples, about the healthy map."""
         given = moments, self._normal, self._config.discrepancy
         own = {name: joint_by_joint(bank, *given) for name, bank in self._conditions.items()}
         look = _Look(
@@ -213,10 +213,10 @@ class HealthMonitor:
             self._decide(time, self._judged)
 
     def _decide(self, time: float, judged: Explanation) -> None:
-        """Reports the change that the last looks show, if any."""
+        """Reports the fault, condition or unknown change that the last looks show, if any."""
         config = self._config
         beyond = np.array([look.error for look in self._looks]) / np.maximum(self._normal, 1e-300)
-        least = beyond.max(axis=1).min()  # over the looks, of the worst joint
+        least = beyond.max(axis=1).min()  # least of the looks, each by its worst joint
         if least <= CHANGED:
             return
         if judged.enough(config.explained, config.evidence):
@@ -225,22 +225,22 @@ class HealthMonitor:
         elif (condition := self._condition(time, judged)) is not None:
             self._say(condition)
         elif least > UNEXPLAINED and not (self.trends and self.trends[-1].key == judged.key):
-            # A name stays in force when its fault explains a little less than before.
+            # The reported fault stays in force while it fits best, even if it explains too little.
             unknown = judged.unknown(self._joints, beyond[-1] > UNEXPLAINED)
             since = self._history.of(0)[0][-TOGETHER]
             self._say(FaultTrend(since=since, time=time, seen=time, **unknown))
 
     def _condition(self, time: float, judged: Explanation) -> FaultTrend | None:
-        """Tests conditions that differ between joints, as hotter oil in a cylinder that works more.
+        """Tests for a condition with different values at the joints, such as hotter oil in one.
 
-        Called where no fault of the bank explains enough: with a free value per joint, a condition
-        could be mistaken for wear.
+        Called only if no fault of the bank explains enough, because a condition with a free value
+        per joint is flexible enough to fit the effects of wear as well.
 
-        For its value and its origin per joint, the cost is raised by the logarithm of the number of
-        samples per added parameter (Schwarz 1978, Annals of Statistics 6, 461).
+        A value and an origin per joint, instead of one for all, are 2 joints - 2 more parameters.
+        Each raises the cost by log(samples) (Schwarz 1978, Annals of Statistics 6, 461).
 
         Returns:
-            The first condition that explains the last looks well enough; None without one.
+            The first condition that explains the last looks well enough; None if none does.
         """
         config, joints = self._config, len(self._joints)
         samples = joints * self._samples * TOGETHER / config.correlation
@@ -257,7 +257,7 @@ class HealthMonitor:
                 and chance >= config.confidence
             ):
                 values = self._looks[-1].own[name][1]
-                # The value fitted to all joints together varies less.
+                # One value fitted to all joints together has a smaller variance.
                 size = float(judged.fit.size[judged.best_of(self._bank.keys.index((name, ALL)))])
                 return FaultTrend(
                     fault=name,
@@ -295,7 +295,7 @@ class HealthMonitor:
         size = float(np.clip(line.value + line.rate * late, *ends))
         value, rate = (line.quantile / NINETY * np.sqrt(np.diag(line.covariance))).tolist()
         low, high = interval(curve, size, value, scale)
-        # All sizes have one relative error in common, since this machine is not the nominal one.
+        # Model error of the nominal machine scales all sizes, hence the rate, by an unknown factor.
         spread = NINETY * math.hypot(rate, scale * line.rate)
         told |= {
             "since": line.onset,
@@ -308,7 +308,7 @@ class HealthMonitor:
         }
         if worn_out is not None:
             best, first, last = line.reaches(worn_out, scale * abs(worn_out - curve.sizes[0]))
-            if best is not None:  # it grows towards its end
+            if best is not None:  # the fault grows towards its end-of-life size
                 told |= {
                     "remaining": max(best - late, 0.0),
                     "remaining_low": max(first - late, 0.0),
@@ -317,7 +317,7 @@ class HealthMonitor:
         return FaultTrend(**told)
 
     def _end_of_life(self, curve: FaultCurve) -> float:
-        """Returns the end-of-life size; the bank's largest if the setting is for the other side."""
+        """Returns the end-of-life size; the curve's last if the setting is on the other side."""
         healthy, largest = float(curve.sizes[0]), float(curve.sizes[-1])
         given = float(self._config.end_of_life.get(curve.fault, largest))
         return given if (given - healthy) * (largest - healthy) > 0 else largest
@@ -327,7 +327,7 @@ class HealthMonitor:
         self._tell(self.trends[-1])
 
     def _tell(self, trend: FaultTrend | None) -> None:
-        """Fills the report."""
+        """Writes a trend into `report`; clears it for a condition or None."""
         shown = None if trend is None or trend.condition else trend
         report(
             self.report,
@@ -340,7 +340,7 @@ class HealthMonitor:
 
 
 def _check_end(bank: FaultBank, fault: str, size: float) -> None:
-    """Raises `SettingsError` for an end of life that no wear reaches."""
+    """Raises `SettingsError` for an end-of-life size that no wear of the fault reaches."""
     wears = [c for c in bank.curves if c.fault not in CONDITIONS]
     curves = [c for c in wears if c.fault == fault]
     if not curves:

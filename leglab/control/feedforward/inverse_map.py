@@ -13,19 +13,19 @@ from leglab.identification import (
     SplineNarxSettings,
 )
 
-# Full scale of accelerations [rad/s^2] and jerks [rad/s^3], of the order of the walking stride's
-# in `leglab.references`, whose knee reaches 63 rad/s^2.
+# Accelerations [rad/s^2] and jerks [rad/s^3] that become 1 as inputs of the map: about the greatest
+# in the walking stride of `leglab.references`, whose knee reaches 63 rad/s^2.
 ACCELERATION, JERK = 50.0, 2000.0
 
-# Prior standard deviation of a group's parameters, relative to the splines'. Chosen on the walking
-# leg and the squat on the ground with worn seals and valves, external leakage, hot oil and tired
-# springs; factors of two change the errors by some ten percent. Products are small in slow motion
-# (a hundredth in the squat), so their prior is wide: in the squat with friction 2 gives 1.5 times
-# the offline fit's error, 5 gives 1.2 times; with 20 the learner bursts with worn valves (ground).
+# Prior standard deviations of the parameters by group of inputs, relative to those of the splines.
+# Chosen on the walking leg and the squat on the ground with worn seals and valves, external
+# leakage, hot oil and tired springs; factors of two change the errors by some 10 %. Products are
+# small in slow motion (1 % in the squat), so their prior is wide: in the squat with friction, 2 and
+# 5 give 1.5 and 1.2 times the offline fit's error; with 20, parameters burst with worn valves.
 _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 
-# Leak paths whose flows follow from the pressures, as in `csrc/feedforward/pressure_valve.h`: from
-# the cap side to the rod side, and from each side to the outside.
+# Inputs for the flows of leak paths at measured pressures (`csrc/feedforward/pressure_valve.h`):
+# from the cap side to the rod side, from the cap side outwards, from the rod side outwards.
 LEAKS = ("leak", "leak_a", "leak_b")
 
 # Knots of the velocity splines are dense within this share of full speed around standstill, where
@@ -34,25 +34,25 @@ _DENSE = 0.05
 
 
 class InverseMap:
-    """Structure of the map from the motion of all joints to the flow of each beyond its speed.
+    """Structure of the map from the motion of all joints to each joint's flow less its speed.
 
-    For joint i, with every signal scaled to about one, it is
+    For joint i, with every signal scaled to about one, the map is
 
         s(v_i) + p(q_i) + j_i + v_i q_i + sum_k (a_k + q_k + v_k + |v_i| a_k + |v_i| q_k),
 
-    each term with its own parameter. The spline s represents valve overlap and friction, p a
-    joint spring, the sum load (inertia, gravity, hence leakage flow), j its rate of change
-    (compression flow), the products the pressure drop that load leaves at the valve.
+    each term with its own parameter. The spline s represents valve overlap and friction, the spline
+    p a joint spring, the sum the load (inertia and gravity, which cause leakage flow), j the load's
+    rate of change (compression flow), the products the effect of the load on the valve's pressure.
 
     Args:
         joints: Number of joints.
         rls: Settings of the recursive least squares.
-        velocity_splines: Splines in s; 0 for a linear map: v_i and a constant, no products.
-        position_splines: Splines in p; 0 for a term linear in q_i.
-        leaks: Prior deviation of the parameters of leak paths, whose flows at measured pressures
-            are the last three inputs; 0 where there are no pressures.
+        velocity_splines: Number of splines in s; 0 for a linear map: v_i, a constant, no products.
+        position_splines: Number of splines in p; 0 for a term linear in q_i.
+        leaks: Prior standard deviation of the parameters of leak paths, whose flows at measured
+            pressures are three more inputs; 0 without measured pressures.
         least_memory: Fewest samples per parameter that forgetting keeps; sets the forgetting factor
-            of `rls` to 1 - 1 / (least_memory * parameters). None leaves it as it is.
+            of `rls` to 1 - 1 / (least_memory * parameters). None keeps the factor of `rls`.
     """
 
     def __init__(
@@ -118,6 +118,6 @@ def _structure(
         inputs=tuple(inputs),
         features=tuple(features),
         rls=rls,
-        # No range check with leaks: a wide prior scales a narrow range, which real leaks exceed.
+        # No range check with leaks: a wide prior makes the range narrow, and real leaks exceed it.
         plausible_range=0.0 if leaks else 5.0,
     )

@@ -61,7 +61,7 @@ class Explanation:
     """How well the faults of a bank explain a change."""
 
     bank: FaultBank  #: The bank
-    fit: SizeEstimate  #: Fit of its curves; costs are sums over all looks
+    fit: SizeEstimate  #: Fit of the bank's curves; costs are sums over all evaluations (looks)
     config: JudgeConfiguration  #: How surely a fault must explain the samples
 
     @cached_property
@@ -76,14 +76,14 @@ class Explanation:
 
     @cached_property
     def chance(self) -> np.ndarray:
-        """Probability of every fault and element among all of the bank, (keys,)."""
+        """Probability of each pair of fault and element among all of `bank.keys`, (keys,)."""
         return self.odds(self.fit.cost, self.bank.group.tolist())
 
     def odds(self, cost: np.ndarray, keys: list[int]) -> np.ndarray:
-        """Computes the probabilities of rival faults from the costs of their curves, (keys,).
+        """Computes the probabilities of faults, (keys,), from costs; curve i has the fault keys[i].
 
-        The odds of two faults follow from noise or from the model error of the nominal machine,
-        whichever are weaker (`csrc/monitor/fault_fit.h`).
+        Of the odds by noise and by the model error of the nominal machine, the less decisive ones
+        are used (`csrc/monitor/fault_fit.h`).
         """
         config, noise = self.config, self.fit.noise
         return chances(cost, keys, config.correlation, config.independent, noise)
@@ -105,7 +105,7 @@ class Explanation:
 
     @cached_property
     def alike(self) -> list[int]:
-        """Indices of faults within the factor `ALIKE` of the most probable one, which is first."""
+        """Indices of faults with more than 1/`ALIKE` of the highest probability, highest first."""
         order = np.argsort(-self.chance).tolist()
         return [k for k in order if ALIKE * self.chance[k] > self.chance.max()]
 
@@ -116,7 +116,7 @@ class Explanation:
 
     @property
     def certain(self) -> bool:
-        """True if the best fault and those alike are at most `TOLD`, together probable enough."""
+        """True if the faults `alike` are at most `TOLD` and have together enough probability."""
         enough = self.chance[self.alike].sum() >= self.config.confidence
         return len(self.alike) <= TOLD and bool(enough)
 
@@ -124,9 +124,9 @@ class Explanation:
         """Tests whether the best fault explains the samples well enough to be named.
 
         Args:
-            explained: Least share of the error that it must explain, as a fraction of the share
-                that a map can represent.
-            evidence: Least log-likelihood ratio to no change.
+            explained: Least share of the error that the fault must explain, as a fraction of the
+                share that a map can represent.
+            evidence: Least log-likelihood ratio of the fault to no change.
         """
         return bool(
             self.explained[self.best] >= explained * self.curve.explains
@@ -134,7 +134,7 @@ class Explanation:
         )
 
     def told(self) -> dict[str, Any]:
-        """Returns the fields of a `NamedFault` for the best fault, except times."""
+        """Returns all fields of a `NamedFault` for the best fault, except its times."""
         curve, size = self.curve, float(self.fit.size[self.best])
         rivals = [
             FaultRival(
@@ -158,7 +158,7 @@ class Explanation:
         }
 
     def unknown(self, joints: tuple[str, ...], hit: np.ndarray) -> dict[str, Any]:
-        """Returns these fields for an unknown change of the joints in `hit`, (joints,) of bool."""
+        """Returns the fields of `told` for an unknown change; `hit`: mask of the joints with it."""
         names = ",".join(name for name, own in zip(joints, hit, strict=True) if own)
         explained = float(self.explained[self.best])
         return {
@@ -172,7 +172,7 @@ class Explanation:
 def judge(
     bank: FaultBank, looks: Sequence[SizeEstimate], config: JudgeConfiguration
 ) -> Explanation:
-    """Combines several looks at one change: costs are summed, sizes are those of the last look."""
+    """Combines several fits of one change: sums their costs and takes the sizes of the last."""
     together = looks[-1]._replace(
         cost=np.sum([look.cost for look in looks], axis=0),
         without=sum(look.without for look in looks),
@@ -186,13 +186,13 @@ def interval(
 ) -> tuple[float, float]:
     """Computes the 90 % interval of a size, clipped to the range of the curve.
 
-    Its variance is that by sampling plus that by the model error of the nominal machine.
+    Its variance is the sum of a sampling variance and one by model error of the nominal machine.
 
     Args:
         curve: Curve of the fault.
         size: Estimated size.
         sampled: Standard deviation by sampling.
-        discrepancy: Standard deviation by model error, as a share of the change from healthy.
+        discrepancy: Standard deviation by model error, as a share of the size beyond healthy.
     """
     half = NINETY * math.hypot(sampled, discrepancy * abs(size - curve.sizes[0]))
     low, high = np.clip([size - half, size + half], np.min(curve.sizes), np.max(curve.sizes))
@@ -203,7 +203,7 @@ _Named = TypeVar("_Named", bound=NamedFault)
 
 
 def say(names: list[_Named], name: _Named, *, stands: bool) -> None:
-    """Appends a name; it updates the last one, but for its time, if that has its key and stands."""
+    """Appends a name; if the last name `stands` with the same key, replaces it, except its time."""
     if names and stands and names[-1].key == name.key:
         names[-1] = name.model_copy(update={"time": names[-1].time})
     else:
@@ -219,10 +219,10 @@ def report(
     joints: tuple[str, ...],
     empty: float = 0.0,
 ) -> None:
-    """Fills the three rows of a report, (joints,) each, at the joints that a name concerns.
+    """Fills the three arrays of a report, (joints,) each, at the joints that a name concerns.
 
-    They are the number of the fault (1 + its index in `faults`, -1 for an unknown change, 0 for
-    none), its size, and a third value, `last`, or `empty` without one.
+    The arrays are the number of the fault (1 + its index in `faults`, -1 for an unknown change, 0
+    for none), the size of the fault, and a third value: `last`, or `empty` if `last` is None.
     """
     number, size, third = rows.values()
     number[:], size[:], third[:] = 0.0, 0.0, empty

@@ -9,14 +9,14 @@ from leglab.control import ReferencePoint
 
 
 def smoothing_kernel(window: int, timestep: float) -> np.ndarray:
-    """Computes weights that give value and three derivatives in the middle of a window of samples.
+    """Computes weights for the value and three derivatives in the middle of a window of samples.
 
     Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of a least-squares
     polynomial, here of order 4, are linear in the samples.
 
     Args:
-        window: Samples, odd, more than 4.
-        timestep: Between samples [s].
+        window: Number of samples, odd, more than 4.
+        timestep: Time between samples [s].
 
     Returns:
         Rows whose products with the samples, oldest first, are x, x', x'' and x''', (4, window).
@@ -41,7 +41,7 @@ class SmoothingWindow:
     def __init__(self, signals: int, window: int, timestep: float, *, derivatives: int = 3) -> None:
         self._window = window
         self._kernel = smoothing_kernel(window, timestep)[: derivatives + 1]
-        # Every sample is written twice, a window apart, so that a slice is always in order.
+        # Every sample is written twice, `window` rows apart: the last `window` samples are a slice.
         self._rows = np.zeros((2 * window, signals))
         self.clear()
 
@@ -55,7 +55,7 @@ class SmoothingWindow:
         return self._filled >= self._window
 
     def push(self, *parts: ArrayLike) -> None:
-        """Takes one sample of all signals, in one array or several."""
+        """Adds one sample of all signals; `parts` are arrays to be joined, (signals,) in all."""
         row = self._rows[self._next]
         np.concatenate(parts, out=row)
         self._rows[self._next + self._window] = row
@@ -68,7 +68,7 @@ class SmoothingWindow:
         return self._rows[self._next : self._next + self._window]
 
     def middle(self) -> np.ndarray:
-        """Computes smoothed values in the middle and derivatives, (1 + derivatives, signals)."""
+        """Computes values and derivatives in the window's middle, (1 + derivatives, signals)."""
         return np.dot(self._kernel, self.samples)
 
 
@@ -77,8 +77,8 @@ class ReferenceMotion:
 
     Args:
         joints: Number of joints.
-        timestep: Time between calls [s]; the jerk is the difference of two accelerations over it.
-        lead: Time from now at which the motion is wanted [s].
+        timestep: Time between calls of `take` [s], over which accelerations give the jerk.
+        lead: Time ahead of the present for which the motion is computed [s].
         position_delay: Age of a position measured now [s].
         velocity_delay: Age of a velocity estimated now [s].
     """
@@ -106,7 +106,7 @@ class ReferenceMotion:
         """Shifts the reference of this period.
 
         Returns:
-            Motion (4, joints) `lead` from now, and the reference at the age of the measurements.
+            Motion `lead` ahead, (4, joints), and the reference when the sensors were read.
         """
         now = self._derivatives
         if not self._started:

@@ -10,18 +10,18 @@ from leglab.control.feedforward.adaptive import AdaptiveFeedforward
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRun:
-    """Recording of a moving machine, one row a control period."""
+    """Recording of a moving machine; arrays have a row per control period."""
 
     time: np.ndarray  #: [s], (n,)
     position: np.ndarray  #: Measured positions [rad], (n, joints)
     command: np.ndarray  #: Valve commands sent, (n, joints)
-    reference: ReferencePoint  #: Of the same times, each (n, joints)
+    reference: ReferencePoint  #: Reference at `time`, arrays of shape (n, joints)
 
     def identify(self, learning: AdaptiveFeedforward) -> np.ndarray:
-        """Replays the recording to a feed-forward; returns the parameters that it learns.
+        """Resets a feed-forward and replays the recording to it; returns the learned parameters.
 
-        It is reset first; with plain least squares the result, (joints, parameters) or, of one
-        joint, (parameters,), equals that of batch least squares.
+        Shape (joints, parameters), or (parameters,) for one joint. With plain recursive least
+        squares they equal the batch least-squares solution.
         """
         learning.reset()
         still = np.zeros_like(self.position[0])  # only the feedback uses velocities

@@ -1,8 +1,8 @@
 """Persistent faults: keeps their estimated size and follows repair or growth.
 
-For a machine with faults the curves of the bank start at the present size, not at the healthy one.
-The curve of a repair is measured rather than simulated: the learner has followed the change on this
-machine, and a repair undoes the parameter shift that it learned.
+For a machine with faults the curves of the bank start at the present sizes, not at healthy ones.
+The curve of a repair is measured, not simulated: the learner has followed the fault on this very
+machine, and the repair undoes the shift of the parameters that the learner made for the fault.
 """
 
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 class Standing:
     """A detected change that has not been undone."""
 
-    name: FaultName  #: As reported last; for a fault that has grown, the report of its last growth
-    size: float  #: In the unit of the fault; 1 of an unknown change
-    healthy: float  #: Size of a machine without it; 0 of an unknown change
-    before: np.ndarray  #: Parameters of the map before it, (joints, parameters)
-    #: Parameter shift learned with it, (joints, parameters); until `settle` only the part that was
-    #: learned earlier than `before`.
+    name: FaultName  #: Last report of the fault; of its growth if the fault has grown
+    size: float  #: Size in the unit of the fault; 1 for an unknown change
+    healthy: float  #: Size of a machine without the fault; 0 for an unknown change
+    before: np.ndarray  #: Parameters of the map before the change, (joints, parameters)
+    #: Parameter shift learned because of the fault, (joints, parameters); before `settle` only the
+    #: shift by an earlier, smaller size of the same fault.
     learned: np.ndarray
-    settled: bool = False  #: Whether `learned` is complete, as the next change has begun
+    settled: bool = False  #: Whether `settle` has completed `learned`, when the next change began
 
     def settle(self, now: np.ndarray) -> None:
         """Completes `learned` with the learner's present parameters, (joints, parameters)."""
@@ -34,7 +34,7 @@ class Standing:
             self.settled = True
 
     def back(self) -> FaultCurve | None:
-        """Returns the curve back to the healthy size by the learned shift; None if healthy."""
+        """Returns the curve of a repair, which undoes the learned shift; None if it is healthy."""
         if self.size == self.healthy:
             return None
         return FaultCurve(
@@ -48,7 +48,7 @@ class Standing:
 
 
 class Standings:
-    """Persistent changes, and the bank of the changes that may follow.
+    """Persistent changes of the machine, and the fault bank for its next change.
 
     Args:
         bank: Bank of the healthy machine.
@@ -63,15 +63,15 @@ class Standings:
     def clear(self) -> None:
         """Forgets all changes."""
         self._changes: list[Standing] = []
-        # Parameters of the map without the changes.
+        # Parameters of the map that the machine would have without the changes.
         self._origin = np.zeros(1)
 
     def bank(self, now: np.ndarray, regressor: np.ndarray) -> FaultBank:
         """Returns the bank for a change that begins now.
 
         Args:
-            now: Parameters of the map before it, (joints, parameters).
-            regressor: Regressors of the samples before it, (n, joints, parameters).
+            now: Parameters of the map before that change, (joints, parameters).
+            regressor: Regressors of the samples before that change, (n, joints, parameters).
         """
         for change in self._changes:
             change.settle(now)
@@ -84,10 +84,10 @@ class Standings:
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
 
     def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
-        """Forgets changes that disappeared undetected: the learner has unlearned them.
+        """Forgets changes that disappeared unnoticed, since the learner has unlearned their shifts.
 
-        The predictions of the present map less those of the map without the changes are fitted by
-        the predictions of each learned shift, with non-negative shares.
+        Non-negative least squares gives the share of each learned shift that is still in the map,
+        from the predictions of the present map less the predictions of the map without changes.
         """
         if not self._changes:
             return
@@ -101,7 +101,7 @@ class Standings:
         self._changes = [change for change, share in kept if share > 1.0 - UNDONE]
 
     def add(self, name: FaultName, before: np.ndarray) -> None:
-        """Adds a named change, and the map before it, (joints, parameters)."""
+        """Adds a named change; `before`: parameters before the change, (joints, parameters)."""
         healthy = [c.sizes[0] for c in self._bank.curves if (c.fault, c.element) == name.key]
         change = Standing(
             name=name,
@@ -123,7 +123,7 @@ class Standings:
         self._changes = self._changes[-MOST_STANDING:]
 
     def undo(self, onset: float, size: float) -> None:
-        """Reduces a change to a size; removes it where nearly all of it is undone."""
+        """Reduces the change with this onset to a size; removes it if nearly all is undone."""
         (change,) = [one for one in self._changes if one.name.onset == onset]
         left = (size - change.healthy) / (change.size - change.healthy)
         if left <= 1.0 - UNDONE:
@@ -134,13 +134,13 @@ class Standings:
 
 
 def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
-    """Returns the part of a curve beyond a present size; None where nothing is left."""
+    """Returns the rest of a curve beyond the present size of its fault; None if there is none."""
     if size is None:
         return curve
     side = np.sign(curve.sizes[-1] - curve.sizes[0])
     beyond = side * (curve.sizes - size) > 0.0
     if side * (size - curve.sizes[0]) <= 0.0 or not beyond.any():
-        return None  # size on the other side of healthy, or at the end
+        return None  # the size is on the other side of healthy, or at the end of the curve
     start = curve.shift(size)
     shifts = np.concatenate([np.zeros((1, *start.shape)), curve.shifts[beyond] - start])
     valves = curve.valves_at(size)

@@ -5,24 +5,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Commands of at least this magnitude are the valve's limit, not a measurement.
+# Calibrated commands of at least this magnitude mean that the valve is at its limit.
 _SATURATED = 0.999
 
-# Lower bound of a row's slope, command per share of full speed: no load makes a map flatter.
+# Lower bound of a map's slope over speed, command per share of full speed; no load gives less.
 _LEAST_SLOPE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveTable:
-    """Commands of all joints over position and share of full speed; every row strictly monotone."""
+    """Commands of all joints by position (rows) and share of full speed; rows are monotone."""
 
     start: np.ndarray  #: First positions [rad], (joints,)
     end: np.ndarray  #: Last positions [rad], (joints,)
-    spacing: np.ndarray  #: Distances of the positions [rad], (joints,)
-    full_speed: np.ndarray  #: Speeds of share 1 [rad/s], (joints,)
+    spacing: np.ndarray  #: Differences between neighbouring positions [rad], (joints,)
+    full_speed: np.ndarray  #: Full speeds, at which the share is 1 [rad/s], (joints,)
     share: np.ndarray  #: Shares of full speed of the columns, increasing, (columns,)
-    #: Valve commands, (joints, rows, columns); beyond [-1, 1] where the calibrated row ended at the
-    #: valve's limit and was continued in a straight line.
+    #: Valve commands, (joints, rows, columns); beyond [-1, 1] where the row reached the valve's
+    #: limit in the calibration and was extrapolated linearly.
     command: np.ndarray
 
     @classmethod
@@ -30,10 +30,10 @@ class ValveTable:
         """Makes the table.
 
         Args:
-            maps: One a joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
-                (p, v); positions equally spaced, velocities alike but for their scale.
+            maps: One per joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
+                (p, v); positions equally spaced, velocities equal but for a factor per joint.
             directions: Sign of the velocity that a positive command gives, (joints,). None leaves
-                the commands as calibrated: their rows need not be monotone then.
+                the commands as calibrated, so that rows need not be monotone.
         """
         share = maps[0].velocity / maps[0].velocity[-1]
         rows = [np.asarray(m.command, dtype=float) for m in maps]
@@ -49,7 +49,7 @@ class ValveTable:
         )
 
     def command_per_share(self) -> np.ndarray:
-        """Computes commands per share of full speed of the valves at half range, (joints,)."""
+        """Computes commands per share of full speed, at mid-position and up to half speed."""
         low, high = np.searchsorted(self.share, [-0.5, 0.5])
         middle = self.command[:, self.command.shape[1] // 2]
         rise = np.abs(middle[:, high] - middle[:, low])
@@ -57,7 +57,7 @@ class ValveTable:
 
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
-    """Makes rows strictly monotone without saturated ends; copies the nearest for useless ones."""
+    """Makes rows monotone, extrapolates saturated ends; copies a neighbour if mostly saturated."""
     rows: dict[int, np.ndarray] = {}
     for place, row in enumerate(command):
         good = np.abs(row) < _SATURATED
@@ -72,7 +72,7 @@ def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray
         after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
         before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
         rows[place] = sign * np.concatenate([before, after])
-    if not rows:  # the machine cannot carry its weight: any line will do
+    if not rows:  # the machine cannot carry its weight, so any straight line will do
         return np.tile(sign * share, (len(command), 1))
 
     def nearest(place: int) -> np.ndarray:

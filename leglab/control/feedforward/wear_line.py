@@ -1,4 +1,4 @@
-"""Straight line through the size of a wear fault over time, and when it reaches a level.
+"""Straight line through the size of a wear fault over time, and the time when it reaches a size.
 
 The interval of that time is Fieller's (1954, Journal of the Royal Statistical Society B 16, 175).
 """
@@ -12,9 +12,9 @@ from leglab.control.feedforward.thresholds import FEWEST, MANY, NINETY, OUTSIDE
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """A straight line through sizes over time, from its onset on."""
+    """Straight line through the sizes of a fault over time, from the onset of wear on."""
 
-    onset: float  #: When the sizes leave the healthy one [s]
+    onset: float  #: Time at which the size begins to depart from the healthy size [s]
     end: float  #: Time of the last size [s]
     value: float  #: Value of the line at the end
     rate: float  #: Slope [1/s]
@@ -23,7 +23,7 @@ class Line:
 
     @property
     def quantile(self) -> float:
-        """Quantile of Student's t distribution for the ends of an interval."""
+        """Quantile of Student's t distribution for the ends of a 90 % interval."""
         from scipy.special import stdtrit
 
         return float(stdtrit(self.freedom, 1 - OUTSIDE / 2))
@@ -35,12 +35,12 @@ class Line:
         (Fieller 1954): the roots of (v + r t - level)^2 = q^2 var(v + r t) + var(level).
 
         Args:
-            level: Size.
-            scale: Standard deviation of the level, which stands for the unknown scale of all sizes.
+            level: Size of the fault to be reached.
+            scale: Standard deviation of `level`, in place of an unknown factor common to all sizes.
 
         Returns:
-            Times after the end [s]; the first is None where the line leads away from the level, the
-            last is None where a slope of zero is within its interval.
+            Times after the line's `end` [s]: estimate, None if the line leads away from the level;
+            earliest time; latest time, None if the slope's interval contains zero.
         """
         gap, q2 = level - self.value, self.quantile**2
         best = gap / self.rate if gap * self.rate > 0 else (0.0 if gap == 0 else None)
@@ -54,18 +54,18 @@ class Line:
 
 
 def line_of(time: np.ndarray, size: np.ndarray, healthy: float) -> Line | None:
-    """Fits a line to sizes that depart from the healthy one at an onset.
+    """Fits a line to the sizes of a fault that depart from the healthy size at an onset.
 
-    The onset is that of the broken line with the least squared error. From it on the line is fitted
-    anew; its covariance allows for correlated neighbouring residuals (AR(1), estimated from them).
+    The onset is the corner of the best-fitting broken line, first constant, then sloped. A new line
+    is fitted to the sizes after it; its covariance allows for AR(1) correlated residuals.
 
     Args:
-        time: Of each size, increasing [s], (n,).
-        size: (n,).
+        time: Time of each size, increasing [s], (n,).
+        size: Sizes, (n,).
         healthy: Size of the healthy machine.
 
     Returns:
-        The line; None where there are fewer than four sizes.
+        The line; None for fewer than four sizes.
     """
     count = len(time)
     if count < FEWEST:

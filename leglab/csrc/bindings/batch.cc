@@ -3,9 +3,9 @@
 // readings and reference of the next period into arrays with one row per machine.
 //
 // Each thread has one mjData, into and out of which it copies a machine's state: the states of hundreds
-// of machines fit into the caches, their whole mjData do not, which doubles the time of a step. Derived
-// quantities in a machine's data (body positions, forces) are not updated.
-// Their models do not fit into the caches either: machines with equal models step on one copy.
+// of machines fit into the caches, their whole mjData do not, which would double the time of a step.
+// Derived quantities in a machine's data (body positions, forces) are not updated. The models of all
+// machines do not fit into the caches either, so machines with equal models step on one copy.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
@@ -31,7 +31,7 @@ struct Shape {
 
 // Inputs of one episode of one machine; rows are control periods.
 struct Series {
-  Input noise, shift, pressure_noise;      // (periods, joints), the same, (periods, pressures)
+  Input noise, shift, pressure_noise;      // (periods, joints) twice, (periods, pressures)
   Array<const bool> lost;                  // (periods, joints)
   Input position, velocity, acceleration;  // of the reference, (periods + ahead, joints)
 };
@@ -44,7 +44,7 @@ bool same(const mjModel& a, const mjModel& b) {
 
 struct Machine {
   const mjModel* own = nullptr;    // the machine's model, which a scenario may change
-  const mjModel* model = nullptr;  // model to step: `own` or the common one
+  const mjModel* model = nullptr;  // model to step: `own` or the common copy
   mjData* data = nullptr;
   Series series;
   std::unique_ptr<loop::Sensing> sensing;
@@ -122,8 +122,8 @@ class Batch {
     look(i);
   }
 
-  // Steps machines with commands (machines, joints) and begins their next period: `late` machines are
-  // not measured yet, as parameters change before that; machines in `rests` are not stepped.
+  // Steps machines, except those flagged in `rests`, with commands (machines, joints) and begins their
+  // next period. Machines flagged in `late` are not measured yet, because their parameters change first.
   void step(Input commands, Array<const bool> late, Array<const bool> rests) {
     const std::size_t n = machines_.size();
     require_size(n * joints_, commands);
@@ -212,7 +212,7 @@ class Batch {
     }
   }
 
-  // Prefetches most of a state, that of the plugins, into the cache while another machine steps.
+  // Prefetches the plugin state, most of a machine's state, while another machine steps.
   static void prefetch(const Machine& m) {
     if (!m.model) return;
     constexpr int line = 64 / sizeof(mjtNum);

@@ -158,7 +158,7 @@ class Feedforward : ValveTables, public ff::AdaptiveFeedforward {
          {position.data(), velocity.data(), acceleration.data()}, out.data(), pressures);
   }
 
-  // The same without checks of sizes; `out` is (reported, joints).
+  // Does the same as the other `step` without checks of sizes; `out` is (reported, joints).
   void step(double time, const double* measured, const double* measured_velocity,
             const ff::Reference& reference, double* out, const ff::Pressures& pressures) {
     const std::size_t n = joints();

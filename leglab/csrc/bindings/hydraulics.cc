@@ -52,8 +52,8 @@ typename Table::Parameters parameters_of(const double* values, std::size_t count
   return p;
 }
 
-// Steady sliding friction g at every sample, by the law of a plugin: of a cylinder's seals, with the
-// sum of its gauge pressures as load, or of a joint, with the joint's load.
+// Steady sliding friction g at every sample by the law of a plugin. `carried` is the sum of the gauge
+// pressures for the seals of a cylinder, and the joint's load for the friction of a joint.
 void sliding_friction(const std::string& plugin, ConstVector parameters, ConstVector velocity,
                       ConstVector carried, ConstVector time, Vector out) {
   require_size(out.size(), velocity, carried, time);

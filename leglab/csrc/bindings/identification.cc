@@ -45,7 +45,7 @@ using SplineStateSpaceBank = Bank<id::SplineStateSpace<T>, id::SplineStateSpaceS
 
 }  // namespace
 
-// Increase this whenever the memory layout of any identifier changes: saved files contain it.
+// Increase this number whenever the memory layout of any identifier changes; saved files contain it.
 constexpr int state_version = 3;
 
 NB_MODULE(identification, module) {

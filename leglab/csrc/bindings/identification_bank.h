@@ -26,7 +26,7 @@ class Bank {
     }
   }
 
-  // Models point into the block and the store.
+  // A bank cannot be copied, because its models point into the block and the store.
   Bank(const Bank&) = delete;
   Bank& operator=(const Bank&) = delete;
 
@@ -35,7 +35,7 @@ class Bank {
     return double(models_[0].update(&input, T(y)));
   }
 
-  // Takes one sample of every joint, or of one joint with several inputs, whose y is a number.
+  // Takes one sample of every joint, or of a single joint with several inputs and a number as y.
   void update_many(Input u, Input y, Output prediction) {
     if (u.size() != models_.size() * inputs() || y.size() != models_.size()) {
       throw nb::type_error("wrong number of values");
@@ -64,7 +64,7 @@ class Bank {
     sweep(u.data(), y.data(), prediction.data(), int(y.shape(0)));
   }
 
-  // As run; also writes every joint's parameters after each sample: (samples, joints, count).
+  // Does `run`, and writes every joint's parameters after each sample: (samples, joints, count).
   void run_recorded(Input u, Input y, Output prediction, Output trajectory) {
     double* to = trajectory.data();
     for (std::size_t t = 0; t < y.shape(0); ++t) {
@@ -108,7 +108,7 @@ class Bank {
     if (state.size() != state_size()) throw std::invalid_argument("state of another size");
     std::memcpy(block_.get(), state.c_str(), state_size());
   }
-  // As set_state for an external state: an invalid one is rejected without changing anything.
+  // Sets a state read from outside; an invalid state is rejected without changing anything.
   void load_state(nb::bytes state) {
     const nb::bytes before = this->state();
     set_state(state);
@@ -125,7 +125,7 @@ class Bank {
     visit_parameters(models_[0], [&](T&) { ++count; });
     return count;
   }
-  // (joints, parameters)
+  // Parameters of all joints, (joints, parameters).
   Made parameters() {
     const std::size_t count = std::size_t(parameter_count());
     std::vector<double> out(models_.size() * count);

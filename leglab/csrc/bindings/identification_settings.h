@@ -36,7 +36,7 @@ V get(const Settings& settings, const char* name) {
   }
 }
 
-// Fills fields of `out` from those of the same name in `settings`, an object or a dictionary.
+// Fills fields of `out` from fields of the same name in `settings`, an object or a dictionary.
 #define LEGLAB_READ(name) out.name = get<decltype(out.name)>(settings, #name);
 #define LEGLAB_READ_2(a, b) LEGLAB_READ(a) LEGLAB_READ(b)
 #define LEGLAB_READ_3(a, ...) LEGLAB_READ(a) LEGLAB_READ_2(__VA_ARGS__)

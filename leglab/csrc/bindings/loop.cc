@@ -85,10 +85,10 @@ class Rows {
   Output rows_;
 };
 
-// Copies the arrays of a dictionary to rows, as long as it contains the same array objects.
+// Copies the arrays of a dictionary to rows while the dictionary contains the same array objects.
 class Reports {
  public:
-  // rows: for each array of the dictionary, in its order, the destination (most, size).
+  // rows: for each array, in the dictionary's order, the destination: (number of rows, array size).
   Reports(nb::dict reports, std::vector<Output> rows) {
     if (rows.size() != reports.size()) throw nb::value_error("as many rows as reports are needed");
     std::size_t i = 0;
@@ -130,8 +130,8 @@ class Reports {
   std::vector<Entry> entries_;
 };
 
-// Writes commands, clipped to [-1, 1], to an array as centre + half x command; returns false, without
-// writing, for anything but an array of the right number of finite numbers.
+// Writes centre + half x command to an array, with commands clipped to [-1, 1]. Returns false, without
+// writing, if the commands are not an array of the right number of finite numbers.
 class Drives {
  public:
   Drives(Output to, Input centre, Input half)

@@ -114,10 +114,10 @@ Made chances(Input cost, std::vector<int> keys, double correlation, double indep
   return array_of(std::move(out), {count});
 }
 
-// Curves of a bank, and the arrays that they point into.
+// Curves of a bank of faults, and the arrays that the curves point into.
 class Bank {
  public:
-  // For every curve the magnitudes (nodes) and shifts (nodes, joints, parameters).
+  // sizes: magnitudes of every curve, (nodes); shifts: (nodes, joints, parameters).
   Bank(std::vector<Input> sizes, std::vector<Input> shifts)
       : sizes_(std::move(sizes)), shifts_(std::move(shifts)) {
     const std::size_t count = sizes_.size();
@@ -136,7 +136,7 @@ class Bank {
   }
 
   // Arguments as in `FaultFit::begin`. Returns magnitudes, spreads and costs of all curves, the cost
-  // without any fault, and that of noise.
+  // without any fault, and the cost expected from noise alone.
   nb::tuple fit(const mon::Moments& sums, Input normal, double discrepancy, int joint) const {
     if (sums.joints() != joints_ || sums.parameters() != parameters_) {
       throw nb::value_error("moments and bank differ in joints or parameters");
@@ -197,7 +197,7 @@ class FaultMonitor : public mon::FaultMonitor {
     return look();
   }
 
-  // Regressors of the blocks before the case's onset, (n, joints, parameters).
+  // Regressors of the kept blocks before the suspected change, (n, joints, parameters).
   Made regressors_before() const {
     std::vector<double> out;
     if (!open()) throw nb::value_error("no case is open");

@@ -8,7 +8,7 @@
 namespace leglab::bindings {
 namespace {
 
-// A model, further features, and one record; `settings` are those of a SplineNarx without Hammerstein.
+// A model, candidate features (`further`), and a record; `settings`: of a SplineNarx, no Hammerstein.
 class Runs {
  public:
   Runs(nb::handle settings, nb::handle further, Input u, Input y)
@@ -68,9 +68,9 @@ class Runs {
   std::optional<id::FreeRun<double>> run_;
 };
 
-// A state-space model, the argument of a further curve or none (empty), and segments of records;
-// `settings` are those of a SplineStateSpace. Inputs are delayed; before the first sample they equal
-// that sample. The initial states of all segments follow the parameters theta.
+// A state-space model, the argument of a candidate curve (`further`, empty for none), and segments of
+// records; `settings` are those of a SplineStateSpace. Inputs are delayed; before the first sample they
+// equal the first sample. In theta the initial states of all segments follow the parameters.
 class StateRuns {
  public:
   // For each segment: inputs, outputs, and the sample at which it begins in these.
@@ -86,8 +86,8 @@ class StateRuns {
     }
   }
 
-  // Error, number of samples, and the sums over all segments; see state_run.h. The weights of a
-  // further curve follow the initial states.
+  // Error, number of samples, and the sums over all segments; see state_run.h. In psi the weights of
+  // the candidate curve follow the initial states.
   nb::tuple sums(Input theta, bool sensitivities) {
     const std::size_t n = std::size_t(model_.structure.states), count = parameters();
     const std::size_t own = std::size_t(run_.width()), width = own + n * (segments_.size() - 1);

@@ -27,7 +27,7 @@ struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, 
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // windows with a larger command are not learned
   double greatest_acceleration = 0.0;  // largest possible acceleration of a joint [rad/s^2]
-  bool forward = false;         // learns the speed for a flow, and solves for the flow
+  bool forward = false;         // learns the speed that a flow gives, and solves for the flow
   bool supervised = true;
   std::vector<double> learn_lower, learn_upper;  // range of positions for learning [rad]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -47,10 +47,10 @@ struct Period {
 };
 
 // u = feed-forward + PD, where the PD loop compares a measurement with the reference of the same age.
-// The learned quantity is the flow in excess of that of the motion itself, as a share of full speed:
-// leakage, compression and losses due to load. The calibrated valve map converts flow to command and
-// back, so a model output of zero is the calibration, and an error of the model is an error of
-// speed, which the joint integrates.
+// The map learns the excess flow, due to leakage, compression and load: the flow beyond the one that the
+// speed of the motion needs, as a share of full speed. The calibrated valve map converts flow to command
+// and back. So a learned excess of zero gives the command of the calibration alone, and an error of the
+// learned map is an error of speed, which the joint integrates.
 // With data sheets and measured pressures the valve map is replaced by a `PressureCascade`.
 class AdaptiveFeedforward {
  public:
@@ -70,8 +70,8 @@ class AdaptiveFeedforward {
     seen_position_ = seen_velocity_ = feedforward_;
   }
 
-  // `load_learners` are needed if pressures are measured, `slope_learners` if states of valves are
-  // proposed.
+  // `load_learners` predict the load of a motion; needed if pressures are measured. `slope_learners`
+  // predict a flow's sensitivity to the valve state; needed if `propose` is called with valve states.
   void reset(std::vector<Learner*> learners, std::vector<Learner*> load_learners = {},
              std::vector<Learner*> slope_learners = {}) {
     learners_ = std::move(learners);
@@ -90,9 +90,9 @@ class AdaptiveFeedforward {
     frozen_ = false;
   }
 
-  // Adds a contender, a map that competes with the learned one, with the log odds that it is better; it
-  // learns and is weighted by its predictions until `reset` or `settle`. `shapes` (joints) is the state
-  // of the valves that it assumes; null for the state in use.
+  // Adds a contender: a map that competes with the map in use until `reset` or `settle`. It learns, too,
+  // and is weighted by its prior log odds and its errors. error: see `Contenders::add`; shapes: valve
+  // states that the contender assumes, (joints), null for the states in use.
   void propose(std::vector<Learner*> learners, double odds, double error,
                const ValveShape* shapes = nullptr) {
     const int place = shapes ? valves_.propose(shapes, window_) : ValveStates::in_use;
@@ -105,23 +105,23 @@ class AdaptiveFeedforward {
   // State of a valve that the map in use assumes.
   ValveShape valve(std::size_t j) const { return valves_.shape(ValveStates::in_use, j); }
 
-  // Excludes all contenders except this one; the map without a contender stays.
+  // Excludes all contenders except this one; the map in use stays.
   void only(int contender) { contenders_.only(contender); }
 
-  // Updates a contender after the caller has set its parameters, and its valve state if it has one.
+  // Restarts a contender whose parameters the caller has set; `shapes` replaces its valve states.
   void revise(int contender, double error, const ValveShape* shapes = nullptr) {
     if (shapes) valves_.revise(contenders_.valves(contender), shapes, window_);
     contenders_.revise(contender, error);
   }
 
-  // Removes all contenders after the caller has copied the winner, counted from 1, or none, 0.
+  // Removes all contenders. winner: number, from 1, of that copied to the map in use; 0 if none was.
   void settle(int winner) {
     if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
     valves_.settle(winner > 0 ? contenders_.valves(winner - 1) : ValveStates::in_use, window_);
     contenders_.clear();
   }
 
-  // Weights in the prediction: of the map without a contender, then of each contender.
+  // Weights of the maps in the prediction: of the map in use, then of each contender.
   const std::vector<double>& shares() const { return contenders_.weight(); }
 
   // Stops learning until `reset`.
@@ -135,8 +135,8 @@ class AdaptiveFeedforward {
   KeptSamples& kept() { return kept_; }
   const KeptSamples& kept() const { return kept_; }
 
-  // Computes a control period from present measurements, NaN if missing, and the present reference:
-  // without a measurement the command is the feed-forward alone.
+  // Computes the commands of a control period from the present measurements and reference. If a
+  // measurement is missing (NaN), the joint's command is the feed-forward alone.
   void step(double time, const double* measured, const double* measured_velocity,
             const Reference& reference, const Period& out, const Pressures& pressures = {}) {
     if (cascade_.any()) cascade_.read(pressures);
@@ -182,8 +182,8 @@ class AdaptiveFeedforward {
   }
 
  private:
-  // Flow for a motion, as a share of full speed. In the forward model the loss changes slowly with the
-  // flow: a few fixed-point iterations find the flow that gives the speed.
+  // Flow for the speed `share`, both as shares of full speed. In the forward model the excess depends
+  // weakly on the flow itself: a few fixed-point iterations find the flow that gives the speed.
   double wanted_flow(int i, double share) {
     double flow = share;
     for (int k = 0; k < (settings_.forward ? 4 : 1); ++k) {
@@ -201,15 +201,15 @@ class AdaptiveFeedforward {
                             [&] { return share + excess(j); });
   }
 
-  // Flow in excess of that of the motion itself for the inputs, as a share of full speed.
+  // Predicted excess flow for `inputs_`, as a share of full speed.
   double excess(std::size_t j) {
     const double learned = learners_[j]->peek(inputs_);
     const double own = proofs_[j].used(count_, learners_[j]->regressor(), learned);
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // Weighted mean of the commands of all maps: each map predicts the flow in excess of `share` of full
-  // speed, adds the feedback command `beside` and inverts its state of the valve.
+  // Weighted mean of the commands of all maps. For each map, `share` plus the predicted excess flow
+  // gives a command; the feedback `beside` is added, and the map's valve state is inverted.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {
@@ -229,7 +229,7 @@ class AdaptiveFeedforward {
     return alike > 0.0 ? sum + alike * sent(ValveStates::in_use, excess / alike) : sum;
   }
 
-  // A motion requested in one period is measured in the next, and sampled in the window's middle.
+  // Delay: a requested motion is measured one period later, and sampled when in the window's middle.
   std::vector<Proof> proofs(const std::vector<Learner*>& learners) const {
     std::vector<Proof> out;
     for (const Learner* learner : learners) {
@@ -264,8 +264,8 @@ class AdaptiveFeedforward {
     kept_.next();
   }
 
-  // Tests whether a reading is physically impossible after the two before it: an encoder is lost,
-  // shifted or failed, and the window would smooth the jump to a false motion.
+  // Tests whether a reading is physically impossible after the two previous ones, because an encoder is
+  // lost, shifted or failed: the window would smooth such a jump to a false motion.
   bool jumps(const double* position) {
     const double h = settings_.control_period, most = settings_.greatest_acceleration * h * h;
     bool found = false;
@@ -304,8 +304,8 @@ class AdaptiveFeedforward {
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
-  // The magnitude of a valve's state is estimated by block least squares after projecting out the other
-  // features of the map with a second map of the motion; the map's parameters are adjusted for it.
+  // Learns the magnitude of a valve's state from the part of its flow sensitivity (slope) that a second
+  // map of the motion cannot explain; the effect of the explained part goes into the map in use.
   void learn_state(std::size_t j, bool usable) {
     const double slope = valves_.slope(j);
     Learner& told = *slope_learners_[j];
@@ -329,7 +329,7 @@ class AdaptiveFeedforward {
   ValveStates valves_;
   std::vector<double> motion_, feedforward_, error_, sent_, flow_;
   std::vector<double> last_, before_last_;  // readings [rad]
-  std::vector<double> seen_position_, seen_velocity_;  // reference with the age of measurements
+  std::vector<double> seen_position_, seen_velocity_;  // reference at the time of the measurements
   double inputs_[identification::GuardSettings<double>::max_inputs] = {};
   KeptSamples kept_;
   long count_ = 0;

@@ -1,4 +1,4 @@
-// Maps that assume a change of the machine, learned in parallel with the one that assumes none.
+// Maps that assume a change of the machine, learned in parallel with the map in use, which assumes none.
 #pragma once
 
 #include <algorithm>
@@ -11,18 +11,18 @@ namespace leglab::feedforward {
 
 struct ContenderSettings {
   double contest_time = 0.0;    // time constant of mean squared errors [s]
-  double contest_gather = 0.0;  // time constant of the logarithms of their ratios [s]
+  double contest_gather = 0.0;  // time constant of the logarithm of their ratio [s]
   double contest_errors = 0.0;  // number of independent errors in each of these two means
   double contest_floor = 0.0;   // squared error of a joint due to noise [square of full speed]
   double contest_window = 0.0;  // ratio of mean squared errors at which a contender is excluded
 };
 
-// Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters: each
-// predicts every sample before it learns it, and is weighted by the likelihood of its errors with
-// unknown variance: odds ratio^(-errors/2), with the ratio of mean squared errors to those of the map
-// without a contender, both the present ratio and the geometric mean of past ones. A contender that
-// predicts much worse than that map (Occam's window; Madigan and Raftery 1994) is excluded for good:
-// as it also learns, it would otherwise return when the motion is easy.
+// Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters. Each map
+// predicts every sample before it learns it. A contender's prior odds are multiplied by the likelihood
+// ratio of errors with unknown variance, r^(-errors/2), once with the present ratio r of its mean
+// squared error to that of the map in use, once with the geometric mean of past r. A contender that
+// predicts much worse than the map in use (Occam's window; Madigan and Raftery 1994) is excluded for
+// good: because it also learns, it would otherwise return when the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -32,7 +32,7 @@ class Contenders {
         gather_(std::min(1.0, sample / settings.contest_gather)), errors_(settings.contest_errors),
         floor_(settings.contest_floor * double(joints)), window_(settings.contest_window) {}
 
-  // Removes all maps except the one without a contender.
+  // Removes all contenders.
   void clear() {
     others_.clear();
     weight_.assign(1, 1.0);
@@ -45,8 +45,8 @@ class Contenders {
   bool any() const { return !others_.empty(); }
   const std::vector<double>& weight() const { return weight_; }
 
-  // Adds a contender with its log odds, the ratio `error` of its past mean squared error to that of the
-  // map without a contender, and the index of the valve state that it assumes.
+  // Adds a contender. odds: log odds; error: past mean squared error of the contender, relative to the
+  // error of the map in use; valves: index of the valve state that the contender assumes.
   void add(std::vector<Learner*> learners, std::vector<Proof> proofs, double odds, double error,
            int valves) {
     others_.push_back({std::move(learners), std::move(proofs), odds, valves});
@@ -78,7 +78,7 @@ class Contenders {
     weigh();
   }
 
-  // Weighted prediction of a joint by all maps; `own` is that of the map without a contender.
+  // Weighted prediction of a joint's output by all maps; own: prediction of the map in use.
   double used(std::size_t j, const double* inputs, long period, double own) {
     double sum = weight_[0] * (said_[0] = own);
     for (std::size_t k = 0; k < others_.size(); ++k) {
@@ -91,10 +91,10 @@ class Contenders {
     return sum;
   }
 
-  // Predictions of the latest call of `used`, that of the map without a contender first.
+  // Predictions of all maps in the latest call of `used`, the map in use first.
   const std::vector<double>& said() const { return said_; }
 
-  // Takes a sample; own: error of the map without a contender; found_with: output by valve state.
+  // Takes a joint's sample; own: error of the map in use; found_with: output for a valve state's index.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
             long period) {
@@ -160,7 +160,7 @@ class Contenders {
 
   double forget_, gather_, errors_, floor_, window_;
   std::vector<Other> others_;
-  // Values of the map without a contender, then of each contender.
+  // Values of the map in use, then of each contender.
   std::vector<double> weight_, error_, sum_, ratio_, said_;
 };
 

@@ -13,8 +13,8 @@ struct MotionScale {
   double acceleration = 1.0, jerk = 1.0;   // full scale [rad/s^2], [rad/s^3]
 };
 
-// For joint i: v_i, j_i, v_i q_i and, for every joint k in cyclic order from i, a_k, q_k, |v_i| a_k,
-// |v_i| q_k and, except for k = i, v_k; a linear map omits the products.
+// Inputs of joint i from position q and its derivatives v, a, j: v_i, j_i, v_i q_i and, for all k in
+// cyclic order from i, a_k, q_k, |v_i| a_k, |v_i| q_k and, for k != i, v_k. A linear map omits products.
 class InverseMap {
  public:
   InverseMap(MotionScale scale, bool products)
@@ -25,7 +25,7 @@ class InverseMap {
   int inputs() const { return products_ ? 2 + 5 * joints_ : 1 + 3 * joints_; }
   const std::vector<double>& speed() const { return scale_.full_speed; }
 
-  // Scales a motion (4, joints), from which `inputs` computes those of one joint.
+  // Scales and stores a motion, (4, joints), from which `inputs` computes the inputs of one joint.
   void take(const double* motion) {
     for (int k = 0; k < joints_; ++k) {
       const std::size_t i = std::size_t(k);
@@ -44,7 +44,7 @@ class InverseMap {
     return most;
   }
 
-  // own: share of full speed used as the joint's v_i.
+  // Computes the inputs of a joint; own: the joint's v_i, as a share of full speed.
   void inputs(int joint, double own, double* out) const {
     const std::size_t i = std::size_t(joint);
     const double speed = std::abs(own);

@@ -6,8 +6,8 @@
 
 namespace leglab::feedforward {
 
-// Rows (kept, joints, parameters + 3): regressor, output, a-priori error, and 1; only zeros if the
-// joint did not learn the sample.
+// Array (kept, joints, parameters + 3). The row of a sample and joint holds regressor, output, a-priori
+// error and 1, or only zeros if the joint did not learn the sample.
 class KeptSamples {
  public:
   // Empties the buffer and sets its capacity to `samples`; 0 keeps none.
@@ -25,7 +25,7 @@ class KeptSamples {
   const double* rows() const { return rows_.data(); }
   void drop() { count_ = 0; }
 
-  // Writes a joint's row of the sample that `next` ends; a null `regressor` means not learned.
+  // Writes a joint's row of the sample that `next` will complete; null `regressor`: not learned.
   void put(int joint, const double* regressor, double output, double error) {
     double* row = rows_.data() + std::size_t((count_ * joints_ + joint) * width_);
     std::fill_n(row, width_, 0.0);

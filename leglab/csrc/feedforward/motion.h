@@ -40,7 +40,7 @@ class SmoothingWindow {
     smooth(flow_, 0, flow);
   }
 
-  // Access for a further series of `size` numbers of the same samples, stored by the caller.
+  // Access for callers that store a further series of `size()` numbers for the same samples.
   std::size_t size() const { return flow_.size(); }
   const double* position(int k) const { return position_.data() + row_at(k) * joints_; }
   const double* command(int k) const { return command_.data() + row_at(k) * joints_; }
@@ -83,7 +83,7 @@ class SmoothingWindow {
 
   int row_at(int k) const { return next_ + k; }  // row of sample k, the oldest first
 
-  // Derivative of a series (joints) in the middle.
+  // Computes the derivative of an order of a series, (joints), in the middle of the window.
   void smooth(const std::vector<double>& series, int order, double* sum) const {
     const double* samples = series.data() + next_ * joints_;
     const double* weights = kernel_.data() + order * window_;
@@ -109,7 +109,7 @@ class ReferenceMotion {
 
   void clear() { started_ = false; }
 
-  // Computes the motion (4, joints) `lead` from now; seen: reference with the age of measurements.
+  // Computes the motion `lead` from now, (4, joints), and the reference at the time of the measurements.
   void take(const double* position, const double* velocity, const double* acceleration,
             double* motion, double* seen_position, double* seen_velocity) {
     for (int j = 0; j < joints_; ++j) {

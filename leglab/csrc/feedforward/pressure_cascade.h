@@ -15,9 +15,9 @@ struct Pressures {
   double supply = 0.0;
 };
 
-// With data sheets and measured pressures the feed-forward is a cascade: a second map, learned from the
-// measured load, predicts the load of a motion; the valve's equation at the pressures of that load
-// replaces the calibrated map, and the losses of its leak paths are further inputs of the first map.
+// Feed-forward with data sheets and measured pressures: a load map, learned from the measured load,
+// predicts the load of a motion. The valve's equation at the pressures for that load replaces the
+// calibrated valve map; the losses of leak paths are further inputs of the map of the excess flow.
 template <class Learner>
 class PressureCascade {
  public:
@@ -51,14 +51,14 @@ class PressureCascade {
     return valves_[j].share(valves_[j].at(position, now, supply_), now, command);
   }
 
-  // Adds the last pressures to a window; `middle` computes those in its middle, which `learn` uses.
+  // Adds the last pressures to a window; `middle` computes the pressures in its middle for `learn`.
   void push(SmoothingWindow& window) const { window.push_pressures(a_.data(), b_.data()); }
   void middle(const SmoothingWindow& window) {
     window.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
   }
 
-  // Command for the flow that `flow()` returns. `inputs` holds `count` inputs of the motion; the leaks
-  // are appended to them before the call of `flow()`.
+  // Command for the flow that `flow()` returns. `inputs` holds `count` inputs of the motion; the losses
+  // of leak paths are appended to `inputs` before `flow()` is called.
   template <class Flow>
   double command(std::size_t j, double position, double* inputs, int count, Flow flow) {
     const ChamberPressures now{a_[j], b_[j]};
@@ -67,9 +67,9 @@ class PressureCascade {
     return valves_[j].command(at, expected, flow());
   }
 
-  // Updates the second map with the middle of the window, and appends the leaks to the inputs. Returns
-  // the flow of the sample's command at the pressures that this map predicts minus that at the measured
-  // ones: the first map is learned for the pressures with which its output is used.
+  // Updates the load map with the middle of the window; appends the losses of leak paths to `inputs`.
+  // Returns the flow of the sample's command at predicted minus that at measured pressures. It corrects
+  // what the map of the excess flow learns, because this map is used with predicted pressures.
   double learn(std::size_t j, double position, double* inputs, int count, bool usable) {
     const PressureValve& valve = valves_[j];
     const ChamberPressures measured{middle_a_[j], middle_b_[j]};
@@ -82,9 +82,9 @@ class PressureCascade {
   }
 
  private:
-  // Pressures under the load that the second map predicts for the inputs.
-  // With the measured load the inverse of the valve would cancel, with a delay, the damping of the oil
-  // spring by valve and leakage; the common mode of the chambers is taken from the measurement.
+  // Pressures with the load that the load map predicts and the measured common mode of the chambers.
+  // The measured load is not used, because the inverse of the valve would then cancel, with a delay, the
+  // damping of the oil spring by valve and leakage.
   ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
                           const ChamberPressures& measured, double* inputs, int count) const {
     const double load = loads_[j]->peek(inputs);
@@ -93,7 +93,7 @@ class PressureCascade {
     return expected;
   }
 
-  std::vector<PressureValve> valves_;  // none without pressures
+  std::vector<PressureValve> valves_;  // empty if pressures are not measured
   std::vector<Learner*> loads_;
   std::vector<double> a_, b_;  // last readings [Pa]
   std::vector<double> middle_a_, middle_b_, middle_command_;

@@ -16,12 +16,12 @@ struct CylinderSheet {
   double dead_volume_a = 0.0, dead_volume_b = 0.0, stroke = 0.0;  // [m^3], [m^3], [m]
   double orifice_gain = 0.0;                  // K of one metering edge [m^3/s/sqrt(Pa)]
   double laminar_transition_pressure = 0.0;   // [Pa]
-  double lap = 0.0, edge_rounding = 0.0;      // of full spool travel
+  double lap = 0.0, edge_rounding = 0.0;      // shares of full spool travel
   double supply_pressure = 0.0, tank_pressure = 0.0;  // [Pa]
   double bulk_modulus = 0.0, entrained_air = 0.0, polytropic_index = 1.0;
   double full_speed = 1.0;                    // of the joint [rad/s]
-  double position_start = 0.0, position_step = 1.0;  // of the tables [rad]
-  std::vector<double> lever, piston;          // [m/rad], [m]
+  double position_start = 0.0, position_step = 1.0;  // positions of the tables' rows [rad]
+  std::vector<double> lever, piston;          // tables of lever arm [m/rad] and piston position [m]
 };
 
 // Chamber pressures of one joint [Pa].
@@ -29,9 +29,9 @@ struct ChamberPressures {
   double a, b;
 };
 
-// With load force F the valve's flows satisfy w_A Q_A - w_B Q_B = F' + k v plus leakage, where
-// w_i = A_i beta_i/V_i and k = w_A A_A + w_B A_B (docs/concepts/adaptive_backstepping.md). So the flow
-// of a command, divided by k, is a speed, expressed as a share of the joint's full speed.
+// At piston speed v and load force F the valve's flows Q satisfy w_A Q_A - w_B Q_B = dF/dt + k v plus
+// leakage, with w_i = A_i beta_i/V_i, k = w_A A_A + w_B A_B (docs/concepts/adaptive_backstepping.md).
+// So the left side for a command, divided by k, is a speed; it is given as a share of full speed.
 class PressureValve {
  public:
   explicit PressureValve(CylinderSheet sheet)
@@ -124,7 +124,7 @@ class PressureValve {
   }
 
  private:
-  // Force rates per opening of the edges that extend and retract the piston.
+  // Rates of the load force per opening of the edges that extend (up) and retract (down) the piston.
   struct Slopes {
     double up, down;
   };

@@ -12,16 +12,16 @@ struct ProofSettings {
   double settle_time = 0.0;    // time constant of the slow map [s]; 0 for no slow map
   double proof_time = 0.0;     // time constant of the means of products and squared errors [s]
   double proof_horizon = 0.0;  // time between snapshots of the learned parameters [s]
-  double proof_doubt = 0.0;    // prior in favour of the learned part, in mean squared errors
-  double proof_noise = 0.0;    // smaller differences of predictions are accepted [of full speed]
+  double proof_doubt = 0.0;    // weight of the prior share of 1, in mean squared errors
+  double proof_noise = 0.0;    // smaller differences of predictions keep a share near 1 [of full speed]
 };
 
 // A learner with high gain follows its errors within a few samples. Through the machine this closes a
 // feedback loop with the delays of window and valve: on a compliant machine the joint oscillates, and
-// the map of the oscillation is not that of the reference. So there is also a slow map, the mean of the
-// parameters. The difference of the learned map to it is weighted by the share that proved right: the
-// least-squares slope of the measured flows over the differences that earlier snapshots predicted for
-// the reference. An oscillating joint has reversed since the snapshot, so that its share is small.
+// the map learns the oscillation instead of the reference. So there is also a slow map, the mean of the
+// parameters. The difference of learned and slow map is multiplied by the share that proved right: the
+// least-squares slope of measured flow minus slow map over the difference that an earlier snapshot
+// predicts. An oscillating joint has reversed since the snapshot, so that its share is small.
 class Proof {
  public:
   // sample: time between learned samples [s]; delay: periods from a prediction to the sample that it
@@ -43,7 +43,7 @@ class Proof {
       said.beyond += old_[k] * phi[k];
     }
     said_[row(period)] = said;
-    // With a share of 1 the learned prediction itself, free of rounding.
+    // A share of 1 gives the learned prediction itself, without rounding.
     return share_ < 1.0 ? said.slow + share_ * (learned - said.slow) : learned;
   }
 
@@ -64,7 +64,7 @@ class Proof {
     for (std::size_t k = 0; k < slow_.size(); ++k) recent_[k] = theta[k] - slow_[k];
   }
 
-  // Makes these parameters the slow map, with full weight of what is learned next.
+  // Makes these parameters the slow map, and gives full weight to what is learned next.
   void trust(const double* theta) {
     std::copy_n(theta, slow_.size(), slow_.begin());
     std::fill(recent_.begin(), recent_.end(), 0.0);
@@ -76,14 +76,14 @@ class Proof {
 
  private:
   struct Said {
-    double slow, beyond;  // predictions
+    double slow, beyond;  // predictions of the slow map, and of learned minus slow map
   };
 
   std::size_t row(long period) const { return std::size_t(period) % said_.size(); }
 
   double settle_, forget_, doubt_, noise_;
   int horizon_;
-  std::vector<double> slow_, recent_, old_;  // slow parameters, two snapshots of learned - slow
+  std::vector<double> slow_, recent_, old_;  // parameters: slow, two snapshots of learned minus slow
   std::vector<Said> said_;
   double agreed_ = 0.0, power_ = 0.0, missed_ = 0.0, share_ = 1.0;
   int since_ = 0;

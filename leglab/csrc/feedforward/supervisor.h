@@ -9,14 +9,14 @@ namespace leglab::feedforward {
 
 struct SupervisorSettings {
   double trust_time = 0.0;        // time constant of the compared mean squared errors [s]
-  double margin = 1.0;            // ratio learned/calibrated RMS error that switches to calibration
+  double margin = 1.0;            // ratio learned/calibrated RMS error that switches to the calibration
   double noise = 0.0;             // smaller tracking errors do not switch to calibration [rad]
   std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
 };
 
 // The feedback loop corrects a flow error like a first-order lag at its crossover frequency. So the part
-// of the tracking error that is due to the excess flow in use is known, and the measured tracking error
-// yields the errors that would occur with the learned excess and without any.
+// of the tracking error that is due to the excess flow in use is known. The measured tracking error
+// therefore yields the errors that would occur with the learned excess flow and without any.
 class Supervisor {
  public:
   // control_period: [s]; speed: full speeds [rad/s].
@@ -42,8 +42,8 @@ class Supervisor {
   // Tests whether the calibration is used instead of the learned map.
   bool fallback(std::size_t j) const { return joints_[j].fallback; }
 
-  // Takes a tracking error [rad], and the flow of the learned map minus that of the calibration [share
-  // of full speed].
+  // Takes a tracking error [rad] and the learned excess flow: flow of the learned map minus flow of the
+  // calibration [share of full speed].
   void take(std::size_t j, double tracking, double excess) {
     if (!(std::abs(tracking) < 1e3)) return;  // no measurement
     Joint& joint = joints_[j];
@@ -62,8 +62,8 @@ class Supervisor {
  private:
   struct Joint {
     double decay = 0.0, gain = 0.0;
-    double applied = 0.0, withheld = 0.0;    // tracking error due to excess in use, not in use [rad]
-    double learned = 0.0, calibrated = 0.0;  // mean squared tracking errors [rad^2]
+    double applied = 0.0, withheld = 0.0;    // tracking error due to excess flow applied, withheld [rad]
+    double learned = 0.0, calibrated = 0.0;  // mean squared tracking errors with each [rad^2]
     bool fallback = false;
   };
 

@@ -13,25 +13,25 @@
 namespace leglab::feedforward {
 
 struct ValveSettings {
-  double turn = 0.0;         // smallest change of a command that sets its direction [valve command]
+  double turn = 0.0;         // change of a command that is needed to set its direction [valve command]
   double state_step = 0.0;   // step of a state for the finite difference of the flow
-  double state_time = 0.0;   // time constant of a state in use, a tenth of that of command ranges [s]
+  double state_time = 0.0;   // time constant of learning a state, a tenth of that of command ranges [s]
   double state_doubt = 0.0;  // prior standard deviation of a state over its proposed magnitude
   double state_noise = 0.0;  // noise of flow errors [share of full speed]
 };
 
 // State of one worn valve. The command u that gives the flow of the calibrated valve at command x is
 //   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1) + play/2 sign(du/dt)
-// with `more` of the sign of x [valve command; 1 for `more`] and the width w of `knee`.
+// with `more` for the sign of x, and w from `knee`. All are valve commands except `more`, a number.
 using ValveShape = std::array<double, 5>;
 enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 
-// Valve states of all joints: the one in use and those of the contenders. With play the spool trails
-// the command by half the width (Krasnosel'skii and Pokrovskii 1989); `command` is the inverse of this
-// and of the other deviations. The magnitude of the state in use is learned from the map's errors by
-// least mean squares on the flow's sensitivity to it, after projecting out the map's features.
-// Play and dead band are limited to a quarter of the command's recent range: a wider one would pass
-// so little of the command that it fits any motion.
+// Valve states of all joints: the state in use and those that contenders assume. With play the spool
+// trails the command by half the play's width (Krasnosel'skii and Pokrovskii 1989); `command` inverts
+// play and the other deviations. The magnitude of the state in use is learned from the map's errors by
+// least mean squares, on the part of the flow's sensitivity to it that the map cannot explain.
+// Play and dead band are limited to a quarter of the command's recent range, because wider ones would
+// pass so little of the command that they fit any motion.
 class ValveStates {
  public:
   static constexpr int in_use = -1;  // index of the state in use; proposed ones count from 0
@@ -61,7 +61,7 @@ class ValveStates {
 
   ValveShape shape(int place, std::size_t j) const { return limited(state(place).shape[j], j); }
 
-  // Adds a state, (joints), and returns its index.
+  // Adds a state with one shape per joint, (joints), and returns its index.
   int propose(const ValveShape* shapes, const SmoothingWindow& window) {
     proposed_.emplace_back();
     revise(int(proposed_.size()) - 1, shapes, window);
@@ -73,7 +73,7 @@ class ValveStates {
     fill(proposed_[std::size_t(place)], window);
   }
 
-  // Puts a state in use; it is then learned along its difference to the previous state.
+  // Puts a state in use; learning then moves it along its difference from the previous state.
   void settle(int place, const SmoothingWindow& window) {
     if (place != in_use) {
       State& next = proposed_[std::size_t(place)];
@@ -100,7 +100,7 @@ class ValveStates {
     proposed_.clear();
   }
 
-  // Takes the positions and sent commands, after `window` has taken them.
+  // Takes the positions and sent commands of a period; `window` must have taken them before.
   void take(const double* position, const double* sent, SmoothingWindow& window) {
     for (std::size_t j = 0; j < last_.size(); ++j) {
       const double forgotten = leak_ * (highest_[j] - lowest_[j]);
@@ -126,7 +126,7 @@ class ValveStates {
   }
 
   // Updates the state in use of a joint by normalised least mean squares, from an error of its map and
-  // the part of the `slope` that the map cannot explain. Returns the change.
+  // the part of the `slope` that the map cannot explain. Returns the change of its magnitude.
   double learn(std::size_t j, double error, double slope) {
     power_[j] += settle_ * (slope * slope - power_[j]);
     const double by = -settle_ * (error * slope + prior_[j] * moved_[j]) / (power_[j] + prior_[j]);
@@ -180,13 +180,13 @@ class ValveStates {
     return 1.0 + shape[command > 0.0 ? MORE_POSITIVE : MORE_NEGATIVE];
   }
 
-  // Half width w of the ramp through the dead band: twice the smallest change that counts as a turn.
-  // Four times a negative dead band (worn overlap), so that u(x) stays strictly increasing.
+  // Half width w of the ramp through the dead band: twice the command change that sets a direction, and
+  // at least four times a negative dead band (worn overlap), so that u(x) stays strictly increasing.
   double knee(const ValveShape& shape) const {
     return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
   }
 
-  // Command at which the calibrated valve gives the flow of this one with its spool at `spool`.
+  // Command at which the calibrated valve gives the flow of the worn valve with its spool at `spool`.
   double calibrated(const ValveShape& shape, double spool) const {
     const double beyond = spool - shape[SHIFT], far = std::abs(beyond);
     const double w = knee(shape), slope = gain(shape, beyond);
@@ -195,7 +195,7 @@ class ValveStates {
     return std::copysign((far - shape[DEAD_BAND]) / slope, beyond);
   }
 
-  // A side's gain may at most double or halve, and the null shift by half the spool's travel.
+  // Limits each side's gain to 0.5 to 2, the null shift to 0.5, play and dead band to `widest`.
   ValveShape limited(ValveShape shape, std::size_t j) const {
     const double widest = 0.25 * (highest_[j] - lowest_[j]);
     shape[SHIFT] = std::clamp(shape[SHIFT], -0.5, 0.5);
@@ -229,8 +229,8 @@ class ValveStates {
     }
   }
 
-  // Computes the window's flows as if this state had been present throughout. Spools start half a play
-  // behind the first command, opposite to its direction.
+  // Computes the flows of all samples in the window as if the valves had always been in this state. A
+  // spool starts half a play behind the first command, opposite to the command's direction.
   void fill(State& state, const SmoothingWindow& window) const {
     const std::size_t n = tables_.size();
     state.spool.resize(n);

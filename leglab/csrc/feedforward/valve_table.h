@@ -8,7 +8,7 @@ namespace leglab::feedforward {
 struct ValveTable {
   int rows = 0, columns = 0;
   double start = 0.0, spacing = 1.0;  // of the rows' positions [rad]
-  const double* speed = nullptr;      // of the columns, increasing, as a share of full speed
+  const double* speed = nullptr;      // of each column, increasing, as a share of full speed
   const double* commands = nullptr;   // rows times columns
 
   double command(double position, double share) const {
@@ -39,7 +39,7 @@ struct ValveTable {
  private:
   struct Row {
     const double* first;
-    double part;  // of the way to the next row
+    double part;  // share of the way from this row to the next
   };
 
   Row at(double position) const {

@@ -5,7 +5,7 @@
 
 namespace leglab::hydraulics {
 
-// Order of the continuous state; at the end the energies [J], integrals from zero.
+// Order of the continuous state; the last entries are energies [J] since the start.
 enum ContinuousState {
   kX, kV, kSpool, kSpoolVelocity, kPressureA, kPressureB, kBristle,
   kEnergySupply, kEnergyValve, kEnergyLeakage, kEnergyFriction, kEnergyStored, kEnergyLoad,

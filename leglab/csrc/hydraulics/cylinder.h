@@ -120,7 +120,7 @@ inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficie
   Chambers k;
   const auto fill = [&](double size, double pressure, double held, Oil::Expansion& oil, double& amount) {
     const double guess = pressure + kAtmosphere;
-    // An amount of zero means that the pressure is prescribed, wherever the piston is.
+    // An amount of zero means that the pressure is prescribed, so it is kept at any piston position.
     oil = held > 0.0 ? c.oil.solve(size / held, guess) : c.oil.expand(std::max(guess, kPressureFloor));
     amount = held > 0.0 ? held : size / oil.w;
   };
@@ -156,17 +156,17 @@ inline double bristle_level(const CylinderParameters& p, double v, double pressu
                   p.stribeck_velocity_, p.stribeck_exponent_);
 }
 
-// Smaller of two loads of equal sign, else zero: an impact in a single step is ignored.
+// The smaller of two loads of equal sign, else zero, so that an impact in a single step is ignored.
 inline double sustained(double load, double before) {
   if (load * before <= 0.0) return 0.0;
   return std::abs(load) < std::abs(before) ? load : before;
 }
 
-// Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the
-// LuGre law in v and v* between the velocities before and after the step, the latter predicted
-// with the effective mass and the load over the last steps. The midpoint is second order; for
-// k = h D/m > 2 (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps
-// within one step without overshoot. At steady speed it is exactly D v; infinite mass gives v* = v.
+// Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the LuGre
+// law in v. v* lies between the velocities before and after the step; the latter is predicted from the
+// effective mass and the load of the last steps. v* in the middle is second order; for k = h D/m > 2
+// (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps within a step
+// without overshoot. At steady speed D v* is exactly D v; infinite mass gives v* = v.
 inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
                                   const OilCondition& oil, const CylinderState& s,
                                   const Chambers& k, double x, double v, double step_over_mass) {

@@ -19,8 +19,8 @@ inline double stribeck(double v, double coulomb, double static_friction, double 
   return g > 1e-9 ? g : 1e-9;
 }
 
-// Bristle deflection after dt at constant velocity: exact solution, tends to sgn(v) g / sigma_0. It is
-// 0 without friction.
+// Bristle deflection after dt at constant velocity. The exact solution tends to sgn(v) g / sigma_0;
+// without friction it is 0.
 inline double advance_bristle(double z, double v, double g, double sigma_0, double dt) {
   if (g <= 0.0 || sigma_0 == 0.0) return 0.0;
   if (v == 0.0) return z;
@@ -58,8 +58,8 @@ struct FrictionLevel {
   double sliding;  // N m or N, not negative
   double viscous;  // N m s/rad or N s/m
 
-  // Wear and slow drift scale all friction, the direction of sliding shifts and scales it, the joint's
-  // load adds equally to Coulomb and breakaway friction (Duclusaud et al. 2025).
+  // Wear and slow drift scale all friction; the direction of sliding shifts and scales friction; the
+  // joint's load adds equally to Coulomb and breakaway friction (Duclusaud et al. 2025).
   static FrictionLevel at(const FrictionParameters& p, double v, double load, double time) {
     const double drift =
         1.0 + p.drift_amplitude_ * std::sin(2.0 * std::numbers::pi * time / p.drift_period_);

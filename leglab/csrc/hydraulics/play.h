@@ -5,7 +5,7 @@
 
 namespace leglab::hydraulics {
 
-inline constexpr double kFlankDamping = 0.5;  // damping ratio of a flank in contact, reduced mass
+inline constexpr double kFlankDamping = 0.5;  // damping ratio of a flank in contact, with reduced mass
 
 // Position of the piston relative to its pin. Before the first step, and after a change of the play,
 // it is in contact with the flank towards which the pressures push.
@@ -17,14 +17,14 @@ inline double play_offset(const CylinderParameters& p, const CylinderCoefficient
 }
 
 struct PlayStep {
-  double transmitted;  // N, from the piston to the mechanism
-  double closing;      // m/s, piston less pin after the step
+  double transmitted;  // force of the piston on the mechanism [N]
+  double closing;      // velocity of piston minus pin after the step [m/s]
 };
 
 // One implicit step of the flank between the piston, driven by `force`, and the mechanism of the
-// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m] that, taken explicitly,
-// would make the light piston oscillate within the play: it acts implicitly on the relative velocity
-// of piston and pin, and so adds nothing while a flank is in contact.
+// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m]. It acts implicitly, because
+// explicitly it would make the light piston oscillate within the play; and on the relative velocity of
+// piston and pin, so that it adds nothing while a flank is in contact.
 inline PlayStep play_step(const CylinderParameters& p, double offset, double v_piston, double v_pin,
                           double force, double load, double mass, double oil, double h) {
   const double reduced = 1.0 / (1.0 / p.piston_mass_ + 1.0 / mass);

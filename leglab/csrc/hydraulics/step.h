@@ -76,8 +76,8 @@ struct StepTotals {
   double edges = 0, leakage = 0, stored = 0;      // J
 };
 
-// Within a step pressures match the amounts of oil to a relative (1e-2)^3; the error does not
-// accumulate, as the amounts are the state and the next step solves for its pressures exactly.
+// Within a step, a pressure that changes by less than this share is extrapolated, with a relative error
+// of the share's cube. It does not accumulate: the next step solves for pressures from the amounts.
 inline constexpr double kPressureReach = 1e-2;
 
 // A sub-step whose embedded error estimate exceeds this is split into two halves, at most kHalvings
@@ -105,8 +105,8 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
   const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  // With vapour the pressure stays at the floor while the piston moves; the stiffness is kept all the
-  // same, so that a chamber that fills up within the sub-step does not overshoot.
+  // With vapour the pressure stays at the floor while the piston moves. The stiffness is kept even then,
+  // so that a chamber that fills up within the sub-step does not overshoot.
   const double rise_a = k.a.p > kPressureFloor ? stiff_a * (volume_end.a - volume.a) : 0.0;
   const double rise_b = k.b.p > kPressureFloor ? stiff_b * (volume_end.b - volume.b) : 0.0;
   // If vapour fills part of a chamber, oil enters with its relative volume at the pressure floor.

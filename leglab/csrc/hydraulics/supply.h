@@ -39,7 +39,7 @@ inline void advance_supply(const SupplyParameters& p, double demand, double time
   const double precharge = p.accumulator_precharge_ + kAtmosphere;
   const double absolute = pressure + kAtmosphere;
   const double gas = p.accumulator_volume_ * std::pow(precharge / absolute, 1.0 / p.polytropic_index_);
-  // The compensator is stiff: implicit in the pressure, with dp/dV = -n p / V_gas.
+  // The compensator is stiff and therefore solved implicitly in the pressure: dp/dV = -n p / V_gas.
   const double stiffness = p.polytropic_index_ * absolute / gas;
   const double wanted = (p.compensator_gain_ * (p.supply_pressure_ - pressure) +
                          p.compensator_gain_ * stiffness * timestep * demand) /

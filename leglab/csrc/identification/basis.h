@@ -5,7 +5,7 @@
 
 namespace leglab::identification {
 
-// How a basis continues outside its knots.
+// Continuation of a basis outside its knots.
 enum class Outside : int {
   clamp,      // the value at the nearest end
   linear,     // tangent at the nearest end
@@ -30,14 +30,14 @@ struct QuadraticBasis {
   int knot_count = 0;        // p
   int count = 0;             // splines
   int offset = 0;            // full splines dropped on each side
-  T inverse_spacing = 0;     // 1 / knot distance, or 0 where the knots are not equidistant
+  T inverse_spacing = 0;     // 1 / knot distance; 0 if the knots are not equidistant
   Outside outside = Outside::clamp;
   bool printed = false;         // middle piece of Eq. 9 as printed, (u - k_i + dk)
 
   T lower() const { return knots[2]; }
   T upper() const { return knots[knot_count + 1]; }
 
-  // Weight i for which the network is the identity: Greville abscissa (full basis).
+  // Greville abscissa i: with these weights a network with the full basis is the identity.
   T greville(int i) const { return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2); }
 
   // Length of an array of weights with `offset` unused entries at each end; see evaluate_padded.
@@ -152,14 +152,14 @@ struct QuadraticBasis {
 // Makes a basis over `p` knots; `extended` needs p + 4 entries and must outlive the basis.
 template <class T>
 QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
-  // Two more knots at each end, spaced like the outermost gap.
+  // Adds two knots at each end, at the distance of the two outermost knots.
   for (int i = 0; i < p; ++i) extended[i + 2] = knots[i];
   const T head = knots[1] - knots[0], tail = knots[p - 1] - knots[p - 2];
   extended[1] = knots[0] - head;
   extended[0] = knots[0] - T(2) * head;
   extended[p + 2] = knots[p - 1] + tail;
   extended[p + 3] = knots[p - 1] + T(2) * tail;
-  constexpr T tolerance = sizeof(T) == 4 ? T(1e-4) : T(1e-9);  // of a gap
+  constexpr T tolerance = sizeof(T) == 4 ? T(1e-4) : T(1e-9);  // relative to a knot distance
   const T mean = (knots[p - 1] - knots[0]) / static_cast<T>(p - 1), inverse = T(1) / mean;
   bool equidistant = true;
   for (int i = 1; i < p; ++i) {
@@ -170,7 +170,7 @@ QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
   basis.knot_count = p;
   basis.offset = full ? 0 : 2;
   basis.count = full ? p + 1 : p - 3;
-  // Knots so close that the inverse is infinite need a search: a product would give no index.
+  // If the inverse is infinite (very close knots), a product gives no index: intervals are searched.
   basis.inverse_spacing = equidistant && is_finite(inverse) ? inverse : T(0);
   return basis;
 }

@@ -123,9 +123,9 @@ class Bsnn {
   }
 
   // Applies Eq. 12 (14, 15) to `count` weights; returns their share of Eq. 21's sum, computed with
-  // the weights before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1; that
-  // product is limited to just below one, or a single outlier would move w outside permanently.
-  // Rounding must not move w to one either: there the factor is zero and w would be stuck.
+  // the weights before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1: so that
+  // product is limited to just below one, because a single outlier could move w outside permanently. |w|
+  // is limited to just below one, because rounding to one would make the factor zero and w stuck.
   T move(T* w, const T* value, int count, T eta, T error) const {
     constexpr T limit = T(1) - T(1) / T(1024), most = T(1) - T(1) / T(1 << 20);
     T sum = T(0);

@@ -77,8 +77,8 @@ class BsnnArx {
     return prediction;
   }
 
-  // Together these act as update() without adaptation and without checks of y, for validation and
-  // free run on a copy of the workspace.
+  // predict_next(), followed by remember(), acts as update() without adaptation and without checks of y,
+  // for validation and free run on a copy of the workspace.
   T predict_next(const T* u) { return predict(network_.output(u)); }
   void remember(T y) { push(phi_, settings_.na - 1, -y); }
 
@@ -92,7 +92,7 @@ class BsnnArx {
     return rls_.predict(phi_);
   }
 
-  // Scales the poles of the ARX part into the radius; returns true if they had to move.
+  // Scales the poles of the ARX model into the radius; returns true if they had to move.
   bool project_poles(T radius) {
     T* a = rls_.theta();
     const T g = pole_contraction(a, settings_.na, radius, poles_);
@@ -122,7 +122,7 @@ class BsnnArx {
   Bsnn<T> network_;
   Rls<T> rls_;
   Guard<T> guard_;
-  T* openness_ = nullptr;  // g of the settings
+  T* openness_ = nullptr;  // g, see `opening` in the settings
   T* phi_ = nullptr;
   T* delayed_ = nullptr;  // n(t), n(t-1), ...
   T* poles_ = nullptr;    // scratch

@@ -18,7 +18,7 @@ struct ChangeSettings {
   T ratio = T(3);         // a fast mean above ratio times the slow mean is a change
   int hold_off = 200;     // samples without alarm after an alarm and after the start
   OnChange action = OnChange::reset;
-  T gain = T(1e4);        // on a change least squares sets F := gain * I, or F += gain * I
+  T gain = T(1e4);        // after a change least squares sets F := gain * I, or F += gain * I
 };
 
 // Fast and slow exponential means of the squared error. Until a window is full its mean is the

@@ -37,7 +37,7 @@ struct Block {
   int degree = 1;
   T at = T(0);
   T width = T(1);
-  bool change = false;  // whether g is of x(t - lag) - x(t - lag - 1)
+  bool change = false;  // whether the argument of g is x(t - lag) - x(t - lag - 1)
 
   int count() const {
     return feature == Feature::spline ? basis.count : feature == Feature::constant ? 1 : lags;

@@ -18,8 +18,8 @@ struct Record {
   int samples = 0;
 };
 
-// psi = d y / d theta of the simulated output y, for the model's parameters and then for those of
-// candidate features, which are zero. `width` is the number of both.
+// Sums over samples, with psi = d y / d theta of the simulated output y. theta are `width` parameters:
+// the model's, then the parameters of candidate features, which are zero.
 template <class T>
 struct Sums {
   Products<T> products;     // (width, parameters): sum of psi_i psi_j
@@ -63,8 +63,8 @@ class FreeRun {
     sums_.count = 0;
   }
 
-  // Simulates samples start ... start + length - 1 (start >= depth) and adds to the sums; to those
-  // of sensitivities only if wanted.
+  // Simulates samples start ... start + length - 1 (start >= depth) and adds to the sums; the sums of
+  // psi grow only if `sensitivities` is true.
   void run(const Record<T>& record, int start, int length, const T* theta, bool sensitivities) {
     const int inputs = model_.inputs;
     for (int k = 1; k <= depth_; ++k) past_.output[k] = record.output[start - k];
@@ -127,11 +127,11 @@ class FreeRun {
       further_features_.build(past_, nullptr);
       for (int i = parameters_; i < width_; ++i) psi[i] = further_features_.phi()[i - parameters_];
     }
-    // The ring's rows after this one, then those before it.
+    // Adds the rows of the ring buffer after the newest one, then the rows before it.
     const int after = depth_ - newest_;
     add_rows(psi, psi + width_, slope_ + 1, after, width_);
     add_rows(psi, psi_, slope_ + 1 + after, newest_, width_);
-    drop_beyond(T(1e12), psi, width_);  // such sensitivities, of an unstable model, are useless
+    drop_beyond(T(1e12), psi, width_);  // larger sensitivities, of an unstable model, are useless
     return own;
   }
 

@@ -12,7 +12,7 @@ namespace leglab::identification {
 enum class Sample : int {
   learned,
   frozen,       // good, but adaptation is switched off
-  recovering,   // good, but the regressor still holds a bad one
+  recovering,   // good, but the regressor still holds a bad sample
   dropped,      // marked as missing by the caller
   not_finite,   // NaN or infinite
   implausible,  // outside the plausible range of the signal
@@ -29,7 +29,7 @@ struct GuardSettings {
   T output_limit = T(0);  // largest plausible distance of y from its centre; 0: no limit
   T input_centre[max_inputs] = {};
   T input_limit[max_inputs] = {};
-  int stuck_samples = 0;  // 0: never
+  int stuck_samples = 0;  // equal outputs that count as stuck; 0: never
   int memory = 0;         // samples a bad value stays in the regressor
   bool saturates = false;  // whether the limits below apply
   T lower[max_inputs] = {};
@@ -45,7 +45,7 @@ class Guard {
     std::int64_t dirty;       // samples until the regressor holds only good values
     T output;                 // last good output, replaces a bad one
     T input[GuardSettings<T>::max_inputs];
-    bool input_moved;         // whether an input changed since the output last did
+    bool input_moved;         // whether an input changed since the output last changed
     bool frozen;
   };
 
@@ -53,7 +53,7 @@ class Guard {
 
   void configure(const GuardSettings<T>& settings) {
     settings_ = settings;
-    // The largest number stands for no limit: one comparison then also refuses NaN and infinities.
+    // No limit is stored as the largest number, so that one comparison also rejects NaN and infinities.
     constexpr T any = sizeof(T) == 4 ? T(3.4e38) : T(1.7e308);
     if (!(settings_.output_limit > T(0))) settings_.output_limit = any;
     for (T& limit : settings_.input_limit) limit = limit > T(0) ? limit : any;
@@ -73,7 +73,7 @@ class Guard {
     return numbers ? nullptr : "last good sample";
   }
 
-  // Classifies a sample; replaces bad values, which must not enter the history, by the last good.
+  // Classifies a sample; replaces bad values, which must not enter the history, by the last good ones.
   Sample judge(T* u, T& y, bool present) {
     State& s = *state_;
     Sample verdict = present ? Sample::learned : Sample::dropped;

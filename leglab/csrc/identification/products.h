@@ -8,7 +8,7 @@
 
 namespace leglab::identification {
 
-// sum psi_i psi_j for i < width, j < columns <= width; in the first square only j <= i is computed.
+// Sums of psi_i psi_j for i < width, j < columns <= width. For i < columns only j <= i is computed.
 template <class T>
 class Products {
  public:
@@ -28,7 +28,7 @@ class Products {
     if (++rows_ == batch) add_waiting();
   }
 
-  // Writes the sums, (width, columns), both triangles of the first square.
+  // Writes the sums, (width, columns), with both triangles of the square i, j < columns.
   void write(T* out) {
     add_waiting();
     for (int i = 0; i < width_; ++i) {

@@ -19,7 +19,7 @@ template <class T>
 struct RlsSettings {
   T initial_gain = T(1e4);           // F(0) = initial_gain * I
   Forgetting forgetting = Forgetting::none;
-  T forgetting_factor = T(1);        // lambda; the smallest one allowed in variable forgetting
+  T forgetting_factor = T(1);        // lambda; in variable forgetting the smallest lambda
   T memory = T(400);                 // N_0 of variable forgetting [samples]
   T noise_variance = T(0);           // for variable forgetting; 0: the detector's slow mean
   T gain_bound = T(1e6);             // trace(F) <= gain_bound times the number of parameters
@@ -34,9 +34,9 @@ class Rls {
   struct Tally {
     std::int64_t rejected;  // updates refused because they would not have stayed finite
     std::int64_t in_a_row;  // consecutive refused updates
-    std::int64_t restarts;  // resets of theta and F after too many of them
+    std::int64_t restarts;  // resets of theta and F after too many refused updates
     T factor;               // forgetting factor of the last update
-    T forgotten;            // sum of (1 - factor), since `visit` was last at the first parameter
+    T forgotten;            // sum of (1 - factor) since `visit` was last 0
     std::int64_t until;     // updates until the next parameter is restored
     std::int64_t visit;     // index of that parameter
   };
@@ -131,9 +131,9 @@ class Rls {
   }
 
  private:
-  // Restores what was forgotten of the prior, theta = 0 with variance restore_gain, parameter by
-  // parameter, through observations theta_i = 0 (Gunnarsson 1996, CDC, 2551). So F stays bounded,
-  // and theta returns to the prior in directions without excitation.
+  // Restores the forgotten part of the prior (theta = 0 with variance restore_gain) by an observation
+  // theta_i = 0, of one parameter at a time (Gunnarsson 1996, CDC, 2551). So F stays bounded, and theta
+  // returns to the prior in directions without excitation.
   void restore() {
     Tally& tally = *tally_;
     tally.forgotten += T(1) - tally.factor;

@@ -39,7 +39,7 @@ constexpr bool all_finite(const T* values, int count) {
   return true;
 }
 
-// Tests whether a flag read from outside has byte 0 or 1: others are undefined as a bool.
+// Tests whether a flag read from outside is the byte 0 or 1, because other bytes are undefined as bool.
 inline bool is_flag(const bool& flag) {
   return *reinterpret_cast<const unsigned char*>(&flag) <= 1;
 }

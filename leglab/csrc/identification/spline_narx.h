@@ -68,8 +68,8 @@ class SplineNarx {
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
     start_weights();
-    // The zeros of the empty history are no samples: least squares would remember equations with
-    // them for the whole pass.
+    // Nothing is learned until samples have replaced the zeros of the empty history: least squares
+    // would keep equations with these zeros for the whole pass.
     guard_.state().dirty = past_.depth;
   }
 
@@ -113,7 +113,7 @@ class SplineNarx {
     }
     T own = measured;  // value that the simulation stores for y(t)
     if (refines() && simulation_.state().running) own = refine(measured, verdict);
-    // Also if the simulation has just diverged: a model that is far off must still learn.
+    // Learns also if the simulation has just diverged, because a model that is far off must learn.
     if (learns && !(refines() && simulation_.state().running)) {
       learn(features_.phi(), features_.support(), measured - prediction);
     }
@@ -192,11 +192,11 @@ class SplineNarx {
     move_weights(weight_slope_, error);
   }
 
-  // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). The
-  // offset of the power, a sensitivity of 0.1 in scaled units, limits the first steps, where theta
-  // is zero; of 1, 0.1, 0.01 and 0.001 it suits a dead zone and u|u| best at mu = 0.1. Scaled
-  // weights are about one (the identity), and theta takes up any gain. Weights beyond the limit are
-  // therefore not needed, and with outliers the product of both could grow to infinity.
+  // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). 0.01, the
+  // square of a scaled sensitivity of 0.1, is added to the power to limit the first steps, where theta
+  // is zero; of the sensitivities 1, 0.1, 0.01, 0.001 it suits a dead zone and u|u| best at mu = 0.1.
+  // Weights are limited: with outliers their product with theta could grow to infinity. Larger ones are
+  // not needed, because scaled weights are about one (the identity) and theta takes up any gain.
   void move_weights(const T* slope, T error) {
     T* w = weights_;
     for (const Block<T>& block : settings_.structure) {

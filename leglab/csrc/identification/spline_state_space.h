@@ -139,7 +139,7 @@ class SplineStateSpace {
     return model_.evaluate(rls_.theta(), x_, late);
   }
 
-  // Makes the state unknown if an input is missing or bad: another recording may follow.
+  // Makes the state unknown if an input is missing or bad, because another recording may follow.
   void lose_state(const T* input, const T* used) {
     for (int j = 0; j < inputs(); ++j) {
       if (input[j] == used[j]) continue;

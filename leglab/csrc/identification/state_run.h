@@ -10,8 +10,8 @@
 
 namespace leglab::identification {
 
-// psi = d y / d (theta, x0, g), where g are the spline weights of a candidate curve: those of its
-// effects on each state, then of its effect on the output. The curve itself is zero.
+// Sums over samples, with psi = d y / d (theta, x0, g). g are the spline weights of a candidate curve:
+// of its effects on each state, then of its effect on the output. These weights are zero.
 template <class T>
 struct StateSums {
   Products<T> products;     // (width, width): sum of psi_i psi_j

@@ -14,7 +14,7 @@ namespace leglab::identification {
 
 template <class T>
 struct StateStructure {
-  static constexpr T reach = T(2);  // clamp of the states, which are within one in training data
+  static constexpr T reach = T(2);  // limit of the states; in training data they are within 1
   int states = 1;
   int inputs = 1;
   int curves = 0;
@@ -26,7 +26,7 @@ struct StateStructure {
   int parameters() const { return linear() + curves * curve(); }
 };
 
-// One step and its sensitivities, of `width` columns: first to the parameters, then to others.
+// One step and its sensitivities in `width` columns: to the parameters, then to others of the caller.
 template <class T>
 class StateSpace {
  public:
@@ -109,7 +109,7 @@ class StateSpace {
       for (int p = 0; p < width_; ++p) row[p] = T(0);
       if (i == n || !held_[i]) direct(theta, i, row);
       add_rows(row, former_, i < n ? jacobian_ + i * n : output_, n, width_);
-      drop_beyond(T(1e12), row, width_);  // such sensitivities, of an unstable model, are useless
+      drop_beyond(T(1e12), row, width_);  // larger sensitivities, of an unstable model, are useless
     }
   }
 

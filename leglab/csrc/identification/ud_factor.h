@@ -24,8 +24,8 @@ struct Support {
 };
 
 // U is unit upper triangular, its columns packed consecutively; D is positive. So F is symmetric
-// positive definite by construction: rounding cannot destroy this, nor can the limits that keep D
-// above `floor` and the columns' shares of the trace below a bound, since they leave D positive.
+// positive definite by construction. Rounding cannot destroy this. Nor can two limits, which leave D
+// positive: D is kept above `floor`, and each column's share of the trace below a bound.
 template <class T>
 class UdFactor {
  public:
@@ -107,7 +107,7 @@ class UdFactor {
     if (n_ == 6 && first_ == 0) rotate<6>(sweep);
     else if (n_ == 7 && first_ == 0) rotate<7>(sweep);
     else rotate_many(sweep);
-    // In exact arithmetic F can grow only in the first two cases; rounding adds the others.
+    // In exact arithmetic F can grow only in the first two cases, with rounding also in the others.
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
 
@@ -148,7 +148,7 @@ class UdFactor {
   }
 
  private:
-  // Returns first + sum_i a_i b_i by `sums` partial sums: additions to one sum wait for each other.
+  // Returns first + sum_i a_i b_i by `sums` partial sums, as additions to one sum wait for each other.
   template <int sums>
   [[gnu::always_inline]] static T dot(T first, const T* a, const T* b, int count) {
     T sum[sums] = {first};
@@ -178,8 +178,8 @@ class UdFactor {
     }
   }
 
-  // Scales D if a column's share of the trace is beyond the bound. A column that would need less
-  // than the floor, or is no longer finite, gets the floor and loses its correlations.
+  // Reduces a column's entry of D if the column's share of the trace is beyond the bound. If that
+  // takes an entry below the floor, or not finite, it becomes the floor and U's column zero.
   void limit(T bound) {
     for (int j = 0; j < n_; ++j) {
       const T power = column_power(j);
@@ -226,7 +226,7 @@ class UdFactor {
 
   template <int N>
   [[gnu::always_inline]] void rotate(Sweep& sweep) {
-    T few[N + 1];  // b of N columns stays in registers
+    T few[N + 1];  // b of N columns, which stays in registers
     T* __restrict b = N > 0 ? few : b_;
     for (int i = 0; N == 0 && i < first_; ++i) {
       b[i] = T(0);

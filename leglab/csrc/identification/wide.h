@@ -34,7 +34,7 @@ LEGLAB_WIDE inline void drop_beyond(double bound, double* values, int count) {
   }
 }
 
-// Versions of both for other types.
+// Versions of add_rows and drop_beyond for types other than double.
 template <class T>
 void add_rows(T* to, const T* from, const T* factors, int rows, int count) {
   for (int i = 0; i < rows * count; ++i) to[i % count] += factors[i / count] * from[i];
@@ -50,7 +50,7 @@ constexpr int lanes = 8;  // doubles in a cache line
 using Lanes [[gnu::vector_size(lanes * sizeof(double)), gnu::aligned(8), gnu::may_alias]] = double;
 
 // to[i, j] += sum_k from[k, i] * from[k, j] over `count` rows of `width`, i < width, j < columns,
-// in the tiles that hold a j <= i. Widths are multiples of `lanes`.
+// for the tiles that contain a pair with j <= i. Widths are multiples of `lanes`.
 LEGLAB_WIDE inline void add_products(double* to, const double* from, int count, int width,
                                      int columns) {
   for (int i = 0; i < width; i += 4) {

@@ -10,14 +10,14 @@ namespace leglab::monitor {
 
 struct WatchSettings {
   double sample_period = 0.0;  // time between learned samples [s]
-  double error_ratio = 4.0;    // factor on the mean square error that is to be detected
-  double alarm = 4.0;          // log-likelihood ratio for an alarm, in excess of usual peaks
-  double correlation = 1.0;    // number of correlated samples that count as one
-  int slow_window = 1;         // number of samples in the normal mean square error
+  double error_ratio = 4.0;    // factor by which a change to be detected raises the mean square error
+  double alarm = 4.0;          // log-likelihood ratio, beyond its usual peaks, that raises an alarm
+  double correlation = 1.0;    // number of correlated samples with the information of one
+  int slow_window = 1;         // number of samples over which the normal mean square error is averaged
 };
 
-// Cumulative sums (Page 1954, Biometrika 41, 100) of the log-likelihood ratio of mean square errors
-// `error_ratio` times the normal ones, for each joint and, last, for all joints together.
+// Cumulative sums (Page 1954, Biometrika 41, 100), one per joint and a last one for all joints, of the
+// log-likelihood ratio of errors with `error_ratio` times the normal mean square to normal errors.
 class ErrorWatch {
  public:
   ErrorWatch(int joints, const WatchSettings& settings)
@@ -38,8 +38,8 @@ class ErrorWatch {
   // Time at which the first of the sums that cause the alarm began to rise [s].
   double since() const { return alarm_since_; }
 
-  // Takes the mean square errors of a block that ends at `time` and their numbers of samples, both
-  // (joints). Returns whether there is an alarm.
+  // Takes a block of samples that ends at `time` [s]: each joint's mean square error and number of
+  // samples, (joints) each. Returns whether there is an alarm.
   bool take(double time, const double* mean, const double* used) {
     const std::size_t joints = normal_.size();
     const double samples = *std::max_element(used, used + joints);
@@ -54,7 +54,7 @@ class ErrorWatch {
       all += step;
       const double seen =
           j < joints ? seen_[j] : *std::min_element(seen_.begin(), seen_.end());
-      // Peaks that the sum reaches in every stride, when the motion is briefly hard, are no alarm.
+      // In every stride the motion is briefly hard to predict: such peaks of the sum raise the limit.
       const double limit = settings_.alarm + margin * peak_[j];
       const double total =
           seen >= settings_.slow_window ? std::max(sum_[j] + step, 0.0) : 0.0;
@@ -74,7 +74,7 @@ class ErrorWatch {
     return alarm;
   }
 
-  // Includes a block in the normal mean square errors.
+  // Updates the normal mean square errors with a block; arguments as in `take`.
   void learn(const double* mean, const double* used) {
     for (std::size_t j = 0; j < normal_.size(); ++j) {
       seen_[j] += used[j];
@@ -87,10 +87,10 @@ class ErrorWatch {
   }
 
  private:
-  // Factor on a sum's earlier peak that is added to the alarm threshold, and the time constant of the
-  // peak's decay in slow windows.
+  // The alarm threshold grows by `margin` times the sum's earlier peak, which decays with a time
+  // constant of `peak_windows` slow windows.
   static constexpr double margin = 2.0, peak_windows = 2.5;
-  // Largest mean square error that is included, as a multiple of the normal one.
+  // Multiple of the normal mean square error to which a block's is clipped before it is averaged in.
   static constexpr double outlier = 9.0;
 
   double rise(double mean, double used, double normal) const {

@@ -10,19 +10,19 @@
 
 namespace leglab::monitor {
 
-// Shifts of a map's parameters by one fault, piecewise linear in its magnitude. It points to constants,
-// which may be in read-only memory; `Shift` is double or float.
+// Shifts of a map's parameters due to one fault, piecewise linear in the fault's magnitude. The arrays
+// are constants of the caller, possibly in read-only memory; `Shift` is double or float.
 template <class Shift>
 struct FaultCurve {
-  int nodes = 0;                  // number of magnitudes, the healthy one first
+  int nodes = 0;                  // number of tabulated magnitudes (nodes), the healthy one first
   const double* sizes = nullptr;  // magnitudes, strictly monotone, (nodes)
-  const Shift* shifts = nullptr;  // all but the healthy one, (nodes - 1, joints, parameters)
+  const Shift* shifts = nullptr;  // for all nodes but the healthy one, (nodes - 1, joints, parameters)
 };
 
-// Weighted least squares fit of the magnitude of every curve, a number of curves at a time.
-// On a linear piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost
-// sum_j w_j sum (y - phi D_j(t))^2 is a parabola in t, so that its minimum within [0, 1] has a closed
-// form.
+// Weighted least squares fit of the magnitude of every fault, a few curves per call of `advance`.
+// On a linear piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost sum_j w_j sum (y - phi D_j(t))^2,
+// with the outputs y, regressors phi and weight w_j of joint j, is a parabola in t. So the minimum
+// within [0, 1] has a closed form.
 template <class Shift>
 class FaultFit {
  public:
@@ -31,9 +31,9 @@ class FaultFit {
       : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
         size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
 
-  // Starts a fit from moments about the map before the fault, normal mean square errors (joints), and
-  // the discrepancy of `Moments::weight`; uses the samples of one joint, or of all if it is -1.
-  // Curves and moments must not change until `advance` returns true.
+  // Starts a fit. moments: about the map before the fault; normal: mean square errors before the fault,
+  // (joints); discrepancy: see `Moments::weight`; joint: the only one whose samples are used, or -1 for
+  // all joints. Curves and moments must not change until `advance` returns true.
   void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
              const double* normal, double discrepancy, int joint = -1) {
     curves_ = curves;
@@ -58,10 +58,10 @@ class FaultFit {
 
   int curves() const { return count_; }
   double without() const { return without_; }  // weighted sum of squared errors without any fault
-  double noise() const { return noise_; }      // its expected value for an unchanged machine
+  double noise() const { return noise_; }      // expected value of `without()` for an unchanged machine
   const double* size() const { return size_.data(); }
-  const double* spread() const { return spread_.data(); }  // change of size that adds 1 to the cost
-  const double* cost() const { return cost_.data(); }      // as `without`, but with the fault
+  const double* spread() const { return spread_.data(); }  // change of magnitude that adds 1 to the cost
+  const double* cost() const { return cost_.data(); }      // weighted squared errors with the fault
 
   // Index of the curve that fits best.
   int best() const {
@@ -69,10 +69,10 @@ class FaultFit {
   }
 
  private:
-  static constexpr int together = 4;  // number of nodes whose forms are computed at a time
+  static constexpr int together = 4;  // number of nodes whose `Forms` are computed at a time
 
-  // Sums over the joints for neighbouring nodes: of D c, of D G D, and of D_k G D_{k+1}, with the
-  // correlation c and the information G.
+  // Weighted sums over the joints for neighbouring nodes k with shifts D_k: of D_k' c, of D_k' G D_k and
+  // of D_k' G D_{k+1}, with the joint's correlation c and information G (`Moments`).
   struct Forms {
     double linear[together] = {}, square[together] = {}, cross[together] = {};
   };
@@ -80,9 +80,9 @@ class FaultFit {
   void fit(const FaultCurve<Shift>& curve, std::size_t place) {
     const int shifted = curve.nodes - 1;
     double best = -std::numeric_limits<double>::infinity();
-    double linear = 0.0, square = 0.0;  // forms of a piece's first node; 0 for the healthy one
+    double linear = 0.0, square = 0.0;  // forms of a piece's first node; 0 at the healthy node
     for (int first = 0; first < shifted;) {
-      // The last node of the previous pieces comes first, for its cross form with the next node.
+      // The last node of the previous call is repeated, because its cross form with the next is needed.
       const int lead = first > 0 ? 1 : 0;
       const int number = std::min(shifted - first + lead, together);
       const Forms forms = forms_of(curve, first - lead, number);
@@ -136,9 +136,9 @@ class FaultFit {
     return any;
   }
 
-  // With the upper triangle U of G, its diagonal halved, G = U + U': D G D = 2 D U D and
-  // D_1 G D_2 = D_1 U D_2 + D_2 U D_1. So one half of G is multiplied once per node. Not inlined, as
-  // the sums would run out of registers.
+  // For vectors d and e, d' G d = 2 d' U d and d' G e = d' U e + e' U d, with U the upper triangle of G
+  // with half its diagonal. So one half of G is multiplied once per node. The function is not inlined,
+  // because its sums would then run out of registers.
   template <int number>
   [[gnu::noinline]] void add_forms(int joint, Forms& sum) const {
     const int parameters = moments_->parameters();
@@ -156,7 +156,7 @@ class FaultFit {
     };
     int i = 0;
     for (; i + 1 < parameters; row += 2 * (parameters - i) - 1, i += 2) {
-      // Two rows of U at a time: each shift is read once for both.
+      // Two rows of U are multiplied at a time, so that each shift is read once for both.
       const double* next = row + parameters - i - 1;
       const double* shift = packed_.data() + i * number;
       double image[number], image_next[number];
@@ -193,18 +193,18 @@ class FaultFit {
   std::vector<double> weight_, packed_, size_, spread_, cost_;
 };
 
-// Relative uncertainty of the cost due to noise.
+// Uncertainty of the part of a cost that is due to noise, relative to that part.
 constexpr double noise_doubt = 0.2;
 
-// Computes the probability of every key from the likelihoods, (keys).
-// The residual of the best fault is partly noise, which averages out with more samples, and partly due
-// to the machine not being the nominal one, which does not. Each has a likelihood: that of a known
-// variance, and that of an unknown one, cost^(-n/2), with n = `independent` independent errors. The one
-// that distinguishes a rival less from the best is used. With n = 0 only noise is considered.
-// correlation: number of samples that count as one. noise: the part of all costs due to noise, at most
-// the least cost. The unknown variance is that of the costs beyond noise, so that joints without
-// information do not hide differences.
-// key: number of a cost's fault and element.
+// Computes the probability of every key, (keys), from the least cost among the curves with that key.
+// The residual of the best fault is partly noise, which averages out with more samples, and partly
+// model error, which does not. Noise gives a likelihood of known variance, model error a likelihood of
+// unknown variance: cost^(-n/2) with n = `independent` errors. The likelihood that separates a rival
+// less from the best fault is used; for n = 0, the likelihood of noise.
+// correlation: number of samples with the information of one. noise: part of every cost due to noise,
+// clipped to the least cost. The unknown variance is estimated from the costs minus that part, because
+// joints without information would otherwise hide differences.
+// key: number that identifies the fault and element of a cost.
 inline void chances(const double* cost, const int* key, int count, double correlation,
                     double independent, double noise, double* chance, int keys) {
   std::fill_n(chance, keys, std::numeric_limits<double>::infinity());

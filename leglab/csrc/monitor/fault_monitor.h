@@ -1,4 +1,4 @@
-// Detects a change from a learner's samples, and accumulates the moments of those after it.
+// Detection of a change from a learner's samples, and moments of the samples after the change.
 #pragma once
 
 #include <algorithm>
@@ -17,11 +17,11 @@ struct MonitorSettings : WatchSettings {
   int most_samples = 1;  // largest number of samples in a block
 };
 
-// Number of samples for calls without a limit.
+// Number of samples that stands for no limit.
 constexpr int everything = std::numeric_limits<int>::max();
 
-// Takes blocks of samples. An alarm opens a case: the moments of the samples from the onset on are
-// accumulated for a `FaultFit`, in pieces of any size, which does not change the results.
+// Watch over blocks of samples. An alarm starts the examination of a suspected change (a "case"): `sum`
+// accumulates moments of the samples after the onset; their division among calls changes no result.
 class FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
@@ -43,18 +43,18 @@ class FaultMonitor {
   }
 
   bool open() const { return open_; }
-  double onset() const { return onset_; }                     // onset of the case [s]
-  const double* base() const { return base_.data(); }         // map before it, (joints, parameters)
+  double onset() const { return onset_; }                     // estimated time of the change [s]
+  const double* base() const { return base_.data(); }         // map before change, (joints, parameters)
   const double* normal() const { return watch_.normal(); }    // normal mean square errors, (joints)
   const RecentSamples& recent() const { return recent_; }
 
-  // First block after the case's onset; at least one block, from `recent().begin()` on, is before it.
+  // Number of the first block after the change; at least one kept block precedes that block.
   long first_after() const { return first_after_; }
 
-  // Takes a block (samples, joints, parameters + 3) that ends at `time` [s], of at most `most_samples`,
-  // and the map at that time, (joints, parameters). Returns whether it opens a case.
+  // Takes a block of at most `most_samples` samples, (samples, joints, parameters + 3), that ends at
+  // `time` [s], and the map at that time, (joints, parameters). Returns whether a case begins.
   bool take(double time, const double* samples, int count, const double* parameters) {
-    // A waiting block is accumulated before it is overwritten.
+    // The next block to accumulate would be overwritten: it is accumulated first.
     if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(everything);
     recent_.push(time, samples, count, parameters);
     measure(samples, count);
@@ -68,13 +68,13 @@ class FaultMonitor {
     return true;
   }
 
-  // Accumulates up to `samples` more samples of the case; returns true once all are included.
+  // Accumulates up to `samples` more samples of the case; returns true once all taken ones are included.
   bool sum(int samples) {
     while (open_ && waiting_ < recent_.end() && samples > 0) samples -= sum_block(samples);
     return !open_ || waiting_ == recent_.end();
   }
 
-  // Returns the present moments about the base map; they are valid until the next call.
+  // Returns the moments so far, about the map before the change; they are valid until the next call.
   const Moments& look() {
     seen_ = sums_;
     seen_.take_off(base_.data());
@@ -110,7 +110,7 @@ class FaultMonitor {
     waiting_sample_ = 0;
   }
 
-  // Accumulates up to `most` samples of the waiting block; returns their number without skipped ones.
+  // Accumulates up to `most` samples of block `waiting_`; returns their number without skipped ones.
   int sum_block(int most) {
     const RecentSamples::Block& block = recent_.block(waiting_);
     const double period = settings_.sample_period;
@@ -138,7 +138,7 @@ class FaultMonitor {
   bool open_ = false;
   double onset_ = 0.0;
   long first_after_ = 0, waiting_ = 0;  // blocks: first after the onset, next to accumulate
-  int waiting_sample_ = 0;              // next sample of that block
+  int waiting_sample_ = 0;              // next sample of block `waiting_`
 };
 
 }  // namespace leglab::monitor

@@ -6,12 +6,12 @@
 
 namespace leglab::monitor {
 
-// A learned sample of one joint is a row of regressor, output, a-priori error and 1; only zeros if the
-// joint did not learn the sample (`feedforward/kept_samples.h`).
+// Values after the regressor in the row of a sample and joint: output, a-priori error and 1. The row is
+// all zeros if the joint did not learn the sample (`feedforward/kept_samples.h`).
 constexpr int behind_regressor = 3;
 
-// Sums of regressor times regressor, regressor times output, squared output and 1, for every joint.
-// The first is symmetric: its upper triangle is stored, row by row.
+// Sums over samples for every joint: phi phi' (information), phi y (correlation), y^2 (power) and 1
+// (count), with regressor phi and output y. Of the information the upper triangle is stored by rows.
 class Moments {
  public:
   Moments(int joints, int parameters)
@@ -24,7 +24,7 @@ class Moments {
   int parameters() const { return parameters_; }
   int width() const { return parameters_ + behind_regressor; }
 
-  // Values of one joint.
+  // Sums of one joint.
   const double* information(int joint) const { return information_.data() + joint * triangle_; }
   const double* correlation(int joint) const { return correlation_.data() + joint * parameters_; }
   double power(int joint) const { return power_[std::size_t(joint)]; }
@@ -50,8 +50,8 @@ class Moments {
     }
   }
 
-  // Weight of a joint's squared errors: inverse of the normal mean square error plus the residual of the
-  // true fault, `discrepancy` times the joint's RMS output, as no machine is the nominal one.
+  // Weight of a joint's squared errors: inverse of the mean square error with the true fault. It is the
+  // normal one plus (`discrepancy` x RMS output)^2, because no machine equals the nominal model.
   double weight(int joint, double normal, double discrepancy) const {
     const double left = discrepancy * discrepancy * (power(joint) / std::max(count(joint), 1.0));
     return 1.0 / std::max(normal + left, 1e-300);
@@ -82,7 +82,7 @@ class Moments {
   }
 
  private:
-  // Number of rows added to the triangle at a time: the default size of a block of the monitor.
+  // Number of samples added to the information at a time: the monitor's default number per block.
   static constexpr int together = 5;
 
   template <int rows>
@@ -96,7 +96,7 @@ class Moments {
       double own[rows];
       bool shown = false;
       for (int k = 0; k < rows; ++k) shown |= (own[k] = x[k][i]) != 0.0;
-      if (!shown) continue;  // inactive basis function of a spline, the usual case
+      if (!shown) continue;  // a spline's basis function that is zero in all rows, the usual case
       for (int j = i; j < parameters_; ++j) {
         double value = sum[j - i];
         for (int k = 0; k < rows; ++k) value += own[k] * x[k][j];

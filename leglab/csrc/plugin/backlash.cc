@@ -79,7 +79,7 @@ class Backlash : public Instance<BacklashTable> {
     collect_actuation(m, d);
     drive_ = actuation_[dof_];
 
-    // Joint acceleration without the motor (row of M^-1 times forces), and that per unit of force.
+    // Joint acceleration without the motor (row of M^-1 times forces), and per unit of joint force.
     mj_solveM(m, d, column_.data(), unit_.data(), 1);
     for (int i = 0; i < m->nv; ++i) {
       force_[i] = d->qfrc_passive[i] - d->qfrc_bias[i] + d->qfrc_applied[i];
@@ -91,15 +91,15 @@ class Backlash : public Instance<BacklashTable> {
         mj_applyFT(m, d, wrench, wrench + 3, d->xipos + 3 * body, body, force_.data());
       }
     }
-    for (int j = 0; j < m->njnt; ++j) {  // hinges and slides; MuJoCo adds it to qfrc_actuator later
+    for (int j = 0; j < m->njnt; ++j) {  // gravity compensation, which MuJoCo adds later
       if (m->jnt_actgravcomp[j] && m->jnt_type[j] >= mjJNT_SLIDE) force_[m->jnt_dofadr[j]] += d->qfrc_gravcomp[m->jnt_dofadr[j]];
     }
-    force_[dof_] += s.constraint_;  // of the previous step, as the solver runs later
+    force_[dof_] += s.constraint_;  // force of the previous step, because the solver runs later
     double free = 0;
     for (int i = 0; i < m->nv; ++i) free += column_[i] * force_[i];
     double compliance = column_[dof_];  // 1/(effective inertia)
 
-    if (!seated) {  // rest on the flank that a rigid gear would load
+    if (!seated) {  // initially at rest on the flank that a rigid gear would load
       const double load = drive_ - inertia * (free + compliance * drive_);
       offset_ = load > 0 ? half : load < 0 ? -half : 0.0;
     }
@@ -188,11 +188,11 @@ class Backlash : public Instance<BacklashTable> {
   }
 
   int joint_, dof_;
-  std::vector<int> actuators_;    // on this joint
-  std::vector<int> later_paths_;  // their leglab.command_path instances computed after this one
+  std::vector<int> actuators_;    // actuators on this joint
+  std::vector<int> later_paths_;  // command paths of these actuators that MuJoCo computes later
 
   // Outputs of the latest `compute`.
-  double added_ = 0;  // force added to qfrc_passive since that was cleared
+  double added_ = 0;  // force added to qfrc_passive since MuJoCo last cleared qfrc_passive
   double offset_ = 0, velocity_ = 0, transmitted_ = 0, drive_ = 0, inertia_ = 1;
   std::vector<double> actuation_, column_, unit_, force_;  // scratch, (nv,)
 };

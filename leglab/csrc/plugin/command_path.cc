@@ -75,7 +75,7 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
 }
 
 void CommandPath::compute(const mjModel* m, mjData* d, int capability) {
-  if (capability == mjPLUGIN_PASSIVE) return;  // declared only so that a body may refer to it
+  if (capability == mjPLUGIN_PASSIVE) return;  // declared only so that a body may refer to the plugin
   if (!applied_) apply(m, d);
   applied_ = false;
 }
@@ -107,7 +107,7 @@ void CommandPath::apply(const mjModel* m, mjData* d) const {
       refuse(m, instance_, "attribute 'servo_dead_band' = " + number(p.servo_dead_band_) +
                                "; allowed: 0 for what is no position servo");
     }
-    // A servo's force is its gain times the error of its position, and damping.
+    // A servo's force is its gain times the error of its position, plus damping.
     const double goal = m->actuator_dyntype[id] == mjDYN_NONE ? output : actuator_.activation(m, d);
     const double error = goal - d->actuator_length[actuator_.output];
     force -= actuator_.gain(m, d) * std::clamp(error, -p.servo_dead_band_, p.servo_dead_band_);

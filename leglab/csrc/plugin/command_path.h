@@ -12,7 +12,7 @@ class CommandPath : public Instance<CommandTable> {
   void reset(mjtNum* plugin_state) const;
   void compute(const mjModel* m, mjData* d, int capability);
   void advance(const mjModel* m, mjData* d);
-  // Applies the force in advance, for a plugin that needs it before this one's next `compute`.
+  // Applies the force in advance, for a plugin that needs it before this instance's next `compute`.
   void apply_ahead(const mjModel* m, mjData* d);
 
   // Length of the plugin state: parameters, states and the commands of `max_delay`.

@@ -31,13 +31,13 @@ std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Resolves a name in an attribute of an instance to one of the first `count` elements of a kind; -1 for
-// none. It is the element of that name, else the one whose name adds the prefix and suffix of the
-// instance's name: attaching a model (mjs_attach) changes names of elements, not those in attributes.
+// Index, among the first `count` elements of a kind, of the element that an attribute names; -1 for
+// none. It has that name, or else that name with the prefix and suffix of the instance's name, because
+// attaching a model (mjs_attach) adds these to the names of elements but not to names in attributes.
 int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text);
 
-// Element that the attribute `key` names, one of the first `count` of a kind; rejects a name of none of
-// them.
+// Index of the element that the attribute `key` names, among the first `count` of a kind; rejects any
+// other name.
 int element_attribute(const mjModel* m, int instance, const char* key, mjtObj kind, int count);
 
 // Joint that the attribute `joint` names; hinge or slide.

@@ -34,8 +34,8 @@ Cylinder::Cylinder(const mjModel* m, int instance)
   refresh(m, initial_);
 }
 
-// The symplectic coupling of oil spring and mechanism is accurate for w_h h <= 0.7 and unstable
-// beyond 2; more than 1 is rejected. Evaluated at qpos0, with the effective mass of the model.
+// The symplectic coupling of oil spring and mechanism is accurate for w_h h <= 0.7 (w_h: natural
+// frequency, h: time step) and unstable beyond 2. A value above 1, computed at qpos0, is rejected.
 void Cylinder::check_timestep(const mjModel* m) const {
   const int target = m->actuator_trnid[2 * actuator_];
   double inverse_mass = 0, length = 0;

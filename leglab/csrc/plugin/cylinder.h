@@ -9,8 +9,8 @@
 
 namespace leglab::plugin {
 
-// Keeps, in addition to its state, ids, coefficients computed from the parameters (refreshed whenever
-// these differ from `seen_`), and the outputs of the latest `compute`.
+// In addition to the plugin state it keeps ids, the outputs of the latest `compute`, and coefficients,
+// which are computed anew whenever the parameters differ from `seen_`.
 class Cylinder : public Instance<hydraulics::CylinderTable> {
  public:
   using Instance::slots;
@@ -52,7 +52,7 @@ class Cylinder : public Instance<hydraulics::CylinderTable> {
   hydraulics::PistonForces forces_{};
   hydraulics::PlayStep play_{};
   double oil_spring_ = 0;  // stiffness of both chambers at the latest `compute` [N/m]
-  double moved_ = 0;       // mass of the piston, plus the mechanism's if it is in contact [kg]
+  double moved_ = 0;       // mass of the piston, plus the mechanism's if in contact with it [kg]
   double x_ = 0, v_ = 0, mass_ = 0, command_ = 0;
   std::vector<double> half_solved_;  // scratch, shape (nv,), zero between uses
 };

@@ -9,7 +9,7 @@ namespace leglab::plugin {
 bool tendon_ends(const mjModel* m, const mjData* d, int tendon, mjtNum base[3], mjtNum end[3]);
 
 // A hydraulic cylinder between its pins [m]: barrel of `length` from the base, rod to the end.
-// `level` in [0, 1] is the cap-side pressure over the supply: blue to red.
+// `level` in [0, 1], drawn from blue to red, is the cap-side pressure over the supply pressure.
 void draw_cylinder(mjvScene* scene, const mjtNum base[3], const mjtNum end[3], double bore,
                    double rod, double length, double level);
 

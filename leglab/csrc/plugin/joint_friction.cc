@@ -35,7 +35,7 @@ class JointFriction : public Instance<hydraulics::FrictionTable> {
   void advance(const mjModel* m, mjData* d) {
     const auto [p, s] = slots(m, d);
     const double v = d->qvel[dof_], h = m->opt.timestep;
-    // MuJoCo computes passive forces before actuator forces: the load is that of the previous step.
+    // MuJoCo computes passive forces before actuator forces, so the load is of the previous step.
     s.load_ = std::abs(p.actuator_load_coefficient_ * d->qfrc_actuator[dof_] +
                        p.bias_load_coefficient_ * d->qfrc_bias[dof_]);
     const double g = hydraulics::FrictionLevel::at(p, v, s.load_, d->time).sliding;

@@ -26,7 +26,7 @@ class Instance {
   // Length of the plugin state; a plugin with data after the named states overrides it.
   static int state_count(const mjModel*, int) { return kStateCount; }
 
-  // Resets the parameters to those of MJCF and the states to zero.
+  // Resets the parameters to their values in MJCF and the states to zero.
   void reset(mjtNum* plugin_state) const {
     std::copy_n(reinterpret_cast<const double*>(&initial_), kParameterCount, plugin_state);
     std::fill_n(plugin_state + kParameterCount, Table::state_count, 0.0);
@@ -96,7 +96,7 @@ void register_plugin(int capability) {
   plugin.compute = +[](const mjModel* m, mjData* d, int instance, int capability) {
     T* plugin = instance_of<T>(d, instance);
     if constexpr (requires { plugin->compute(m, d, capability); }) {
-      plugin->compute(m, d, capability);  // plugin with several capabilities
+      plugin->compute(m, d, capability);  // for a plugin with several capabilities
     } else {
       plugin->compute(m, d);
     }

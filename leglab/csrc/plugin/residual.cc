@@ -151,7 +151,7 @@ void Residual::compute(const mjModel* m, mjData* d) {
       command = std::clamp(command, m->actuator_ctrlrange[2 * ctrl], m->actuator_ctrlrange[2 * ctrl + 1]);
     }
   }
-  // MuJoCo computes passive forces before actuator forces: the load is that of the previous step.
+  // MuJoCo computes passive forces before actuator forces, so the load is of the previous step.
   d->qfrc_passive[dof_] += at(m, d, {d->qpos[qpos_], d->qvel[dof_], slots(m, d).state.load_, command});
 }
 

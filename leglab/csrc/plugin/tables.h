@@ -57,7 +57,7 @@ LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NO
   X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
 LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BACKLASH_STATES, "joint")
 
-// In the order in which the command passes them. Commands are in the unit of the actuator's ctrl.
+// In the order in which the elements act on a command. Commands have the unit of the actuator's ctrl.
 #define LEGLAB_COMMAND_PARAMETERS(X)                                                               \
   X(delay, "s", 0.0, 0.0, 1.0, true, "dead time, at most the attribute max_delay")                 \
   X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                                  \

@@ -1,7 +1,7 @@
-"""Balances of force and of oil along the measured motion: the model's residual at every moment.
+"""Balances of forces and of oil along the measured motion, with the residual of the model.
 
-In integral form: momentum or pressure gained over a window minus the impulses of all modelled
-forces or flows, so that sensor noise has little influence.
+Balances are in integral form, so that sensor noise has little influence: the momentum or pressure
+gained over a window minus the impulses of all modelled forces or flows.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,24 +23,24 @@ from leglab.machine.cylinder import Cylinder
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Balance:
-    """Residual of one joint's forces, or of one cylinder's oil, by the model.
+    """Residual of the forces on one joint, or of the oil of one cylinder.
 
-    Rows are windows, (windows, samples), whose sums are the balance.
+    Arrays have the shape (windows, samples); the mean over a window is its balance.
     """
 
     element: str  #: Joint or cylinder
-    joint: str  #: Joint of the motion
-    actuator: str  #: Actuator of the command among the inputs; empty if nothing drives the joint
+    joint: str  #: Joint whose motion is among the inputs
+    actuator: str  #: Actuator whose command is an input; empty if nothing drives the joint
     oil: bool  #: Whether it is an oil balance
-    #: Force [N m or N], or rate of pressure A less B [Pa/s], (windows, samples).
+    #: Residual force [N m or N], or residual d(p_A - p_B)/dt [Pa/s], (windows, samples).
     lacking: np.ndarray
-    #: d(lacking)/d(learned quantity), (windows, samples): 1 for a force; for oil, d(rate of
-    #: pressure)/d(opening of the valve).
+    #: d(`lacking`)/d(learned quantity), (windows, samples): 1 for a force; for oil, where a command
+    #: offset is learned, d(`lacking`)/d(valve opening).
     gain: np.ndarray
-    inputs: dict[str, np.ndarray]  #: By variable, each (windows, samples)
+    inputs: dict[str, np.ndarray]  #: Position, velocity, load and command, each (windows, samples)
     moving: np.ndarray  #: Whether the joint moves at all samples, (windows,)
-    recording: np.ndarray  #: Number of the recording, (windows,)
-    time: np.ndarray  #: s, in the middle of windows, (windows,)
+    recording: np.ndarray  #: Index of the recording, (windows,)
+    time: np.ndarray  #: Time at the middle of each window [s], (windows,)
 
     @property
     def gained(self) -> np.ndarray:
@@ -48,14 +48,14 @@ class Balance:
         return np.asarray(self.lacking.mean(axis=1))
 
     def of(self, mask: np.ndarray) -> "Balance":
-        """Returns the balance of the windows of a mask."""
+        """Returns the balance with only the windows at which `mask` is true."""
         return _combined([self], lambda own: own[0][mask])
 
 
 def _combined(
     parts: Sequence[Balance], combine: Callable[[list[np.ndarray]], np.ndarray]
 ) -> Balance:
-    """Returns a balance whose arrays are combined from those of others."""
+    """Returns a balance whose arrays are the combined arrays of several balances."""
     names = ("lacking", "gain", "moving", "recording", "time")
     made: dict[str, Any] = {name: combine([getattr(p, name) for p in parts]) for name in names}
     made["inputs"] = {k: combine([p.inputs[k] for p in parts]) for k in parts[0].inputs}
@@ -63,9 +63,9 @@ def _combined(
 
 
 def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
-    """Returns the balances of all joints and cylinders whose actuators' forces are known.
+    """Returns the balances of all joints and cylinders with known forces, for a hypothesis.
 
-    Cylinders without measured pressures, and the joints that they move, have none.
+    Cylinders without measured pressures, and the joints that they move, have no balance.
     """
     change = problem.library.change(hypothesis, problem.machine)
     found: dict[tuple[str, bool], list[Balance]] = {}
@@ -77,7 +77,7 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
 def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
     machine, limits, model = problem.machine, problem.thresholds, change.variant.model
-    # Samples are a stride apart, about two per bin. Windows are twice as long as the position
+    # Samples are `stride` apart, about two per bin. Windows are twice as long as the position
     # filter, so that the noise of neighbouring windows is nearly independent.
     half = max(1, round(0.25 * limits.bin / cut.series.period))
     stride, per_window = 2 * half, round(2.0 * limits.position_filter[0] / (0.5 * limits.bin))
@@ -150,7 +150,7 @@ def _oil(
     at: dict[str, np.ndarray],
     half: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the residual rate of pressure A minus B, and its gain by the spool, (samples,)."""
+    """Returns the residual of d(p_A - p_B)/dt, and d(residual)/d(spool position), (samples,)."""
     variant, joint, k = change.variant, change.machine.driven[cylinder][0], measured.samples
     table = variant.elements[cylinder][1].parameters
     values = {name: change.parameter(cylinder, name) for name in table}
@@ -158,7 +158,7 @@ def _oil(
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
     rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
     slot = plugin_offset(variant.model) + variant.slot(cylinder, "spool_position")
-    # Step of the difference for the gain: it matters only for the curvature of an edge.
+    # Step of the finite difference for the gain; it matters only at the edge of a valve opening.
     step = 0.01
     modelled = np.empty((3, k.size))
     for i, spool in enumerate(np.clip(states[:, slot], step - 1.0, 1.0 - step).tolist()):
@@ -178,7 +178,7 @@ def _oil(
 def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft]:
     """Returns residual forces in fitted windows, by joint: M a + bias minus all modelled forces.
 
-    Joints of cylinders without measured pressures are left out: their force is unknown.
+    Joints of cylinders without measured pressures are left out, as their drive force is unknown.
     """
     replay, joints = problem.replay, problem.balanced
     if not joints:

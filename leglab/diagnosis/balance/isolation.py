@@ -1,4 +1,4 @@
-"""Structural isolation of disagreements to mechanism or hydraulics, and to elements."""
+"""Localisation of model errors: in mechanism or hydraulics, and at which joint or cylinder."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from leglab.diagnosis.result import Where
 def isolate(problem: Problem) -> tuple[Where, ...]:
     """Returns where the original model disagrees with the measured motion, largest first.
 
-    Balances have only measured inputs: a valve fault leaves the mechanical residual small, and a
-    mechanical fault the hydraulic one. Residuals are in multiples of their noise. Without pressures
-    they are the errors of the replayed motion by joint.
+    All inputs of a balance are measured, so a valve fault does not affect the mechanical residual,
+    nor a mechanical fault the hydraulic residual. Residuals are in multiples of their noise.
+    Without measured pressures, errors of the replayed motion of each joint are returned instead.
     """
     along = balances(problem, Hypothesis())
     if any(balance.oil for balance in along):
@@ -27,7 +27,7 @@ def isolate(problem: Problem) -> tuple[Where, ...]:
 
 
 def _of_balance(problem: Problem, balance: Balance) -> Where:
-    """Returns the residual of one balance relative to white noise, by its second differences."""
+    """Returns the residual of a balance over its noise, estimated from second differences."""
     rest = balance.lacking
     noise = float(np.median(np.abs(np.diff(rest, 2, axis=1)))) / np.sqrt(6.0)
     length = "m" if balance.oil else problem.machine.unit(balance.joint)
@@ -55,7 +55,7 @@ def _motion(problem: Problem) -> list[Where]:
         length = problem.machine.unit(channel.joint)
         states = {"position": (position, length), "velocity": (velocity, f"{length}/s")}
         region = worst_region(errors[:, k].ravel(), states)
-        # Whitened as in the gap, with the errors of start states, but without the other joints.
+        # Whitened like the reported errors, with uncertain start states, but only for this joint.
         block = slice(k * replay.bins, (k + 1) * replay.bins)
         roots = inverse_roots(problem.noise.covariance(every, block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)
@@ -69,7 +69,7 @@ def bin_motion(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the motion of a joint in the middle of every bin of a recording's windows.
 
-    It consists of sample index, position and velocity, each (bins,).
+    Returns sample indices, positions and velocities, each (bins of all windows,).
     """
     replay, series = problem.replay, problem.series[recording]
     middle = (np.arange(replay.bins) + 0.5) * (replay.samples // replay.bins)

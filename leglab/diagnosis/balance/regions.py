@@ -1,4 +1,4 @@
-"""Regions of a state in which errors are largest, by the equally filled bins of the page."""
+"""Ranges of a state (position, velocity ...) in which errors are largest."""
 
 from collections.abc import Mapping
 
@@ -8,9 +8,9 @@ EVERYWHERE = "everywhere alike"
 
 
 def equally_filled(state: np.ndarray) -> list[np.ndarray]:
-    """Returns the indices of the points of each of at most twenty bins along the state.
+    """Divides points, sorted by state, into at most 20 equal bins; returns the indices per bin.
 
-    Each bin has at least eight points: fewer give no reliable mean.
+    Each bin has at least eight points, because fewer give no reliable mean.
     """
     count = min(20, state.size // 8)
     return np.array_split(np.argsort(state, kind="stable"), count) if count else []
@@ -19,8 +19,8 @@ def equally_filled(state: np.ndarray) -> list[np.ndarray]:
 def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]) -> str:
     """Returns in words where an error, (samples,), is largest.
 
-    A region needs a peak that exceeds the mean absolute error by a third; it extends to bins with
-    more than half of the peak's excess. `states` holds values, (samples,), and unit by name.
+    A region is reported if the mean absolute error of a bin exceeds the overall mean by a third. It
+    includes adjacent bins with over half that excess. `states`: values, (samples,), and unit.
     """
     finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
@@ -57,7 +57,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
 def _period(error: np.ndarray, position: np.ndarray) -> float | None:
     """Returns the period over the position with which an error repeats; None if it does not.
 
-    A wave needs two to eight cycles in the range, and must explain a third of the variance.
+    The period must fit into the range 2 to 8 times, and its sine explain 1/3 of the variance.
     """
     low, high = np.quantile(position, [0.01, 0.99])
     span = float(high - low)

@@ -1,8 +1,8 @@
 """Detection of wrong units and signs of signals by replays.
 
-Windows are replayed with the logged signal, and with each factor of `intake.units` on it. Faults
-are not mistaken for a wrong unit: no factor near 1 is tried, and a factor counts only if it
-explains nearly all of the motion while the logged signal explains little of it.
+Windows are replayed with the logged signal, and with the signal times each factor of
+`intake.units`. Faults are not mistaken for wrong units, because no factor near 1 is tried, and a
+factor has to explain nearly all of the motion while the logged signal explains little of it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,12 +22,12 @@ from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
 from leglab.diagnosis.thresholds import DEFAULT, FAR, FORCE_BLOCKS, SAME, SMALL, Thresholds
 
-# Number of windows of all recordings, and least and largest number for one recording: each trial
-# replays all of them, and with fewer a mean is not significant.
+# Number of replayed windows in total, and minimum and maximum per recording. Each trial replays all
+# windows, so many are slow; with fewer a mean is not significant.
 _WINDOWS, _FEWEST, _MOST = 16, 4, 8
-# Gains of a weak or strong drive: effects explain these, so a unit must explain the motion better.
+# Gains of a weak and a strong drive, which are effects: a unit must explain the motion better.
 _GAINS = (0.3, 3.0)
-# Limit of squared errors relative to the motion's: beyond it the replay diverged.
+# Upper limit of squared errors relative to the squared motion; diverged replays reach it.
 _BLOWN = 1e8
 
 
@@ -36,15 +36,15 @@ class Doubt:
     """Doubt about the unit or direction of columns of one recording."""
 
     recording: str
-    columns: tuple[str, ...]  #: Columns with one unit
-    factor: float  #: Factor on these columns with which the model fits
+    columns: tuple[str, ...]  #: Columns that share a unit
+    factor: float  #: Factor on the columns with which the model fits
     unit: str  #: Unit that the factor implies, or `OPPOSITE`
-    times_better: float  #: RMS replay error with the logged signal over that with the factor
+    times_better: float  #: RMS replay error without the factor over the RMS error with it
     alike: tuple[str, ...] = ()  #: Columns whose opposite direction fits equally well
 
     @property
     def words(self) -> str:
-        """The doubt as a question, with the entry of the column map that answers it."""
+        """The doubt in words, with the entry in the column map that would correct the unit."""
         times = self.times_better
         better = f"{times:.2g} times" if times < 100.0 else "more than 100 times"
         better = f"the model fits {better} better"
@@ -64,7 +64,7 @@ def unquestioned(
     """Leaves out the recordings whose units or directions are in doubt.
 
     Raises:
-        RecordingError: At least half of them share a doubt, or none is left to fit or judge by.
+        RecordingError: At least half share a doubt, or no recording remains to fit or to judge by.
     """
     found = doubts(machine, admitted.recordings, thresholds)
     asked = ((doubt.recording, (doubt.columns, doubt.unit), doubt.words) for doubt in found)
@@ -85,8 +85,8 @@ def doubts(
 ) -> list[Doubt]:
     """Returns the clearest doubt about units and directions of each recording.
 
-    The recordings, by name, must have all columns of the machine. A recording that is too short or
-    does not move raises no doubt.
+    The recordings must have all columns of the machine. Recordings that are too short or contain no
+    motion raise no doubt.
     """
     try:
         trials = _Trials(machine, recordings, thresholds)
@@ -114,26 +114,26 @@ def doubts(
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Mean squares over the bins of a replay, each (windows, joints)."""
+    """Mean squares over the bins of replayed windows, each (windows, joints)."""
 
-    recording: np.ndarray  #: Number of each window's recording, (windows,)
-    left: np.ndarray  #: Of measured minus predicted positions
-    bent: np.ndarray  #: Of departures of the motion from a straight line in time
-    moved: np.ndarray  #: Of the motion relative to its start
+    recording: np.ndarray  #: Index of each window's recording, (windows,)
+    left: np.ndarray  #: Mean square of measured minus predicted positions
+    bent: np.ndarray  #: Mean square of measured motion minus a straight line in time
+    moved: np.ndarray  #: Mean square of the measured motion relative to its start
 
     def shares(self, squares: np.ndarray, rows: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Returns squares of windows as shares of the total `bent`, summed by joint, (windows,)."""
+        """Divides squares by the joint's total of `bent` and adds them over joints, (windows,)."""
         size = np.maximum(self.bent[rows].sum(axis=0), 1e-300)
         return np.minimum(squares[rows] / size, _BLOWN).sum(axis=1)
 
 
 def _times(factor: float, samples: np.ndarray, period: float) -> np.ndarray:
-    """Multiplies commands by a factor, as a command path."""
+    """Multiplies commands by a factor; it has the signature of a command path."""
     return factor * samples
 
 
 class _Trials:
-    """Replays of the part of each recording with the most motion, with factors on its columns."""
+    """Replays of the liveliest segment of each recording, with factors on its columns."""
 
     def __init__(
         self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
@@ -142,11 +142,11 @@ class _Trials:
         #: Joints that each column measures or moves.
         self.joints = {f"{joint}_position": (joint,) for joint in machine.joints}
         self.joints |= {f"{a}_command": machine.driven[a] for a in machine.actuators}
-        # Two samples per bin suffice for a unit, and take a fifth of the time of ten.
+        # Two samples per bin are enough to find a unit, and take a fifth of the time of ten.
         period = max(common_period(recordings, limits), 0.5 * limits.bin)
         self.machine = at_replay_step(machine, period)
         shared = set.intersection(*(set(r.columns) for r in recordings.values()))
-        # One pose per part of a window is enough for the accelerations by commands.
+        # One pose per block of a window is enough for the accelerations caused by commands.
         every = max(1, round(limits.window / FORCE_BLOCKS / period))
         limits = replace(limits, pose_every=every)
         windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
@@ -172,15 +172,15 @@ class _Trials:
         return Replay(self.machine, scaled, self.channels, self.limits, threads=1)
 
     def errors(self, factors: Mapping[str, float]) -> _Errors:
-        """Returns the squares of a replay with factors on columns."""
+        """Returns the errors of a replay with a factor on some columns, by column name."""
         change, replay = Change(self.machine), self._as_logged
         for actuator in self.machine.actuators:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
                 change.command(actuator, partial(_times, factor))
         positions = {c: f for c, f in factors.items() if not c.endswith("_command")}
-        if positions:  # Positions decide where windows start and which contacts are active.
+        if positions:  # Positions determine window starts and contacts.
             replay = self._replay(positions)
-        joints = len(self.machine.joints)  # their channels come first
+        joints = len(self.machine.joints)  # channels of positions come first
         errors = replay.error(change).values[:, :joints]
         # An error that is equal in all windows comes from a constant force, not from a unit.
         for number in range(len(self.series)):
@@ -195,7 +195,7 @@ class _Trials:
         return _Errors(replay.recording, left, bent, moved)
 
     def effects(self) -> Iterator[_Errors]:
-        """Yields the errors with weak or strong drives, as an effect would make them."""
+        """Yields the errors with weak and strong drives: effects that are not wrong units."""
         commands = [column for column in self.joints if column.endswith("_command")]
         for group in dict.fromkeys([*((column,) for column in commands), tuple(commands)]):
             for gain in _GAINS:
@@ -204,11 +204,11 @@ class _Trials:
     def candidates(self, as_it_is: _Errors) -> Iterator[tuple[tuple[str, ...], str, float]]:
         """Yields columns, units and factors to try for joints whose motion is not explained.
 
-        A log usually has angles of all hinges, or commands of all drives, in one unit. If angles
-        and commands of position servos are both in degrees, the error hardly shows it: they are
-        tried together if a hinge turns farther than most can.
+        In most logs all hinge angles, or all commands, have one unit, so groups are tried as well.
+        If both angles and commands of position servos are in degrees, errors hardly show it, so
+        this is tried whenever a hinge turns farther than most hinges can.
         """
-        # Limit: half the RMS error of a straight line in time.
+        # Motion is unexplained above half the RMS error of a straight line in time.
         unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
         poor = {j for j, bad in zip(self.machine.joints, unexplained, strict=True) if bad}
         groups: dict[tuple[str, str, float], list[str]] = {}
@@ -240,7 +240,7 @@ class _Trials:
     def clear(
         self, columns: tuple[str, ...], before: list[_Errors], after: _Errors
     ) -> Iterator[tuple[str, float]]:
-        """Yields recordings that a factor on columns explains clearly better, with RMS ratios."""
+        """Yields names of recordings that a factor explains clearly better, with error ratios."""
         if any(errors.recording.shape != after.recording.shape for errors in before):
             return
         own = {self.machine.joints.index(j) for column in columns for j in self.joints[column]}
@@ -252,14 +252,14 @@ class _Trials:
             most = SMALL * min(left.sum(), moved.sum())
             if not left.size or not least.sum() < most:
                 continue
-            # The mean gain must be significant, by its scatter over windows.
+            # The mean logarithmic gain must be significant relative to its scatter over windows.
             gain = np.log(np.maximum(left, 1e-300) / np.maximum(least, 1e-300))
             if gain.mean() > self.limits.beyond_chance * gain.std() / np.sqrt(gain.size):
                 yield name, float(np.sqrt(as_it_is.sum() / least.sum()))
 
 
 def _liveliest(series: UniformSeries, columns: list[str], length: int) -> UniformSeries:
-    """Returns the part of a series, `length` samples long, in which its columns move most."""
+    """Returns the segment of a series, `length` samples long, in which the columns move most."""
     count = series.time.size
     if count <= length:
         return series

@@ -1,4 +1,4 @@
-"""Mounting points of cylinders: a tolerance of good machines, never named."""
+"""Mounting points of cylinders, in which good machines differ: fitted but never named."""
 
 import math
 
@@ -9,7 +9,7 @@ from leglab.diagnosis.effects.base import EffectParameter, TableEffect, Values, 
 from leglab.diagnosis.plant.model import Change, Machine
 
 # Name of a site, its vector from the axis of a joint [m], and the derivative of its position by the
-# joint angle [m/rad], both in the frame of its body.
+# joint angle [m/rad], both in the frame of the site's body.
 Anchor = tuple[str, np.ndarray, np.ndarray]
 
 
@@ -27,7 +27,7 @@ def _row(name: str, unit: str, own: float) -> EffectParameter:
 
 @register_effect
 class Anchors(TableEffect):
-    """A lever, and a length, that differ from the drawing at every angle."""
+    """Misplaced anchors: a cylinder's lever and length differ from the drawing at every angle."""
 
     name = "anchors"
     group = "mechanics"
@@ -45,11 +45,11 @@ class Anchors(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns the cylinders between two points about one hinge."""
+        """Returns the cylinders that act between two anchors about one hinge."""
         return tuple(c for c in machine.cylinders if anchors(machine, c))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Moves the sites; each value needs a new compilation of the model."""
+        """Moves the sites; each new value requires a compilation of the model."""
         fixed, moving, angle = values.values()
         if (fixed, moving, angle) == (1.0, 1.0, 0.0):
             return
@@ -65,7 +65,7 @@ class Anchors(TableEffect):
 
 
 def anchors(machine: Machine, cylinder: str) -> tuple[Anchor, ...]:
-    """Returns a cylinder's fixed and moving anchor; () if it is not between two about a hinge."""
+    """Returns a cylinder's fixed and moving anchor; () unless it has two about one hinge."""
     model, driven = machine.base.model, machine.driven[cylinder]
     actuator, joint = model.actuator(cylinder), model.joint(driven[0])
     on_tendon = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_TENDON)

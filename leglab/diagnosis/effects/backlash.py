@@ -15,15 +15,15 @@ from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 _BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-# Frequency at which the motor alone swings on a flank in contact: rigid for any recording.
+# Natural frequency of the motor alone on a flank in contact: rigid for any recording.
 _FLANK_HZ = 500.0
-# Motor inertia as a share of the joint's, if the model has no armature.
+# Motor inertia as a share of the joint's inertia, if the model has no armature.
 _MOTOR_SHARE = 0.1
-# A flexibility is a play with elastic flanks and this negligible width.
+# Negligible width [rad or m] of the play with elastic flanks that represents a flexibility.
 _NO_PLAY = 1e-9
-# Natural frequencies of the joint on the spring with the motor fixed.
+# Trials and lower bound of the joint's natural frequency on its spring with the motor fixed.
 _TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
-# Time before a window from which the motor is followed through the play.
+# Time before a window in which the motor's motion in the play is simulated.
 _HISTORY = 0.4  # s
 
 
@@ -61,7 +61,7 @@ class DriveEffect(TableEffect):
 
 @register_effect
 class Backlash(DriveEffect):
-    """Gear play: within it motor and joint move apart."""
+    """Gear play, within which motor and joint move independently."""
 
     name = "backlash"
     physics = "J w' = tau - T; the flanks transmit T only when the play is used up."
@@ -114,8 +114,8 @@ class JointFlexibility(DriveEffect):
             acceleration = np.gradient(velocity, h)
             every, zero = np.arange(velocity.size), np.zeros(velocity.size)
             torque = drive_torque(measured, variant.model, element)(every, zero, zero)
-            # J o'' + c o' + k o = tau - J q'' of the twist o, along the measured joint. The filter
-            # gives the torque k o, whose gain is 1: that of o is as small as the compliance.
+            # The twist o obeys J o'' + c o' + k o = tau - J q'' with the measured q. The filter
+            # computes k o, with a gain of 1, because the gain to o is as small as the compliance.
             excess = torque - motor * acceleration
             under = [motor * compliance, damping * compliance, 1.0]
             over, under = bilinear([1.0], under, 1.0 / h)
@@ -130,7 +130,7 @@ class JointFlexibility(DriveEffect):
         insert_play(change, f"{element}_flexibility", element, play, twist)
 
 
-# Position of a motor in its play, and its velocity, at window starts; both (windows,).
+# Computes a motor's position in its play and its velocity at window starts, both (windows,).
 MotorStates = Callable[[Measured, Variant], tuple[np.ndarray, np.ndarray]]
 
 
@@ -171,16 +171,16 @@ def motor_states(
         pushed = torque(k, offset, slip) * (h / inertia) - (velocity[after] - velocity[k])
         moved = offset + h * (slip + 0.5 * pushed)
         offset = np.clip(moved, -half, half)
-        # A motor at a flank moves with it without delay.
+        # A motor that reaches a flank takes on the joint's velocity at once.
         slip = np.where(moved == offset, slip + pushed, 0.0)
     k = index[:, -1]
-    # Velocities in MuJoCo lag half a step.
+    # MuJoCo's velocities lag its positions by half a time step.
     free = torque(k, offset, slip) / inertia - acceleration[k]
     lag = np.where(np.abs(offset) < half, 0.5 * model.opt.timestep * free, 0.0)
     return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
 
 
-# Torque by samples, and by the motor's lead on the joint in position and velocity; all (k,).
+# Torque by sample indices and by the motor's lead over the joint in position and speed; all (k,).
 Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -209,7 +209,7 @@ def _drives(model: mujoco.MjModel, joint: str) -> list[int]:
 
 
 def _followed(model: mujoco.MjModel, i: int) -> bool:
-    """Tests whether `drive_torque` gives the force of an actuator."""
+    """Tests whether `drive_torque` can compute the force of an actuator."""
     return (
         model.actuator_plugin[i] < 0
         and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)

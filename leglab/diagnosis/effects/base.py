@@ -24,18 +24,18 @@ class EffectParameter:
     Attributes:
         name: Name in reports.
         unit: SI unit of all values.
-        nominal: Value at which the effect changes nothing, or, of a shape, where fits start.
+        nominal: Value at which the effect changes nothing; for a shape, start value of fits.
         lower: Smallest value that makes sense.
         upper: Largest value that makes sense.
-        trials: Values to screen, a few from barely noticeable to severe on each possible side;
-            those of a shape are not screened, they give the step that matters.
-        tolerance: Standard deviation between good machines. If positive, the baseline refits the
-            parameter under this prior, and only a larger change is named.
+        trials: Values to screen: on each possible side a few, from barely noticeable to severe.
+            Trials of a shape are not screened; they only give its smallest significant step.
+        tolerance: Standard deviation between good machines. If positive, recalibration fits the
+            parameter with this prior, and only a larger change is named.
         role: A "strength" at its nominal value switches the effect off; a "shape" has no influence
             while all strengths are nominal.
-        faults: Side of the nominal value on which faults lie; the other is that of a better part.
-        limit_of: "command" or "force" for a limit of it: its nominal value is the largest one that
-            the recordings show, and trials are shares of that; "" for any other parameter.
+        faults: Side of the nominal value on which faults lie; on the other, the part is better.
+        limit_of: "command" or "force" if the parameter is its limit: the nominal value is then the
+            largest recorded value, and trials are shares of that value; "" for no limit.
         inverse: Whether motion departs in proportion to 1/value: a bandwidth acts by its lag, a
             stiffness by its compliance.
     """
@@ -70,7 +70,7 @@ class EffectParameter:
 
     @property
     def scale(self) -> float:
-        """Smallest trial, the step of differences and fits; in 1/unit if `inverse`."""
+        """Smallest distance of a trial from nominal, the unit of steps; in 1/unit if `inverse`."""
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 
@@ -101,7 +101,7 @@ class EffectParameter:
         return max(self.trials) if self.unit == "s" else np.inf
 
     def stretched(self, shortest: float) -> "EffectParameter":
-        """Returns the parameter; trials and bound of a time scaled up to a shortest time [s]."""
+        """Scales up trials and upper bound of a time until no trial is below `shortest` [s]."""
         if self.unit != "s" or not self.trials or self.scale >= shortest:
             return self
         factor = shortest / self.scale
@@ -119,21 +119,21 @@ class Effect(ABC):
     Subclasses keep no state. Those with a table of parameters derive from `TableEffect`.
 
     Attributes:
-        name: Name in reports; variants (on a cylinder, on a plain joint) may share it if no element
-            of a machine has two of them.
+        name: Name in reports. Variants of an effect (for cylinders, for plain joints) may share a
+            name if no element of a machine can have two of the variants.
         group: Heading under which it is listed.
         physics: One sentence on the mechanism, with the equation.
         source: Source of equation and bounds.
         excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name.
-        gradual: Whether small values change little; false if it inserts a moving part.
-        nameable: Whether a diagnosis searches for it. An effect that is not searched for, the shape
-            of a law in which good machines differ, is fitted on machines that differ everywhere.
-        on_bodies: Whether its elements are bodies: their names may be those of joints.
-        contains: Simpler effects that are special cases of it: one of them at the same joint is
-            named instead if it fits equally well.
-        by_direction: Pairs of parameters, one per direction. On a machine whose laws are not the
-            model's the effect is named only if the two depart differently.
+        gradual: Whether small values change little; false if, say, a moving part is inserted.
+        nameable: Whether a diagnosis searches for the effect. Otherwise the effect is the shape of
+            a law in which good machines differ: it is fitted with all others but never named.
+        on_bodies: Whether its elements are bodies, whose names may equal names of joints.
+        contains: Simpler effects that are special cases of this one. If a simpler effect at the
+            same joint fits equally well, the simpler one is named.
+        by_direction: Pairs of parameters for the two directions. If the machine's laws differ from
+            the model's, the effect is named only if the parameters of a pair depart differently.
     """
 
     name: ClassVar[str]
@@ -161,26 +161,26 @@ class Effect(ABC):
         """Records the effect of the values in `change`; nominal values must change nothing."""
 
     def guess(self, left: ForceLeft) -> Values | None:
-        """Returns start values of shapes by the residual force on the joint; None: by trials."""
+        """Returns start values of shapes from the joint's residual force; None to use trials."""
         return None
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Records the edits and parameters that give an improved model these values.
+        """Records the edits and parameters by which the file of an improved model gets the values.
 
-        They differ from those of `apply` for command and sensor paths, which replays apply to the
-        samples, and where an MJCF attribute has nearly the same effect.
+        These edits differ from the edits of `apply` for command and sensor paths, which replays
+        apply to samples, and for effects that an MJCF attribute nearly reproduces.
         """
         self.apply(change, element, values)
 
 
-# A parameter of an effect, of machine and element.
+# Function of machine and element that returns a parameter of an effect.
 Row = Callable[[Machine, str], EffectParameter]
 
 
 class TableEffect(Effect):
     """Base of effects with a table of parameters."""
 
-    #: Parameters: each is one for all elements, or a function of machine and element.
+    #: Parameters, each either equal for all elements or a function of machine and element.
     rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

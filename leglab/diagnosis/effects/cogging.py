@@ -1,4 +1,4 @@
-"""Force that repeats with the position of a joint."""
+"""Force on a joint that is periodic in the joint's position."""
 
 import math
 
@@ -11,17 +11,17 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
-# Fewest cycles of the force in the range of a recording: with fewer it is a spring.
+# Limits on the number of cycles over the recorded positions: fewer resemble a spring.
 _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
-# Step of the searched frequencies, in cycles over the range.
+# Step of the searched frequencies, in cycles over the recorded positions.
 _SPACING = 0.2
-# Forces are clipped at this number of median deviations: stick-slip and impacts are no cogging.
+# Limit at which forces are clipped, in median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
 
 
 def _period(machine: Machine, joint: str) -> EffectParameter:
-    """Returns the period; fits step in proportion to its distance from nominal, a short period."""
+    """Returns the period. Nominal is a short one, because steps grow with the distance from it."""
     travel = joints.travel(machine, joint)
     return EffectParameter(
         "period",
@@ -55,7 +55,7 @@ class Cogging(JointEffect):
     )
 
     def guess(self, left: ForceLeft) -> Values | None:
-        """Returns the highest peak in the spectrum of the residual force over the position."""
+        """Returns the wave at the highest peak of the residual force's spectrum over position."""
         return wave(left)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
@@ -72,14 +72,14 @@ class Cogging(JointEffect):
 
 
 def wave(left: ForceLeft) -> Values | None:
-    """Returns the parameters of the wave at the highest peak of the spectrum, None without one.
+    """Returns the parameters of the wave at the highest peak of the spectrum; None without motion.
 
-    Least-squares spectrum over uneven positions (Lomb 1976), after projecting out other effects: a
-    cubic polynomial of the position, friction and inertia.
+    The spectrum is a least-squares fit at uneven positions (Lomb 1976). Other effects are projected
+    out before: a cubic polynomial of the position, friction and inertia.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))
-    # At most one cycle per 50 moments: a shorter wave has too few samples.
+    # At most one cycle per 50 samples: a shorter wave cannot be estimated.
     grid = np.arange(_FEWEST_CYCLES, min(_MOST_CYCLES, 0.02 * q.size), _SPACING)
     if not (reach > 0.0 and grid.size):
         return None
@@ -112,7 +112,8 @@ def wave(left: ForceLeft) -> Values | None:
     sine, cosine, *second = found.tolist()
     size = max(math.hypot(sine, cosine), 1e-300)
     second_sine, second_cosine = np.clip(np.array(second) / size, -1.0, 1.0).tolist()
-    # With a cubic in the fit, the amplitude of about one cycle is arbitrary: the force limits it.
+    # A sine of about one cycle resembles the cubic that is projected out, so its amplitude is
+    # ill-determined. It is limited to the amplitude of the force that the sine explains.
     shown = min(1.0, math.sqrt(2.0 * max(gain, 0.0) / q.size) / size)
     return {
         "sine": shown * sine,

@@ -17,19 +17,19 @@ from leglab.machine.parameters import plugin_tables
 _FIXED, _AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-# Least history that a command path keeps.
+# Least duration of the history of commands that a command path keeps.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
-# Share of a joint's travel: a servo's smallest trials of hysteresis and dead band are 4 mrad.
+# Typical command of a servo over its joint's travel: smallest trials, 2 % of it, are 4 mrad.
 _SERVO_SHARE = 0.2
 
 
 def write_command_path(
     spec: mujoco.MjSpec, machine: Machine, actuator: str, values: Values
 ) -> None:
-    """Adds to parameters of an actuator's `leglab.command_path`; inserts one if there is none.
+    """Combines values with an actuator's `leglab.command_path`, which is inserted if missing.
 
-    In series, delays, offsets, dead bands and plays add, lags nearly so, and gains multiply.
+    For paths in series, delays, offsets, dead bands and plays add, lags nearly so; gains multiply.
     """
     path = next(
         (
@@ -78,10 +78,10 @@ def position_servos(machine: Machine) -> tuple[str, ...]:
 
 
 def command_size(machine: Machine, element: str) -> float:
-    """Returns a typical command of a native actuator: half its range; 1 where it has none.
+    """Returns a typical command of a native actuator: half its range, or 1 without a range.
 
-    For a position servo it is a fifth of its joint's travel: the range says where the servo can go,
-    not how accurately.
+    For a position servo it is a fifth of its joint's travel, because the range limits where the
+    servo can go and is no measure of its accuracy.
     """
     actuator = machine.base.model.actuator(element)
     if element in position_servos(machine):
@@ -100,7 +100,7 @@ class CommandEffect(TableEffect):
         return machine.native_actuators()
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Applies the path to the measured command."""
+        """Applies a command path with these values to the measured command."""
         rows = plugin_tables()[COMMAND_PATH].parameters
         inside = {k: change.within(rows[k], v, rows[k].nominal) for k, v in values.items()}
         for function in command_path(inside):
@@ -138,7 +138,7 @@ class CommandDelay(CommandEffect):
         return machine.actuators
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Writes the delay to a native actuator's command path, or as MuJoCo's for a valve."""
+        """Writes the delay to a native actuator's command path, or to a valve's MuJoCo `delay`."""
         if element in change.machine.native_actuators():
             super().write(change, element, values)
         elif values["delay"]:
@@ -172,7 +172,7 @@ class ServoDeadband(TableEffect):
     physics = "kp (e - d sgn(e)) beyond |e| = d, nothing below, of the position error e = u - q."
     source = "dead bands and compliance margins of position servos: 1 to 20 mrad"
     excitation = "rest and slow motion under small loads"
-    # Half the width.
+    # The parameter is half the width of the band.
     rows = (SizedRow("dead_band", "ctrl", (0.02, 0.08, 0.3), upper=2.0, size=command_size),)
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
@@ -197,7 +197,7 @@ class ServoDeadband(TableEffect):
 
 @register_effect
 class CommandHysteresis(CommandEffect):
-    """The command follows through a play."""
+    """The command passes through a play."""
 
     name = "command_hysteresis"
     physics = "play of full width h between command and what arrives"

@@ -15,7 +15,7 @@ _added = partial(Trials, step=plus)
 
 
 def row(trials: Trials) -> Row:
-    """Returns a `leglab.cylinder` parameter as that of an effect, within the plugin's bounds."""
+    """Returns a function for the effect parameter of a plugin parameter, in the plugin's bounds."""
 
     def parameter(machine: Machine, cylinder: str) -> EffectParameter:
         nominal = machine.parameter(cylinder, trials.parameter)
@@ -96,7 +96,7 @@ class AsymmetricSealFriction(CylinderEffect):
     physics = "Seals: F_1 + b_1 v while the piston extends, F_2 + b_2 |v| while it retracts."
     source = "lip seals of one direction, a U-cup against a wiper; rod gland under pressure"
     excitation = "sliding in both directions at several speeds; reversals"
-    # Also those of the joint's bearing: under a nearly constant lever both act alike.
+    # Friction of the joint's bearing is included: it acts as seals do if the lever hardly varies.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_extending", "viscous_retracting"),
@@ -104,7 +104,7 @@ class AsymmetricSealFriction(CylinderEffect):
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns the friction by direction; if the model has none, trials by 2 % of the stall."""
+        """Returns friction by direction; if the model has little, trials scale with stall force."""
         pressure, bore = (machine.parameter(element, n) for n in ("supply_pressure", "bore"))
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
@@ -235,15 +235,15 @@ class SupplyDroop(TableEffect):
     physics = "p_s = p_0 - droop Q_s behind an accumulator, p V^n = constant."
     source = "HyQ leg parameters (Ledezma 2016): accumulator 0.04 l, 100 bar gas, n = 1.4"
     excitation = "large flows: fast motion, large openings"
-    order = 1  # takes over the supply pressure of the cylinders
+    order = 1  # after effects on the cylinders' supply pressure, which it takes over
     rows = (
         EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
-        # Gas of the accumulator at its precharge.
+        # Gas volume of the accumulator at its precharge pressure.
         EffectParameter.shape("accumulator_volume", "m^3", 4e-5, 1e-6, 1e-3),
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns one element for the machine if no cylinder names its own supply unit."""
+        """Returns one element "supply" if there are cylinders and none names a supply unit."""
         named = any(machine.base.drawn_by.values())
         return ("supply",) if machine.cylinders and not named else ()
 
@@ -312,7 +312,7 @@ _friction(
     (
         Trials("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
         _added("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
-        # Twenty times as stiff is rigid compared with any load.
+        # At the upper bound, 20 times the model's stiffness, the bristle is rigid under any load.
         Trials("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
     ),
     physics=(

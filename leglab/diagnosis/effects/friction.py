@@ -10,15 +10,15 @@ from leglab.diagnosis.effects.base import EffectParameter, Row, Values, register
 from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 
-# Frequency of a LuGre bristle that is stiff for a joint, yet stable at 1 ms: 100 Hz, half damped.
+# Natural frequency of LuGre bristles, half damped: stiff for a joint, yet stable at 1 ms steps.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
 
-# Impedance of MuJoCo's friction loss (solimp): it holds this share at rest, the remainder creeps.
+# Impedance of MuJoCo's friction loss (solimp): share of a load held at rest; the rest creeps.
 _HOLDS = 0.9999
 
 
 class FrictionEffect(JointEffect):
-    """Base of effects on joints whose friction is not that of a cylinder."""
+    """Base of friction effects on joints without a cylinder."""
 
     group = "friction"
 
@@ -29,7 +29,7 @@ class FrictionEffect(JointEffect):
 
 @register_effect
 class JointViscousFriction(FrictionEffect):
-    """Another viscous friction of a joint: MuJoCo's damping."""
+    """Viscous friction of a joint, MuJoCo's damping, that differs from the model."""
 
     name = "viscous_friction"
     physics = "b v: lubricated bearings, grease, eddy currents."
@@ -47,10 +47,10 @@ def insert_friction(change: Change, joint: str, effect: str, values: Values) -> 
 
 @register_effect
 class JointCoulombFriction(FrictionEffect):
-    """Another dry friction of a joint: less of MuJoCo's friction loss, or an added bristle.
+    """Dry friction that differs from the model: less MuJoCo friction loss, or an added bristle.
 
-    MuJoCo's friction loss yields over its `solreffriction`, 20 ms by default. Against a strong
-    drive that is no dry friction, so additional friction is a bristle, which holds.
+    MuJoCo's friction loss yields over the time `solreffriction`, 20 ms by default. Against a strong
+    drive it is no dry friction, so additional friction is a bristle, which holds the joint.
     """
 
     name = "coulomb_friction"
@@ -60,7 +60,7 @@ class JointCoulombFriction(FrictionEffect):
     rows = (SizedRow("coulomb", "{force}", (0.01, 0.08), upper=1.0, field="frictionloss"),)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets MuJoCo's friction loss, and inserts joint friction for any additional part."""
+        """Sets MuJoCo's friction loss, and inserts joint friction for additional friction."""
         own = joints.native(change.machine, element, "frictionloss")
         super().apply(change, element, {"coulomb": min(own, values["coulomb"])})
         if (more := values["coulomb"] - own) > 0.0:
@@ -139,7 +139,7 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 
 def _viscous(name: str) -> Row:
-    """Returns an added viscous friction; negative ones remove most of the drive's damping."""
+    """Returns the row of added viscous friction, down to minus 80 % of the drive's damping."""
     row = SizedRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
     return lambda machine, joint: replace(
         row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
@@ -155,7 +155,7 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
-    # Also those of a cylinder's seals: under a nearly constant lever both act alike.
+    # Friction of a cylinder's seals is included: it acts as the joint's if the lever hardly varies.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_forward", "viscous_backward"),
@@ -169,7 +169,7 @@ class AsymmetricFriction(JointEffect):
     )
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Inserts joint friction with a mean and a difference."""
+        """Inserts joint friction with mean and difference of the two directions."""
         if any(values.values()):
             found = joints.mean_and_difference(self.by_direction, values)
             insert_friction(change, element, self.name, {**found, "static": found["coulomb"]})

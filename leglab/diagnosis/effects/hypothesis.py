@@ -1,4 +1,4 @@
-"""Hypotheses: the effects that a machine has, with their values."""
+"""Hypotheses, effects that a machine may have with their values, and the library of effects."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
@@ -9,10 +9,10 @@ import numpy as np
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Halvings in the search for a bound: to the last bit of a double.
+# Number of bisections in the search for a bound: to the last bit of a double.
 _HALVINGS = 60
 
-# Effect and element.
+# Name of an effect, and of the element of the machine that has it.
 Key = tuple[str, str]
 
 
@@ -23,13 +23,12 @@ class Site:
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
-    #: Values of the specimen, (parameters,), if its calibration differs from the model; None for
-    #: the model's.
+    #: Values of the calibrated specimen, (parameters,); None if they are the model's.
     own: np.ndarray | None = None
 
     @property
     def nominal(self) -> np.ndarray:
-        """Values that change nothing, (parameters,)."""
+        """Values of the specimen if it has any, else of the model, (parameters,)."""
         return self.model if self.own is None else self.own.copy()
 
     @property
@@ -38,7 +37,7 @@ class Site:
         return np.array([p.nominal for p in self.parameters])
 
     def changes(self, values: np.ndarray) -> bool:
-        """Tests whether values, (parameters,), change the model: a strength is not the model's."""
+        """Tests whether values, (parameters,), include a strength that is not the model's."""
         each = zip(self.parameters, values.tolist(), strict=True)
         return any(p.role == "strength" and value != p.nominal for p, value in each)
 
@@ -59,7 +58,7 @@ class Site:
 
     @property
     def differences(self) -> np.ndarray:
-        """Weights of first minus second direction, (pairs `by_direction`, parameters)."""
+        """Matrix from values to the differences in pairs `by_direction`, (pairs, parameters)."""
         names = [p.name for p in self.parameters]
         pairs = self.effect.by_direction
         rows = [[(n == first) - (n == second) for n in names] for first, second in pairs]
@@ -115,9 +114,9 @@ class Hypothesis(Mapping[Key, np.ndarray]):
 def _taken(
     effect: Effect, machine: Machine, element: str, parameters: tuple[EffectParameter, ...]
 ) -> tuple[EffectParameter, ...]:
-    """Returns parameters with bounds and trials that the plugins accept.
+    """Restricts bounds and trials of parameters to values that the plugins accept.
 
-    On a large machine they scale with its forces and may exceed the plugins' bounds.
+    Bounds and trials scale with the machine's forces and may exceed the bounds of a plugin.
     """
     usual = {p.name: p.nominal for p in parameters}
 
@@ -147,11 +146,11 @@ def _taken(
 
 
 class Library:
-    """The effects that a machine can have.
+    """Effects that a machine can have.
 
-    They are chosen by `names`, None for all, without those `excluded`. Where `specimen` has no
-    values the model's apply. Trials of delays and lags begin at the `shortest` time [s] that the
-    recordings resolve.
+    Effects in `names`, or all for None, are searched for except those in `excluded`. `specimen`
+    holds the values of the calibrated machine; effects without them have the model's values. Trials
+    of delays and lags begin at `shortest`, the shortest time [s] that the recordings resolve.
     """
 
     def __init__(
@@ -171,7 +170,7 @@ class Library:
             for joint in machine.driven[cylinder][:1]
         }
         self.specimen = dict(specimen or {})
-        #: Effects to search for, those of the specimen and all that are not nameable.
+        #: Effects to search for, effects of the specimen, and all effects that are not nameable.
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
         for effect in all_effects():
@@ -187,7 +186,7 @@ class Library:
                         effect, machine, element, tuple(p.stretched(shortest) for p in given)
                     )
                     self.sites[key] = Site(effect, element, parameters, self.specimen.get(key))
-        #: Effects that are not searched for because they last less than the shortest time.
+        #: Effects that are not searched for because all their delays or lags are below `shortest`.
         self.too_fast = frozenset(k for k in searched if self.sites[k].slowest < shortest)
         self.searched = frozenset(searched) - self.too_fast  #: effects to search for
 
@@ -203,10 +202,10 @@ class Library:
         return known and len(joints) == 1
 
     def as_simpler(self, larger: tuple[Key, int], simpler: tuple[Key, int]) -> float:
-        """Returns the factor from a parameter of an effect to one of an effect that it contains.
+        """Returns the factor that converts a parameter of an effect to one of a simpler effect.
 
-        Both are given as effect and parameter number; 0 if they do not correspond. Between a joint
-        and its cylinder forces scale with the lever, coefficients of speed with its square.
+        Arguments are effect and parameter number; the factor is 0 if the parameters differ in kind.
+        From a joint to its cylinder forces scale by the lever, coefficients of speed by its square.
         """
         if not self.contains(larger[0], simpler[0]) or larger[0] == simpler[0]:
             return 0.0
@@ -225,7 +224,7 @@ class Library:
         return other
 
     def neutral(self) -> Hypothesis:
-        """Returns the hypothesis that the machine equals its model, whatever the specimen."""
+        """Returns the hypothesis that the machine equals its model, whatever the specimen is."""
         return Hypothesis({key: self.sites[key].model for key in self.specimen})
 
     def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
@@ -235,9 +234,9 @@ class Library:
     def change(
         self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
     ) -> Change:
-        """Returns the change of a machine by a hypothesis: for replays, or `written` for a model.
+        """Converts a hypothesis to a change of a machine, or of its model file if `written`.
 
-        Effects are applied by their order, then by name.
+        Effects are applied by their attribute `order`, then by name.
         """
         change = Change(machine)
         whole = self.whole(hypothesis)

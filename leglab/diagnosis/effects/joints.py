@@ -13,10 +13,10 @@ from leglab.diagnosis.effects.base import EffectParameter, Group, TableEffect, V
 from leglab.diagnosis.plant.model import Change, Machine
 from leglab.machine.parameters import plugin_tables
 
-# Standard deviation of a native field between good machines, as a share of its value.
+# Standard deviation of MuJoCo's joint attributes between good machines, as a share of the value.
 _TOLERANCE = 0.1
 
-# Scale of a joint or actuator.
+# Function of machine and joint or actuator that returns the scale of a quantity.
 Size = Callable[[Machine, str], float]
 
 
@@ -76,7 +76,7 @@ def native(machine: Machine, joint: str, field: str) -> float:
 
 
 def set_native(change: Change, joint: str, field: str, value: float) -> None:
-    """Adds an edit to a change that sets a field of `native`, unless it has the value already."""
+    """Adds to a change an edit that sets a field of `native`, unless the field has the value."""
 
     def edit(spec: mujoco.MjSpec) -> None:
         if field in ("damping", "stiffness"):  # coefficients of a polynomial
@@ -114,7 +114,7 @@ def insert_on_joint(
 
 
 def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> dict[str, float]:
-    """Converts pairs `by_direction` to the plugins' mean and difference of the friction."""
+    """Converts friction by direction, in pairs of names, to the plugins' mean and difference."""
     found = {}
     for kind, (one, other) in zip(("viscous", "coulomb"), pairs, strict=True):
         found[kind] = 0.5 * (values[one] + values[other])
@@ -124,18 +124,18 @@ def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> d
 
 @dataclass(frozen=True)
 class SizedRow:
-    """A parameter of an effect on joints or actuators, with trials and bounds by their scale."""
+    """A parameter of an effect on joints or actuators, with trials and bounds by a scale."""
 
     name: str  #: As in `EffectParameter`
     unit: str  #: As in `EffectParameter`; of a joint a pattern of `joint_unit`
-    trials: tuple[float, ...]  #: To screen, as multiples of `size` above the model's value
+    trials: tuple[float, ...]  #: Multiples of `size` above the model's value
     _: KW_ONLY
     lower: float = 0.0  #: Smallest value, as a multiple of `size`
     upper: float  #: Largest value, as a multiple of `size` above the model's value
     size: Size = force_scale  #: Scale of a joint or actuator
-    #: MuJoCo's field that holds a joint's value, see `native`; half of that is tried too.
+    #: MuJoCo's field that holds a joint's value, see `native`; half of this value is a trial.
     field: str = ""
-    half_above: float = 0.0  #: Half is tried only if the value exceeds this multiple of `size`
+    half_above: float = 0.0  #: Multiple of `size` above which half the value is a trial
     own: Size = lambda machine, element: 0.0  #: The model's value if there is no field
 
     def __call__(self, machine: Machine, element: str) -> EffectParameter:

@@ -12,7 +12,7 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
-# A tilt that changes no joint force by more than this share of its scale cannot be seen.
+# Least variation of a joint force, per rad of tilt and over its scale, by which a tilt is seen.
 _SEEN = 1e-3
 
 
@@ -52,7 +52,7 @@ class Payload(Effect):
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns the bodies with mass that have a joint; its name stands in for a missing one."""
+        """Returns the bodies with mass and a joint; a nameless body goes by its joint's name."""
         model = machine.base.model
         found = []
         for i in range(1, model.nbody):
@@ -64,7 +64,7 @@ class Payload(Effect):
         """Returns mass and distance."""
         body = moved_body(machine, element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        # Links are lighter than drawn as often as heavier, but a fault is a load.
+        # Good links are lighter than drawn as often as heavier; only an added load is a fault.
         mass = EffectParameter(
             "mass",
             "kg",
@@ -79,7 +79,7 @@ class Payload(Effect):
         return mass, EffectParameter.shape("distance", "m", *limits)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Adds a body with the mass, or reduces the body's; each value needs a new compilation."""
+        """Adds a body with the mass, or lightens the body; new values require a compilation."""
         mass, distance = values["mass"], values.get("distance", 0.0)
         if mass == 0.0:
             return
@@ -101,14 +101,14 @@ class Payload(Effect):
             load = body.add_body(name=name, pos=position)
             load.mass = mass
             load.ipos = [0.0, 0.0, 0.0]  # otherwise MuJoCo adds the body's position a second time
-            load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo needs a positive one; a point has none
+            load.inertia = [1e-9, 1e-9, 1e-9]  # MuJoCo needs positive inertia; a point has none
             load.explicitinertial = True
 
         change.edit(("payload", element, mass, distance), add)
 
 
 def moved_body(machine: Machine, element: str) -> Any:
-    """Returns MuJoCo's view of a body by its name, or by that of its first joint."""
+    """Returns MuJoCo's view of a body by the name of the body or of its first joint."""
     model = machine.base.model
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element) < 0:
         return model.body(int(model.joint(element).bodyid[0]))
@@ -142,7 +142,7 @@ class BaseTilt(Effect):
             return
         turned = change.machine.base.model.opt.gravity
         for axis, angle in values.items():
-            # By Rodrigues.
+            # Rodrigues' rotation formula.
             k, sine, cosine = np.array(_AXES[axis]), math.sin(angle), math.cos(angle)
             along = k * (k @ turned) * (1.0 - cosine)
             turned = turned * cosine + np.cross(k, turned) * sine + along
@@ -153,9 +153,9 @@ class BaseTilt(Effect):
         change.edit(("gravity", *turned.tolist()), edit)
 
     def _axes(self, machine: Machine) -> list[str]:
-        """Returns the axes about which a small tilt changes a joint force by a varying amount.
+        """Returns the axes about which a tilt changes a joint force by an amount that varies.
 
-        A change that is equal at all positions, as on a level slide, is a force offset.
+        A change that is equal at all positions (a level slide) is the effect `force_offset`.
         """
         model = machine.base.model
         data, lever = mujoco.MjData(model), np.zeros((3, model.nv))

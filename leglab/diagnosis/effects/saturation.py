@@ -19,9 +19,9 @@ from leglab.diagnosis.plant.model import Change, Machine
 # Trials, as shares of the model's limit, until recordings show the magnitudes of commands and
 # forces: from a limit that clips only peaks to one that clips most of a motion.
 _SHARES = (0.98, 0.9, 0.5, 0.2)
-# Limit of a model without one, in usual commands or forces: beyond all recorded ones.
+# Limit that stands for no limit, as a multiple of the usual command or force: never reached.
 _UNLIMITED = 1e6
-# Lowest limit, in usual commands or forces: a drive with a lower one moves nothing.
+# Lowest limit, as a multiple of the usual command or force: below it a drive moves nothing.
 _LEAST = 0.01
 
 
@@ -103,7 +103,7 @@ class ForceSaturation(Effect):
         return tuple(j for j in machine.joints if j in native - machine.on_cylinders)
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns the limit, within those of the model."""
+        """Returns the limit, which does not exceed the limits of the model."""
         joint = machine.base.model.joint(element)
         most = np.inf
         if machine.base.model.jnt_actfrclimited[joint.id]:

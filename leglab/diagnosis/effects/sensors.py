@@ -12,26 +12,26 @@ from leglab.diagnosis.plant import paths
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.machine.sensors import delayed_sensor
 
-# Standard deviation between good pressure sensors [Pa]. Gains have no tolerance: two more tangents
-# per linearisation cost a diagnosis 8 % of its time, and 0.5 % of 80 bar is less than this.
+# Standard deviation of offsets of good pressure sensors [Pa]. Scales have no tolerance: two more
+# tangents take 8 % of a diagnosis's time, and their error, 0.5 % of 80 bar, is less than this.
 _TOLERANCE = 5e4
 
 
 class SensorFault(TableEffect):
     """Base of faults with a parameter for each sensor, an offset (nominally 0) or a scale (1).
 
-    A joint has one sensor, its encoder; a cylinder has those of both chambers, which are named
-    after the first joint that it drives.
+    A joint has one sensor, its encoder; a cylinder has a sensor in each chamber, named after the
+    first joint that the cylinder drives.
     """
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Subtracts offsets from measured values, or divides these by scales."""
+        """Subtracts the offset from measured values, or divides measured values by the scale."""
         for joint, sensor, offset, scale in self._faults(change.machine, element, values):
             for undo, gain in paths.undo(offset, scale):
                 change.correct(f"{joint}_{sensor}", undo, noise_gain=gain)
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Combines numerics with the old s and o: measured = s (scale x true + offset) + o."""
+        """Adds the fault to old scale s and offset o: measured = s (scale x true + offset) + o."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             for joint, sensor, offset, scale in self._faults(change.machine, element, values):

@@ -12,8 +12,8 @@ from leglab.diagnosis.plant.model import Change, Machine
 class ServoStiffness(TableEffect):
     """A position servo is stiffer or softer than in the model, with another damping.
 
-    A change of damping alone is `viscous_friction` of its joint, and of the stiffness of a servo
-    without damping `actuator_gain`: both give the same motion, and have those names.
+    Two special cases have other names because they give the same motion: a change of damping alone
+    is `viscous_friction`, a change of stiffness of a servo without damping is `actuator_gain`.
     """
 
     name = "servo_stiffness"

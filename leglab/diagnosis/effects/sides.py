@@ -1,4 +1,4 @@
-"""Native valves and stages whose gain or dead band depends on the sign of the command."""
+"""Gains of native valves and stages, and gains and dead bands that differ by command sign."""
 
 import mujoco
 import numpy as np
@@ -20,7 +20,7 @@ _GAINS = ("gain_positive", "gain_negative")
 
 
 def _by_speed(machine: Machine) -> tuple[str, ...]:
-    """Returns the native actuators whose command is a speed: its gain is not that of a force."""
+    """Returns the native actuators whose command is a speed, so that a gain scales no force."""
     return natives(machine, lambda a: a.dyntype[0] == _INTEGRATOR or a.biasprm[2] != 0.0)
 
 
@@ -31,16 +31,16 @@ def _gain(name: str) -> EffectParameter:
 
 
 class _Gain(CommandEffect):
-    """Base of gains behind the dead band."""
+    """Base of effects that scale the command after the dead band."""
 
-    order = 1  # the dead band refers to commands as they are sent
+    order = 1  # after dead bands, which refer to the command before this gain
     excitation = "commands of different size"
     source = "gains of valves: within 10 % (type 30 data sheets), and of their amplifiers"
 
     def write(self, change: Change, element: str, values: Values) -> None:
         """Writes both gains into the actuator's command path, and narrows `ctrlrange` accordingly.
 
-        A replay clips the command that reaches the actuator, MuJoCo the one that is sent.
+        A replay clips the command that reaches the actuator, MuJoCo the command that is sent.
         """
         super().write(change, element, values)
         model = change.machine.base.model.actuator(element)

@@ -14,13 +14,13 @@ _TOLERANCE = 0.025
 
 
 def _of_spring(machine: Machine, joint: str, parameter: str) -> float:
-    """Returns a parameter of a joint's spring-damper element; 0 where there is none."""
+    """Returns a parameter of a joint's spring-damper element; 0 without such an element."""
     spring = machine.spring_of(joint)
     return machine.parameter(spring, parameter) if spring else 0.0
 
 
 def rest_position(machine: Machine, joint: str) -> float:
-    """Returns the rest position of a joint's spring, or of one to be added [rad or m]."""
+    """Returns the rest position of a joint's spring, or of a spring to be added [rad or m]."""
     if spring := machine.spring_of(joint):
         return machine.parameter(spring, "rest_position")
     model = machine.base.model
@@ -28,7 +28,7 @@ def rest_position(machine: Machine, joint: str) -> float:
 
 
 def _size(machine: Machine, joint: str, slide: float) -> float:
-    """Returns the force scale, times `slide` for slides: they move decimetres, not radians."""
+    """Returns the force scale, times `slide` for slides, which move decimetres, not radians."""
     return joints.force_scale(machine, joint) * joints.on_slide(slide)(machine, joint)
 
 

@@ -1,4 +1,4 @@
-"""Admission to a diagnosis: the recordings and columns that can be used, and remarks on them."""
+"""Choice of the recordings and columns that a diagnosis can use, with remarks for the user."""
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from leglab.diagnosis.thresholds import DEFAULT, NEIGHBOURS, SAME, Thresholds
 class Admitted:
     """Recordings that a diagnosis can use."""
 
-    #: By name, with the columns that the diagnosis needs and positions unwrapped.
+    #: Recordings by name, with only the needed columns, and with unwrapped positions.
     recordings: Mapping[str, Recording]
-    held_out: tuple[str, ...]  #: Names of those by which the diagnosis is judged
-    notes: tuple[str, ...]  #: Remarks on what was left out, repaired or doubted, without repeats
+    held_out: tuple[str, ...]  #: Names of the recordings by which the diagnosis is judged
+    notes: tuple[str, ...]  #: Remarks on data that were left out, repaired or doubted
 
 
 def admit(
@@ -36,14 +36,14 @@ def admit(
 ) -> Admitted:
     """Chooses the recordings and columns that can be used; admitting twice changes nothing.
 
-    Columns that the model does not need are ignored. A recording whose position or command cannot
-    be used is left out if others remain. If some recordings lack pressures, these recordings are
-    left out if the others hold at least half of the recorded time, with one to fit and one to
-    judge; otherwise the diagnosis does without these pressures.
+    Columns that the model does not need are ignored. A recording with an unusable position or
+    command is left out if others remain. Recordings that lack pressures are left out if the others
+    contain at least half of the recorded time, and one recording to fit and one to judge by;
+    otherwise these pressures are not used.
 
     Raises:
-        RecordingError: No recording can be used, or none of those to be held out, or to be fitted;
-            the message names recording, column, the values in it and the allowed ones.
+        RecordingError: No recording can be used, or none is left to fit or to judge by. The message
+            names the recording, the column, its values and the allowed values.
     """
     held = tuple(name for name in held_out if name in recordings)
     entries = {name: _Entry(machine, r, thresholds) for name, r in recordings.items()}
@@ -57,7 +57,7 @@ def admit(
     refuse_shared(doubted, len(entries))
     fastest = min(entry.clock.period for entry in usable.values())
     for name, period in [(name, entry.clock.period) for name, entry in usable.items()]:
-        # If others have two samples per bin, each needs at least one in two bins.
+        # If a recording has two samples per bin, all others need at least one per two bins.
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
             del usable[name]
@@ -84,9 +84,9 @@ def admit(
 
 
 def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> None:
-    """Refuses a doubt that at least half of `count` recordings share: a column map can resolve it.
+    """Raises an error if at least half of `count` recordings share a doubt, e.g. about a unit.
 
-    Each doubt is a recording's name, a key that is equal for equal doubts, and the question.
+    A doubt consists of the recording's name, a key that equal doubts share, and a question.
     """
     shared: dict[Hashable, list[tuple[str, str]]] = {}
     for name, alike, question in doubts:
@@ -98,7 +98,7 @@ def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> No
 
 
 def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[str, ...]) -> None:
-    """Raises an error if no recording is left to judge by, or none to fit."""
+    """Raises an error if no held-out or no fitted recording is usable."""
     if held and not set(held) & set(usable):
         told = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
         raise RecordingError(told, given=held[0], allowed="another recording held out")
@@ -111,7 +111,7 @@ def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[s
 
 
 def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozenset[str]:
-    """Returns the pressure columns to use: as many as possible without losing most recordings."""
+    """Returns the largest set of pressure columns that enough recordings contain; see `admit`."""
     total = sum(e.recording.duration for e in usable.values())
 
     def serve(columns: frozenset[str]) -> bool:
@@ -125,7 +125,7 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 
 
 class _Entry:
-    """One recording under admission: `recording` holds its usable columns, repaired."""
+    """One recording, checked for a diagnosis; `recording` has its usable columns, repaired."""
 
     def __init__(self, machine: Machine, recording: Recording, limits: Thresholds):
         self.columns = {one.name: one for one in usable_columns(machine)}
@@ -135,9 +135,9 @@ class _Entry:
         own = recording.select(c for c in (*machine.columns, *known) if c in recording)
         self.logged = self.recording = own
         time = recording.metadata.get("time")
-        #: Text and place of remarks on reading and repairs.
+        #: Remarks on reading and repairs: text and place, as in `Remark`.
         self.said = [(f"time: {time}", "")] if isinstance(time, str) else []
-        self.doubted: dict[str, str] = {}  # question about the unit, by doubted column
+        self.doubted: dict[str, str] = {}  # question about the unit, by column
         mixed = self._leave_out()
         faults = {c: self._pressure_fault(c) if c in own else reasons.get(c) for c in known}
         #: Reasons why pressures cannot be used, by column.
@@ -157,7 +157,7 @@ class _Entry:
         self.said.append((text, place))
 
     def _missing(self, recording: Recording, reasons: Mapping[str, str]) -> str | None:
-        """Returns why positions or commands are missing, None if none is."""
+        """Returns the reason why a position or command is missing, None if all exist."""
         needed = self.machine.columns
         absent = [column for column in needed if column not in recording]
         if why := next((reasons[column] for column in absent if column in reasons), None):
@@ -177,9 +177,9 @@ class _Entry:
         return None
 
     def _leave_out(self) -> str | None:
-        """Removes samples that no motion supports; returns a fault if a position mixes two signals.
+        """Removes samples that no motion explains; returns a fault if a position mixes two signals.
 
-        Commands are not checked: they may jump.
+        Commands are not checked, because they may jump.
         """
         for column, samples in self.recording.columns.items():
             if column.endswith("_command"):
@@ -198,9 +198,9 @@ class _Entry:
         return None
 
     def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
-        """Removes samples near changes of states: no window spans one, it changes the machine."""
+        """Removes samples near changes of discrete states, so that no window contains a change."""
         column, time = self.machine.columns[0], self.recording.time
-        # No gap of this length is bridged.
+        # Gaps of this length are not bridged by interpolation.
         reach = max(NEIGHBOURS * float(np.median(np.diff(time))), self.limits.bin)
         for state, rows in changes.items():
             samples = self.recording[column].copy()
@@ -211,7 +211,7 @@ class _Entry:
                 self._repair(column, samples, text, f"{state!r} {rows.size} times")
 
     def _unwrap(self, column: str) -> str | None:
-        """Removes the jumps of an encoder from positions; returns why it cannot, else None."""
+        """Removes encoder jumps from positions; returns a question if the unit is in doubt."""
         unit, allowed = self.columns[column].unit, self.columns[column].limits
         found = unwrapped(self.recording.time, self.recording[column], hinge=unit == "rad")
         if found is None:
@@ -228,7 +228,7 @@ class _Entry:
         return None
 
     def _position_fault(self, column: str) -> str | None:
-        """Returns why positions cannot be in the joint's unit, None if they can."""
+        """Returns the reason why positions cannot be in the joint's unit, None if they can."""
         values, one, beyond = self.recording[column], self.columns[column], self.limits.beyond_range
         if fits(values, one, beyond):
             return None
@@ -243,14 +243,14 @@ class _Entry:
         return self.doubted[column]
 
     def _pressure_fault(self, column: str) -> str | None:
-        """Returns why a pressure cannot be used, None if it can."""
+        """Returns the reason why a pressure cannot be used, None if it can."""
         one, columns = self.columns[column], self.recording.columns
         values = columns[column]
         finite = values[np.isfinite(values)]
         if finite.size < 0.5 * values.size:
             return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
         sizes, highest = np.abs(finite), np.abs(finite).max()
-        if highest >= self.limits.vapour_pressure:  # The other chamber may be open to the tank.
+        if highest >= self.limits.vapour_pressure:  # A chamber may be open to the tank: check both.
             both = (columns.get(f"{one.element}_{c}", finite) for c in CHAMBERS)
             sizes = np.abs(np.concatenate([*both]))
         if found := other_unit(sizes, one):
@@ -282,7 +282,7 @@ class _Entry:
             if low == high:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield text, f"{column!r} {low:.6g}"
-            # A signal that also rests as long at other values is not saturated.
+            # A signal that rests as long at values in between is not saturated.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
             for limit, word in ((low, "smallest"), (high, "largest")):
@@ -305,7 +305,7 @@ def _longest_run(mask: np.ndarray) -> int:
 
 
 def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
-    """Returns notes on recordings whose period is not the common one."""
+    """Returns notes on recordings whose sampling period differs from the common period."""
     period = common_period({name: e.recording for name, e in usable.items()}, limits)
     faster, drifting, notes = [], [], []
     for name, entry in usable.items():

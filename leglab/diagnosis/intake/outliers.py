@@ -1,4 +1,4 @@
-"""Samples that no motion supports: drop-outs to zero, spikes, rows before the log began."""
+"""Samples that no motion explains: drop-outs to zero, single outliers, invalid first values."""
 
 import numpy as np
 from scipy.ndimage import percentile_filter
@@ -6,17 +6,17 @@ from scipy.ndimage import percentile_filter
 from leglab.diagnosis.intake.series import quantum
 from leglab.diagnosis.thresholds import CERTAIN
 
-# Window and percentile of steps for a usual step: a few spikes (two steps each) do not change it.
+# Window [samples] and percentile that define the usual step; a few outliers do not change it.
 _NEAR, _MOST = 41, 80
 
 
 def unsupported(samples: np.ndarray) -> np.ndarray:
     """Masks impossible samples of a signal with inertia, (n,), NaN where missing.
 
-    These are single samples, or runs of zeros, to which the signal jumps and from which it returns,
-    and first values from which it jumps away, by many times the usual steps nearby and the
-    quantisation step. Impacts, which reverse a motion by steps like those before, are kept;
-    commands, which may jump, must not be passed.
+    These are single samples or runs of zeros to which the signal jumps and from which it returns,
+    and first values from which it jumps away. A jump is many times larger than the usual steps
+    nearby and the quantisation step. Impacts are kept, because they reverse a motion by steps of
+    the usual size. Commands must not be passed, because they may jump.
     """
     good = np.flatnonzero(np.isfinite(samples))
     found = np.zeros(samples.size, dtype=bool)
@@ -29,7 +29,7 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
     least = max(quantum(values), float(np.median(sizes[sizes > 0.0])))
     far = sizes > CERTAIN * np.maximum(usual, least)
     zeros = np.flatnonzero((values[:-1] == 0.0) & (values[1:] != 0.0))
-    for start in np.flatnonzero(far).tolist():  # The first sample of a run follows this step.
+    for start in np.flatnonzero(far).tolist():  # An outlier begins after this step.
         if found[good[start]]:
             continue
         end = start + 1
@@ -46,8 +46,8 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
 def alternates(samples: np.ndarray) -> bool:
     """Tests whether every other sample of a signal, (n,), belongs to another signal.
 
-    Steps between neighbours then mostly alternate in sign and are many times the differences over
-    two samples and the quantisation step.
+    In this case steps between neighbours mostly alternate in sign, and are many times larger than
+    the differences over two samples and the quantisation step.
     """
     values = samples[np.isfinite(samples)]
     if values.size < _NEAR:

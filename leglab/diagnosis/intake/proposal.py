@@ -16,7 +16,7 @@ from leglab.diagnosis.intake.units import fits, other_unit
 from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 
-# Kinds of quantities by the words that loggers use for them.
+# Kind of quantity by the words that loggers use for it.
 _KINDS = {
     word: kind
     for kind, words in {
@@ -42,26 +42,26 @@ _CHAMBER_WORDS = {
     **dict.fromkeys(("a", "cap", "head", "bottom", "piston"), CHAMBERS[0]),
     **dict.fromkeys(("b", "rod", "ring", "top", "annulus"), CHAMBERS[1]),
 }
-# Words that many elements or columns have; only other words identify a joint.
+# Words that occur in names of many elements or columns and therefore do not identify a joint.
 _PLAIN = {
     "joint", "joints", "jnt", "motor", "axis", "actuator", "act", "servo", "drive", "valve",
     "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
     "values", "data", "filtered", "sensor", "robot", "observation",
 }  # fmt: skip
-# Similarity from which a line is applied; down to the second it is a guess, below it no line.
+# Similarity at which a line of the map is applied, and at which it is proposed as a guess.
 _SURE, _NEAR = 0.6, 0.3
 _TIME = UsableColumn("time", "", "time", "s")
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line of the map: a column of the recording and its proposed name and factor."""
+    """One line of the map: a column of the recording, with its proposed name and factor."""
 
     theirs: str  #: Name of the column in the recording
-    ours: str  #: Name for the model; "" if none is similar
+    ours: str  #: Name of the model's column; "" if none is similar
     sure: bool  #: Whether the line is applied without confirmation
-    factor: float = 1.0  #: Ours per theirs
-    offset: float = 0.0  #: Added after the factor
+    factor: float = 1.0  #: The model's value per recorded value
+    offset: float = 0.0  #: Added after multiplication by the factor
     why: str = ""  #: Reason for name and unit, and other columns with a similar score
 
     def __str__(self) -> str:
@@ -77,19 +77,19 @@ class Proposal:
     """A proposed column map."""
 
     lines: tuple[Line, ...]  #: One per column of the recording
-    missing: tuple[str, ...]  #: Columns that a diagnosis needs and no line provides
-    settings: Mapping[str, Any]  #: How the file is read, as a column map has it
-    doubt: str = ""  #: Why a diagnosis would refuse the recording with this map
+    missing: tuple[str, ...]  #: Needed columns that no line provides
+    settings: Mapping[str, Any]  #: Settings of the column map on reading files
+    doubt: str = ""  #: Reason why a diagnosis would refuse the recording
 
     @property
     def column_map(self) -> ColumnMap:
-        """The column map of the lines that are sure."""
+        """Column map of the lines that are sure."""
         sure = [o for o in self.lines if o.sure]
         rules = {o.theirs: ColumnRule(name=o.ours, factor=o.factor, offset=o.offset) for o in sure}
         return ColumnMap(rules=rules)
 
     def asked(self, column: str, factor: float, why: str) -> "Proposal":
-        """Returns the proposal with another factor on a column, marked as doubtful for a reason."""
+        """Multiplies a column by a further factor; marks its line as doubtful, with the reason."""
         lines = list(self.lines)
         for k, one in enumerate(lines):
             if one.sure and one.ours == column:
@@ -130,10 +130,10 @@ def propose(
     Args:
         table: Arrays of shape (n,) by the recording's column names.
         units: Units according to the recording, by column.
-        wanted: Columns of a model. Without any, names are made of the words of the column, "JOINT"
-            if there are none.
+        wanted: Columns of a model. If empty, names are made from the words of each column, or
+            "JOINT" if it has no usable words.
         needed: Columns of the model that a diagnosis needs.
-        given: A map that has been applied; its rules stay, the proposal is for the other columns.
+        given: A map that was applied already; its rules stay, and other columns are proposed.
     """
     given = given or ColumnMap()
     known = {r.name: Line(t, r.name, True, r.factor, r.offset) for t, r in given.rules.items()}
@@ -151,7 +151,7 @@ def propose(
 
 
 class _Column:
-    """Words, unit and kind of quantity in a column's name."""
+    """Words, unit and kind of quantity of a column, according to its name."""
 
     def __init__(self, name: str, unit: str, wanted: Sequence[UsableColumn]) -> None:
         self.name = name
@@ -166,13 +166,13 @@ class _Column:
             self.kinds = self.kinds - {"position"} | {"velocity"}
         if not self.kinds and self.unit.si in _KIND_OF_UNIT:
             self.kinds = {_KIND_OF_UNIT[self.unit.si]}
-        if not self.kinds and "observation" in self.words:  # beside an action
+        if not self.kinds and "observation" in self.words:  # in a log with actions
             self.kinds = {"position"}
         #: Words that identify the element.
         self.rest = [word for word in self.words if word not in _KINDS or word in ours]
 
     def kind_likeness(self, one: UsableColumn) -> float:
-        """Returns the similarity of kinds of quantity, from 0 to 1."""
+        """Returns the similarity of the column's and a model column's kind of quantity, 0 to 1."""
         kinds, sent = self.kinds, self.kinds & {"command", "reference"}
         if "other" in kinds:
             return 0.0
@@ -187,14 +187,14 @@ class _Column:
             return 0.5
         likeness = 1.0 if "command" in sent else 0.8 if sent else 0.0
         if sent == {"reference"} and one.follows not in ("position", "velocity"):
-            likeness = 0.4  # of a controller that is not part of the model
+            likeness = 0.4  # the setpoint of a controller outside the model
         if not sent and kinds == {"effort"} and one.follows == "effort":
             likeness = 0.5  # the force of a motor follows its command
         others = kinds & {"position", "velocity", "effort"}
         return likeness * (0.5 if others and one.follows not in others else 1.0)
 
     def alone(self) -> Line:
-        """Returns a line by the column's words, without a model."""
+        """Returns a line whose name consists of the column's own words, without a model."""
         sent = self.kinds & {"command", "reference"}
         kind = "command" if sent else next(iter(self.kinds & {"position", "velocity"}), "")
         element = "_".join(w for w in self.rest if w not in _PLAIN) or "JOINT"
@@ -205,7 +205,7 @@ class _Column:
 def _assigned(
     columns: Sequence[_Column], wanted: Sequence[UsableColumn], table: Mapping[str, np.ndarray]
 ) -> dict[str, Line]:
-    """Assigns a line to every column so that the sum of similarities is largest."""
+    """Assigns model columns to recorded columns so that the sum of similarities is largest."""
     lines = {column.name: Line(column.name, "", sure=False) for column in columns}
     if not columns or not wanted:
         return lines
@@ -216,7 +216,7 @@ def _assigned(
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
         name, score = columns[k].name, float(scores[i, k])
-        # Other columns that are nearly as similar to this one and not more similar to another.
+        # Columns nearly as similar to this model column that do not fit another one better.
         order = np.argsort(-scores[i], kind="stable").tolist()
         near = [j for j in order if j != k and scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9
@@ -230,7 +230,7 @@ def _assigned(
 
 
 def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> np.ndarray:
-    """Returns similarities, (wanted, columns): 0 to 1 by kind and element, 2 for equal names."""
+    """Returns similarities, (wanted, columns): 0 to 1 by kind and element, 2 if names are equal."""
     scores = np.array([[column.kind_likeness(one) for column in columns] for one in wanted])
     numbers = numbered(column.name for column in columns)
     for kind in {one.kind for one in wanted}:
@@ -251,10 +251,10 @@ def _likenesses(columns: Sequence[_Column], wanted: Sequence[UsableColumn]) -> n
 def _units(
     pairs: Sequence[tuple[UsableColumn, _Column]], table: Mapping[str, np.ndarray]
 ) -> dict[str, tuple[float, str, bool]]:
-    """Returns factor to the model's unit (0: unknown), reason and certainty, by column.
+    """Returns the factor to the model's unit (0 if unknown), reason and certainty, by column.
 
-    The unit is taken from the name, otherwise from the range of joint, control or supply, with one
-    unit for all columns of a kind.
+    The unit is taken from the column's name, or else from the range of joint, control or supply; in
+    the second case all columns of a kind have one unit.
     """
     found = {column.name: (1.0, "", True) for _, column in pairs}
     groups: dict[str, list[tuple[UsableColumn, str, np.ndarray]]] = defaultdict(list)
@@ -269,7 +269,7 @@ def _units(
             groups[kind].append((one, column.name, samples))
     for group in groups.values():
         guesses = [other_unit(samples, one) or ("", 1.0) for one, _, samples in group]
-        # The most common factor applies: a wrong unit affects all, a narrow range one or two.
+        # The most common factor is used: a wrong unit affects all columns, a narrow range few.
         size = Counter(abs(factor) for _, factor in guesses).most_common(1)[0][0]
         usual = next(guess for guess in guesses if abs(guess[1]) == size)
         for (one, name, samples), guess in zip(group, guesses, strict=True):

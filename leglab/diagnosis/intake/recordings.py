@@ -15,10 +15,10 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 
 def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """Lists recordings, also those in folders; a bag or a dataset counts as one recording.
+    """Lists recordings, including those in folders; a bag or a dataset counts as one recording.
 
     Returns:
-        The recordings, and a line for each folder that holds other files as well.
+        The recordings, and a line of text for each folder that contains other files as well.
 
     Raises:
         LeglabError: A folder holds no recording.
@@ -39,7 +39,7 @@ def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
 
 
 def _below(path: Path) -> list[Path]:
-    """Returns all files below a path in the order of their names; a bag or a dataset is one."""
+    """Returns all files below a path, sorted by name; a bag or dataset counts as one file."""
     if not path.is_dir() or data.form_of_folder(path):
         return [path]
     entries = sorted(e for e in path.iterdir() if not e.name.startswith("."))
@@ -58,18 +58,18 @@ def read_recordings(
     salvage: bool = False,
     tell: Callable[[str], object] = lambda line: None,
 ) -> dict[str, Recording]:
-    """Reads recordings, named by file and as many folders before it as make the names differ.
+    """Reads recordings; a name is the file's, preceded by folders until all names differ.
 
-    A recording of a file with several has its name in the file appended.
+    If a file contains several recordings, the name within the file is appended.
 
-    Columns that cannot be read are left out: only the model decides whether they are needed.
+    Columns that cannot be read are left out, because they may not be needed.
 
     Args:
-        paths: Files, or folders, whose files are left out if they cannot be read.
-        columns: File of a column map for all of them, see `leglab.data.read_column_map`.
+        paths: Files and folders; files in folders are left out if they cannot be read.
+        columns: File of a column map for all recordings, see `leglab.data.read_column_map`.
         span: First and last second of each recording's time that is used; None: all.
         salvage: Whether the intact part of broken files is read.
-        tell: Called with a line of text on other files of a folder, and on files left out.
+        tell: Called with lines of text about files that are no recordings or are left out.
 
     Raises:
         LeglabError: A file cannot be read, is given twice or has no sample in the span, or the map
@@ -103,7 +103,7 @@ def read_recordings(
 
 
 def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Returns the shortest distinct ends of paths: every `leglab run` uses the same file name."""
+    """Returns the shortest ends of paths that differ, as runs of leglab share a file name."""
     parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = {}
     for path, own in zip(paths, parts, strict=True):
@@ -122,9 +122,9 @@ def split_held_out(
     wanted: Sequence[str],
     thresholds: Thresholds = DEFAULT,
 ) -> tuple[dict[str, Recording], tuple[str, ...]]:
-    """Returns the recordings and the names of held-out ones; cuts off the end of a single one.
+    """Returns the recordings and the held-out names; a single recording's end is cut off for this.
 
-    `wanted` are names to hold out, with or without suffix; without any, `held_out_choice` decides.
+    `wanted` are names to hold out, with or without suffix; if empty, `held_out_choice` decides.
 
     Raises:
         LeglabError: A name does not exist, or nothing is left to fit.
@@ -153,7 +153,7 @@ def split_held_out(
 
 
 def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) -> Machine:
-    """Returns a model's machine; joints that some recording does not measure may be followers.
+    """Returns the machine of a model; joints that a recording does not measure may be followers.
 
     Raises:
         LeglabError: The model cannot be loaded or replayed.
@@ -163,7 +163,7 @@ def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) ->
 
 
 def _fit(entry: str, name: str) -> int:
-    """Returns the number of parts by which `entry` names a recording: path, its end or folder."""
+    """Returns how many path components of `entry` match a recording's path, end or folder."""
     parts, wanted = Path(name).parts, Path(entry).parts
     ends = {parts, (*parts[:-1], Path(name).stem), *([parts[:1]] if len(parts) > 1 else [])}
     ends.add(parts[-1:])
@@ -171,10 +171,10 @@ def _fit(entry: str, name: str) -> int:
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
-    """Returns the one of at least two recordings to hold out: most within the others' ranges.
+    """Chooses the recording to hold out, of at least two: the one most within the others' ranges.
 
-    A model is judged by another excitation than the fitted one, but not by extrapolation. Of equal
-    ones the recording with the fastest motion is the most informative.
+    So the model is judged by an excitation that was not fitted, but not by extrapolation. If
+    several are equal, the recording with the fastest motion is chosen as the most informative.
     """
     tables = {}
     for name, recording in recordings.items():

@@ -1,11 +1,11 @@
-"""Remarks on recordings, merged over the columns and recordings to which each applies."""
+"""Remarks on recordings; equal texts on several columns or recordings are merged."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """One remark on a recording; its text does not depend on the place.
+    """One remark on a recording: a text that can be equal for several places, and a place.
 
     A place is a column in quotes, with details of that column; "" for the recording as a whole.
     """
@@ -16,9 +16,9 @@ class Remark(NamedTuple):
 
 
 def merged(remarks: Iterable[Remark], recordings: Iterable[str]) -> tuple[str, ...]:
-    """Returns one line per text with its recordings and columns, in order of first mention.
+    """Returns one line per text with the recordings and places that it concerns, in order.
 
-    A remark that is equal for all the `recordings` does not list them.
+    If a remark applies equally to all `recordings`, its line does not list them.
     """
     found: dict[str, dict[str, list[str]]] = {}
     for text, recording, place in remarks:

@@ -12,15 +12,15 @@ def unwrapped(
 ) -> tuple[np.ndarray, float, int] | None:
     """Removes the jumps of an encoder that restarts after a full turn.
 
-    A jump is a step of more than half of the encoder's range, after which the motion continues. Its
-    size is 2 pi, a multiple or a fraction of it on a `hinge`, or any size on which all jumps agree
-    (an encoder before a gear, a counter that overflows), if all angles of a turn occur. The joint
-    must move less than half a turn between two samples, (n,), NaN where missing, at times [s],
-    (n,).
+    A jump is a step of more than half of the encoder's range, after which the motion continues. On
+    a `hinge` its size is 2 pi, or a multiple or fraction of 2 pi. Any other size is accepted if all
+    jumps have this size and all angles of a turn occur (an encoder before a gear, a counter that
+    overflows). The joint must move less than half a turn between two `samples`, (n,), NaN if
+    missing, at `time` [s], (n,).
 
     Returns:
         The samples without jumps, (n,), the size of a turn in their unit, and the number of jumps;
-        None where nothing jumps.
+        None if there are no jumps.
     """
     good = np.flatnonzero(np.isfinite(samples))
     if good.size < 10:
@@ -28,7 +28,7 @@ def unwrapped(
     steps, intervals = np.diff(samples[good]), np.diff(time[good])
     unit, spare = np.median(intervals), int(np.ceil(1e-3 * (good.size - 1)))
     shown = np.sort(samples[good])[spare : good.size - spare]
-    # Across a longer interval a jump is not distinguished from motion, across a gap only by speed.
+    # Steps over longer intervals may be motion; the speed before and after decides on these below.
     jumps = (intervals <= NEIGHBOURS * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
     usual = intervals <= 1.5 * unit
     still = np.flatnonzero(~jumps & usual)
@@ -49,7 +49,7 @@ def unwrapped(
 
 
 def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
-    """Returns the size of a turn by sorted values and jump sizes, None if these are no turns."""
+    """Returns the size of a turn by sorted values and jump sizes; None if jumps are no turns."""
     turn, span = float(np.median(sizes)), float(np.ptp(shown))
     same, part = SAME, 0.25
     if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or span > (1.0 + same) * turn:
@@ -59,9 +59,9 @@ def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
             return _TURN
         known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
         nearest = float(known[np.argmin(np.abs(known - turn))])
-        if abs(turn - nearest) < part * same * nearest:  # Known sizes lie close to each other.
+        if abs(turn - nearest) < part * same * nearest:  # Known sizes are close together.
             turn = nearest
     agree = np.median(np.abs(sizes - turn)) < same * turn
-    # An encoder that turns shows every angle: no large part of a turn may be missing.
+    # A turning encoder passes every angle, so no large part of a turn may be missing.
     unseen = max(np.diff(shown).max(initial=0.0), turn - span)
     return turn if agree and unseen < part * turn else None

@@ -1,8 +1,8 @@
-"""Resampling of recordings to one uniform grid, by the time stamps of their rows.
+"""Resampling of recordings to a uniform time grid, by the time stamps of their samples.
 
 A measured value on the grid is the mean of the nearest samples, each shifted to the grid along a
-parabola through its neighbours: noise stays white, motion keeps its phase. A command is held
-between its stamps; on the grid it is the mean over the following period: no impulse is lost.
+parabola through its neighbours, so that noise stays white and motion is not delayed. Commands are
+held between stamps and averaged over the period after a grid point, so that no impulse is lost.
 """
 
 from collections.abc import Mapping
@@ -17,29 +17,29 @@ from leglab.base.scale import deviation, rms
 from leglab.data.clock import straight_line, usual_step
 from leglab.diagnosis.thresholds import CERTAIN, DEFAULT, NEGLIGIBLE, NEIGHBOURS, SAME, Thresholds
 
-# Stamps are on the grid up to this distance in periods.
+# Distance up to which a stamp counts as lying on the grid [periods].
 _ON_GRID = NEGLIGIBLE
-# Differences below this share of the largest value are rounding of floats.
+# Share of the largest value below which differences are rounding errors of floats.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
-# Relative uncertainty of a clock's period if jitter and lost rows hide its ticks.
+# Relative uncertainty of a clock's period if jitter and lost samples hide the ticks.
 _UNCLEAR = CERTAIN * SAME
 
 
 @dataclass(frozen=True)
 class UniformSeries:
-    """One recording, ready for replay."""
+    """One recording, resampled to a uniform time grid."""
 
-    name: str  #: Of its file
-    period: float  #: s
-    time: np.ndarray  #: Shape (n,), s
-    columns: dict[str, np.ndarray]  #: Samples on the grid by column, each (n,), gaps bridged
-    valid: np.ndarray  #: Mask of samples at which every channel was measured, (n,)
-    #: Quantisation step of the logged columns; 0 where there is none.
+    name: str  #: Name of the recording
+    period: float  #: Sampling period of the grid [s]
+    time: np.ndarray  #: Time of each grid point [s], (n,)
+    columns: dict[str, np.ndarray]  #: Samples by column, each (n,), interpolated in gaps
+    valid: np.ndarray  #: Mask of grid points at which every column was measured, (n,)
+    #: Quantisation step of the logged samples by column, 0 if not quantised.
     steps: dict[str, float]
-    #: Standard deviation of the white noise on the grid that is equivalent to that of the logged
-    #: samples, by column, 0 where none shows; empty if the log already lies on the grid.
+    #: Standard deviation of the noise after resampling, by column, 0 if no noise shows; empty if
+    #: the logged samples already lie on the grid.
     noise: dict[str, float]
-    #: Lead of commands at native actuators on their stamps [s]; None if unknown.
+    #: Time by which commands act at native actuators before their stamps [s]; None if unknown.
     command_lead: float | None
 
     @classmethod
@@ -52,9 +52,9 @@ class UniformSeries:
         *,
         period: float | None = None,
     ) -> "UniformSeries":
-        """Resamples the needed columns of a recording to a grid of a period [s], or its usual one.
+        """Resamples the needed columns of a recording to a period [s], by default its usual one.
 
-        Columns that end with "_command" are held between samples; NaN are missing samples.
+        Columns that end with "_command" are held between samples; NaN marks missing samples.
         """
         clock = Clock.of(recording.time)
         period = period or clock.period
@@ -72,7 +72,7 @@ class UniformSeries:
                 columns[column], known = log.held(lossy=clock.lost > 0 or not good.all())
             else:
                 columns[column], known, white = log.averaged()
-                # Lost rows change the noise on the grid.
+                # Interpolation at lost samples changes the noise as well.
                 if off_grid or good.sum() <= (1.0 - SAME) * grid.size:
                     noise[column] = white
             valid &= known
@@ -84,13 +84,13 @@ class UniformSeries:
 class Clock:
     """Time stamps of a recording, corrected for rounding, with the period of the logger's clock."""
 
-    period: float  #: Usual time between two rows [s], free of jitter and lost rows
-    stamps: np.ndarray  #: Shape (n,), s; on a straight line if a uniform clock was rounded
-    rounding: float  #: Step to which stamps were rounded [s]; 0 if they are not or need no repair
-    #: RMS departure of the intervals from whole periods, in periods.
+    period: float  #: Usual time between two samples [s], without jitter or lost samples
+    stamps: np.ndarray  #: Stamps [s], (n,); evenly spaced if rounding was the only error
+    rounding: float  #: Step to which stamps were rounded [s]; 0 if not rounded or harmless
+    #: RMS departure of the intervals from multiples of the period [periods].
     jitter: float
-    lost: int  #: Number of rows that are missing between others
-    #: Whether the period is well known; it is not if jitter and lost rows hide the ticks.
+    lost: int  #: Number of samples that are missing in between
+    #: Whether the period is certain; jitter together with lost samples makes it uncertain.
     clear: bool
 
     @classmethod
@@ -99,7 +99,7 @@ class Clock:
         stamps, rounding = time, 0.0
         line, step = straight_line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
-        # A tick lies half a step from its stamp, and a little more from a line through stamps.
+        # Rounding moves a stamp by half a step, and a little more from a line fitted to stamps.
         if _ON_GRID * mean < off <= 0.75 * step < 2.0 * mean:
             stamps, rounding = line, step
         period = usual_interval(stamps)
@@ -117,7 +117,7 @@ class Clock:
 
 
 def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
-    """Returns the jitter as in `Clock`, the tick number of each stamp, and lost rows."""
+    """Returns `Clock.jitter`, the number of clock ticks before each stamp, and `Clock.lost`."""
     passed = np.diff(stamps) / period
     whole = np.maximum(np.rint(passed), 1.0)
     close = whole < 5
@@ -127,7 +127,7 @@ def _ticks(stamps: np.ndarray, period: float) -> tuple[float, np.ndarray, int]:
 
 
 def _beat(time: np.ndarray, guess: float) -> float:
-    """Returns the period of the strongest spectral peak of stamps near a guess [s]; 0 if none."""
+    """Returns the period of the strongest peak in the stamps' spectrum near a guess [s], or 0."""
     some = time[:4000] - time[0]
     place = guess / 16.0
     count = np.bincount(np.rint(some / place).astype(np.int64)).astype(float)
@@ -141,14 +141,14 @@ def _beat(time: np.ndarray, guess: float) -> float:
 
 
 def usual_interval(time: np.ndarray) -> float:
-    """Returns the usual interval of rows: jitter averages out, and lost rows do not count.
+    """Returns the usual interval of samples, by an average that ignores lost samples.
 
-    It is the mean of the intervals within 50 % of it, iterated from the median. If no row is lost,
-    the whole duration over the number of intervals is more accurate.
+    It is the mean of the intervals that lie within 50 % of this mean, iterated from the median. If
+    no sample is lost, the whole duration over the number of intervals is more accurate and used.
     """
     intervals = np.diff(time)
     period = float(np.median(intervals))
-    if np.abs(intervals - period).min() > 0.5 * period:  # Half are short, half are long.
+    if np.abs(intervals - period).min() > 0.5 * period:  # Half short, half long.
         period = usual_step(time)
     for _ in range(50):
         close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
@@ -161,9 +161,9 @@ def usual_interval(time: np.ndarray) -> float:
 
 
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
-    """Returns the period of the grid for all recordings [s]: that of the slowest.
+    """Returns the period of the grid for all recordings [s]: the longest of their periods.
 
-    Of recordings whose periods differ only by their clocks' errors it is the median.
+    If several long periods differ only by errors of clocks, their median is returned.
     """
     clocks = [Clock.of(recording.time) for recording in recordings.values()]
     clear = [c.period for c in clocks if c.clear] or [c.period for c in clocks]
@@ -176,8 +176,8 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
 def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
     """Masks samples around which a signal, (n,), takes more than one value within `length` samples.
 
-    Elsewhere it rests on one reading: the noise is below the converter's step and does not show,
-    however long this lasts.
+    Elsewhere the signal rests on one reading, since its noise is below the quantisation step. Such
+    samples do not show the noise.
     """
     apart = maximum_filter1d(samples, length) - minimum_filter1d(samples, length)
     return apart > _FLOAT * np.abs(samples).max()
@@ -186,8 +186,8 @@ def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
 def quantum(samples: np.ndarray) -> float:
     """Returns the step of a quantised signal, (n,); 0 if it is not quantised or never moves.
 
-    It is the largest step of which nearly all differences of neighbours are multiples: single
-    values between two counts, or rounding of floats, do not reduce it.
+    It is the largest step of which nearly all differences of neighbours are multiples. A few values
+    between two counts, or rounding of floats, therefore do not reduce it.
     """
     largest = float(np.abs(samples).max(initial=0.0))
     moves = np.abs(np.diff(samples))
@@ -195,7 +195,7 @@ def quantum(samples: np.ndarray) -> float:
     if not moves.size:
         return 0.0
     rests = moves.size < samples.size - 1
-    # Differences of differences: a fast signal may never move by a single count.
+    # Also differences of differences, since a fast signal may never move by a single count.
     apart = np.diff(moves)
     apart = apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])]
     shares = (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
@@ -205,7 +205,7 @@ def quantum(samples: np.ndarray) -> float:
 
 
 def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool) -> float:
-    """Returns the step near a first guess of which moves are multiples; 0 if there is none."""
+    """Returns a quantisation step near a guess, of which moves are multiples; 0 if none fits."""
     for most in (3, 10, 30, 100):
         count = np.rint(moves / step)
         some = (count > 0) & (count <= most)
@@ -217,7 +217,7 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
     count = np.rint(share)
     rounding = 2.0 * np.finfo(np.float32).eps * largest / step
     multiple = (count > 0) & (np.abs(share - count) < SAME + rounding)
-    # A steady motion also has equal moves, but without rests and other multiples.
+    # A steady motion also has equal moves, but no rests and no other multiples.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
     return step if whole and varied else 0.0
@@ -225,28 +225,28 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
 
 @dataclass(eq=False)
 class _Log:
-    """One logged column without its missing samples, and the grid to which it is resampled.
+    """A logged column without its missing samples, and the grid to which it is resampled.
 
     Times are relative to the recording's first stamp [s].
     """
 
     times: np.ndarray  # (n,)
     samples: np.ndarray  # (n,)
-    own: float  # usual interval of the recording [s]
+    own: float  # usual interval of the recording's samples [s]
     grid: np.ndarray  # (count,)
-    period: float  # of the grid [s]
+    period: float  # sampling period of the grid [s]
     limits: Thresholds
 
     def __post_init__(self) -> None:
         self.step, self.spacing = quantum(self.samples), self.own
-        if self.times.size >= 3:  # Some columns are logged less often than the rows.
+        if self.times.size >= 3:  # Some columns are logged less often than others.
             self.spacing = min(max(usual_interval(self.times), self.own), 5.0 * self.own)
-        # Index of the sample after each grid point, (count,).
+        # Index of the first sample at or after each grid point, (count,).
         near = self.grid - _ON_GRID * self.period
         self.after = np.searchsorted(self.times, near).clip(1, self.times.size - 1)
 
     def _known(self, smooth: np.ndarray) -> np.ndarray:
-        """Masks known values of the grid, (count,); `smooth` masks those whose neighbours agree."""
+        """Masks grid points with a reliable value; longer gaps are interpolated if `smooth`."""
         before, after = self.times[self.after - 1], self.times[self.after]
         outside = (self.grid < self.times[0]) | (self.grid > self.times[-1])
         width = np.where(outside, np.inf, after - before)
@@ -257,9 +257,9 @@ class _Log:
         return on_stamp | (width <= near) | (smooth & (width <= far))
 
     def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Returns samples averaged about each grid point, a mask of known ones, and their noise.
+        """Returns the average of samples at each grid point, a mask of known points, and the noise.
 
-        If every grid point has one sample, exactly on it, the samples are unchanged.
+        If each grid point has exactly one sample at its time, the samples are returned.
         """
         grid, period, count = self.grid, self.period, self.grid.size
         place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
@@ -283,9 +283,9 @@ class _Log:
         least = max(scatter, self.step / np.sqrt(12.0), NEGLIGIBLE * float(np.std(samples)))
         smooth = fit.misfit <= CERTAIN * least
         known = (number > 0) | self._known(smooth)
-        # Filters reach into gaps, so these are bridged by straight lines.
+        # Filters reach into gaps, so gaps are filled by linear interpolation.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
-        # Weight of each sample in the sum over all known grid points.
+        # Weight of each sample in the sum of the values of all known grid points.
         share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
         given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
         weight = np.bincount(fit.neighbours.ravel(), given.ravel(), minlength=self.times.size)
@@ -294,10 +294,10 @@ class _Log:
         return value, known, noise
 
     def held(self, *, lossy: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Returns a held command's mean from each grid point to the next, and a mask of known ones.
+        """Returns a held command's mean between grid points, and a mask of the known means.
 
-        At lost ticks the command may have changed: they are interpolated. In a log that is not
-        `lossy` a long interval is jitter.
+        The command is interpolated at lost ticks, as it may have changed there. If the log is not
+        `lossy`, long intervals are jitter.
         """
         grid, period, near = self.grid, self.period, _ON_GRID * self.period
         intervals, change = np.diff(self.times), np.diff(self.samples)
@@ -312,7 +312,7 @@ class _Log:
         times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
         impulse = np.append(0.0, np.cumsum(values * np.diff(times)))
         mean = np.diff(np.interp(period * np.arange(grid.size + 1), times, impulse)) / period
-        # Differences of the long integral round: a command on the grid keeps its exact value.
+        # Differences of the integral have rounding errors, so held values are copied if possible.
         at = np.searchsorted(times, grid + near, side="right") - 1
         stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
         whole = stays & (np.abs(times[at] - grid) <= near)
@@ -322,7 +322,7 @@ class _Log:
 
 
 class _Parabolas:
-    """Parabolas through the `size` neighbours of each of the `count` points of a log's grid."""
+    """Parabolas fitted to the `size` samples next to each of the `count` points of a log's grid."""
 
     def __init__(self, log: _Log) -> None:
         reach = max(1.5 * log.period, 0.5 * NEIGHBOURS * log.spacing)
@@ -332,7 +332,7 @@ class _Parabolas:
         first = np.searchsorted(log.times, log.grid) - size // 2
         self.neighbours = first.clip(0, log.times.size - size)[:, None] + np.arange(size)
         away = (log.times[self.neighbours] - log.grid[:, None]) / reach
-        # Samples beyond a gap hardly count: they belong to another motion.
+        # Samples beyond a gap have almost no weight, as they belong to another motion.
         trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
         design = np.stack([np.ones_like(away), away, away**2], axis=2)
         weighted = design * trust[:, :, None]
@@ -349,5 +349,5 @@ class _Parabolas:
         # weights of the neighbours in them, (count, 3, size).
         self.value, self.slope, self.bend = a + level, b / reach, c / reach**2
         self.weights = rows / np.array([1.0, reach, reach**2])[:, None]
-        # Share of a sample's noise that the parabola follows near its centre.
+        # Share of a sample's noise variance that the parabola follows near its centre.
         self.leverage = min(2.25 / size, 0.9)

@@ -7,7 +7,7 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 
-# Largest number of values of a state; a signal in counts has more.
+# Maximum number of different values of a state; signals in counts have more.
 _VALUES = 8
 
 
@@ -16,9 +16,9 @@ def state_changes(
 ) -> dict[str, np.ndarray]:
     """Returns the rows at which the states of a recording change, by column.
 
-    A state is a column with few integer values and rare changes that has no unit and is not one of
-    the `signals`. With a change in more than half of the windows of length `window` [s] a column is
-    a counter or a clock.
+    A state is a column that has few integer values, rare changes and no unit, and is not among the
+    `signals`. A column that changes more often than once in two windows of length `window` [s] is
+    not a state but a counter or a clock.
     """
     found = {}
     most = 0.5 * recording.duration / window

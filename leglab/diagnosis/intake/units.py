@@ -1,4 +1,4 @@
-"""Units and directions in which loggers write signals, as factors that convert to the model's."""
+"""Units and directions of logged signals, as factors that convert to the model's units."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
 
-# Factors of ten or more, or a tenth or less: those nearer to 1 are effects (gain, encoder scale).
+# Factors >= 10 or <= 0.1 only: factors closer to 1 are effects (gain, encoder scale).
 ANGLES, _LENGTHS, _PRESSURES = (
     {unit: split(f"x [{unit}]").factor for unit in units.split()}
     for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
@@ -16,30 +16,30 @@ _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
 DEGREES = ("degrees", ANGLES["degrees"])
-# Encoder counts per turn: other resolutions are near enough to one of these to raise the question.
+# Encoder counts per turn to try; other resolutions are close enough to one to raise a doubt.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
 
 def position_units(samples: np.ndarray, *, hinge: bool) -> dict[str, float]:
-    """Returns factors that may convert a position, (n,), to rad (of a `hinge`) or m, by unit."""
+    """Returns, by unit, factors that may convert positions, (n,), to rad (if `hinge`) or m."""
     known = samples[np.isfinite(samples)]
     found = dict(ANGLES if hinge else _LENGTHS)
     if hinge and known.size and np.all(known == np.rint(known)):
         turns = {f"counts, some {n:.0f} a turn": 2.0 * np.pi / n for n in _COUNTS}
-        # With other resolutions the motion would be below a degree or above eight turns.
+        # Only resolutions with which the joint moves more than a degree and less than eight turns.
         found |= {unit: f for unit, f in turns.items() if 0.02 < f * np.ptp(known) < 50.0}
     return found
 
 
 def command_units(*, angle: bool) -> dict[str, float]:
-    """Returns factors that may convert a command to the model's, by unit; `angle`: hinge servo."""
+    """Returns, by unit, factors that may convert a command; `angle` if it is a hinge's angle."""
     return {**_SHARES, **_LARGE, **({"degrees": ANGLES["degrees"]} if angle else {})}
 
 
 def fits(samples: np.ndarray, column: UsableColumn, beyond: float = DEFAULT.beyond_range) -> bool:
-    """Tests whether samples, (n,), NaN where missing, lie within a column's limits.
+    """Tests whether samples, (n,), NaN if missing, lie within a column's limits.
 
-    They may exceed the limits by the share `beyond` of the limits' range.
+    They may exceed the limits by the share `beyond` of the range between the limits.
     """
     room = beyond * (column.limits[1] - column.limits[0])
     below = np.nanmin(samples) < column.limits[0] - room
@@ -51,10 +51,10 @@ def other_unit(
 ) -> tuple[str, float] | None:
     """Returns a unit or direction in which samples, (n,), fit a column's limits, and its factor.
 
-    Pressures are doubted if none reaches a hundredth of the supply [Pa], since a chamber that moves
-    something exceeds this; their unit is the one that comes nearest to the supply without exceeding
-    it by more than a third, as shocks do. For other columns it is the first that fits of: the other
-    direction, another unit, both. None if the samples fit unchanged, or nothing fits.
+    Pressures are in doubt if none reaches a hundredth of the supply pressure [Pa], which every
+    working chamber exceeds. The unit that yields the largest pressures below 4/3 of the supply is
+    then returned, since shocks may exceed the supply. Other columns are tested in the opposite
+    direction, another unit, and both: the first fit counts. None: fit unchanged, or nothing fits.
     """
     if column.kind in CHAMBERS:
         highest, supply = float(np.nanmax(samples)), column.limits[1]
@@ -73,5 +73,5 @@ def other_unit(
 
 
 def in_map(columns: str, factor: float) -> str:
-    """Returns the entry of the column map for columns in quotes."""
+    """Returns in words the entry of the column map that corrects columns (named in quotes)."""
     return f"if so, give {columns} factor = {factor:.8g} in the column map (--columns)"

@@ -1,4 +1,4 @@
-"""Linearisation of errors at a hypothesis: tangents of all unknowns, and finite jumps."""
+"""Linearisation of errors at a hypothesis: tangents of all unknowns, and changes by jumps."""
 
 import gc
 import signal
@@ -21,29 +21,29 @@ from leglab.diagnosis.likelihood.unknowns import Unknowns
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import BLOWN, LOUDER, NEGLIGIBLE
 
-# Effect that scales a drive's force.
+# Name of the effect that scales a drive's force.
 DRIVE_GAIN = "actuator_gain"
-# Effects that limit a drive's command, and its force on a joint.
+# Names of the effects that limit a drive's command, and a drive's force on a joint.
 COMMAND_LIMIT, FORCE_LIMIT = "command_saturation", "force_saturation"
-# An unknown, and the finite step that it takes, in trials.
+# Index of an unknown, and a finite step of this unknown in smallest trials.
 Jump = tuple[int, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Errors in SI units at a hypothesis, and their changes by unknowns.
+    """Errors at a hypothesis, in SI units, and their changes if the unknowns change.
 
-    Rows of a window are channels x bins of its replay, then joints x blocks of the residual forces
-    along its measured motion.
+    The rows of a window's errors are replay errors, channels x bins, followed by residual forces
+    along the measured motion, joints x blocks of time.
     """
 
-    base: Hypothesis  #: The hypothesis
-    x: np.ndarray  #: Its departures, (unknowns,)
-    errors: np.ndarray  #: (windows, rows)
-    tangents: np.ndarray  #: Change of the errors by one trial, (windows, rows, unknowns)
-    jumps: tuple[Jump, ...]  #: Jumps that were replayed
+    base: Hypothesis  #: Hypothesis at which the errors are linearised
+    x: np.ndarray  #: Departures of `base`, (unknowns,)
+    errors: np.ndarray  #: Errors of `base`, (windows, rows)
+    tangents: np.ndarray  #: Change of the errors per smallest trial, (windows, rows, unknowns)
+    jumps: tuple[Jump, ...]  #: Finite steps of unknowns, see `changes`
     changes: np.ndarray  #: Change of the errors by each jump, (windows, rows, jumps)
-    #: Whether tangents of all unknowns that the data show are differences over small steps.
+    #: Whether the tangents of all unknowns that matter in the data are over small (`FINE`) steps.
     fine: bool = False
 
 
@@ -52,7 +52,7 @@ class Errors:
 
     Attributes:
         recording: Recording of each chosen window, (windows,).
-        size: Number of replay errors in a window's rows; residual forces follow them.
+        size: Number of replay errors in a window's rows; residual forces follow the replay errors.
     """
 
     def __init__(self, problem: Problem, unknowns: Unknowns, chosen: np.ndarray) -> None:
@@ -60,36 +60,36 @@ class Errors:
         self.recording = problem.replay.recording[chosen]
         self.size = len(problem.channels) * problem.replay.bins
         self._workers: ProcessPoolExecutor | None = None
-        # Whitenings of the last two model-error covariances: a fit uses one many times.
+        # Cached whitenings of the last two model-error covariances, which a fit uses many times.
         self.whitenings: deque[tuple[object, Any]] = deque(maxlen=2)
 
     def about(self, hypothesis: Hypothesis) -> "Errors":
-        """Returns these errors with the noise model linearised at a hypothesis."""
+        """Returns a copy whose noise model is linearised at a hypothesis."""
         other = Errors(self.problem.about(hypothesis), self.unknowns, self.chosen)
-        other.__dict__["_own"] = self._own  # of the unchanged model
+        other.__dict__["_own"] = self._own  # independent of the noise model
         return other
 
     def some(self, own: np.ndarray) -> "Errors":
-        """Returns errors in a subset of the windows, by a mask over the chosen ones."""
+        """Returns a copy with a subset of the chosen windows, by a mask over the chosen windows."""
         chosen = np.zeros_like(self.chosen)
         chosen[np.flatnonzero(self.chosen)[own]] = True
         return Errors(self.problem, self.unknowns, chosen)
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
-        """Computes errors of several hypotheses in processes: half of a replay is Python."""
+        """Computes errors of hypotheses in parallel processes, as half of a replay is Python."""
         count = min(self.problem.threads, len(hypotheses))
-        if count < 2 or current_process().daemon:  # a worker of Dask may have no children
+        if count < 2 or current_process().daemon:  # a worker of Dask cannot start processes
             return [self.at(h) for h in hypotheses]
         if self._workers is None:
-            # Forked processes share this object's memory: nothing is sent to them.
+            # Forked processes share the memory of this object, so nothing has to be sent.
             _ = self._own
             self._workers = ProcessPoolExecutor(
                 self.problem.threads, get_context("fork"), _begin, (self,)
             )
-            # Workers never free inherited objects: they must not end threads of an earlier
-            # diagnosis, which belong to the parent.
+            # Workers must not free inherited objects: destructors would end threads of an earlier
+            # diagnosis, which belong to the parent process.
             gc.freeze()
-            self._workers.submit(bool)  # starts them all
+            self._workers.submit(bool)  # starts all processes
             gc.unfreeze()
         portion = max(1, len(hypotheses) // (4 * count))
         try:
@@ -109,8 +109,8 @@ class Errors:
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Computes errors of a hypothesis, (windows, rows).
 
-        `louder` is an actuator whose force is scaled by `LOUDER`: by its gain if the library has it
-        (a servo's motion does not grow with its gain), else by its command; None for none.
+        `louder` names an actuator whose force is multiplied by `LOUDER`, or is None: by its gain if
+        the library has that effect (a servo's motion does not grow with it), else by its command.
         """
         problem = self.problem
         gain = (DRIVE_GAIN, louder or "")
@@ -142,7 +142,7 @@ class Errors:
 
     @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
-        """RMS residual forces, and commands' influence, of the unchanged model, each (joints,)."""
+        """RMS residual force and RMS influence of commands, unchanged model, (joints,) each."""
         problem = self.problem
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
@@ -156,10 +156,10 @@ class Errors:
         return np.maximum(self._own[0], 1e-300)
 
     def _influence(self, pushed: np.ndarray) -> np.ndarray:
-        """Computes the commands' influence on joint forces over the unchanged model's, (joints,).
+        """Computes the influence of commands on joint forces over the unchanged model's, (joints,).
 
-        Residual forces are divided by it and so count in units of the drive. Otherwise a gain of 0,
-        or friction that absorbs the drive's force, would leave no residual force.
+        Residual forces are divided by this ratio, so that they count in units of the drive. If not,
+        a gain of 0, or friction that absorbs the drive's force, would leave no residual force.
         """
         own = self._own[1]
         influence = np.maximum(_size(pushed), NEGLIGIBLE * own)
@@ -167,7 +167,7 @@ class Errors:
 
     @cached_property
     def twins(self) -> frozenset[frozenset[Key]]:
-        """Pairs of effects that no recording of these channels tells apart."""
+        """Pairs of effects that no recording of these channels can distinguish."""
         problem = self.problem
         found = ((key, twin) for key in problem.library.searched for twin in twins(problem, key))
         return frozenset(frozenset(pair) for pair in found)
@@ -186,10 +186,10 @@ class Errors:
         Args:
             base: Hypothesis at which errors are differentiated.
             errors: Errors of `base`.
-            which: Single unknowns to differentiate by; tied ones are sums of these.
-            step: Least step in trials, and step as a share of a large departure.
-            known: Tangents of the other unknowns.
-            most: Largest steps, (single,), which moving parts ignore; None for no limit.
+            which: Single unknowns to differentiate by; a tied one's tangent is their sum.
+            step: Smallest step in trials, and smallest step as a share of the present departure.
+            known: Tangents that all other unknowns keep.
+            most: Largest steps, (single,), without effect on moving parts; None for no limit.
         """
         u = self.unknowns
         out, x = known.copy(), u.departures(base)
@@ -211,9 +211,9 @@ class Errors:
         return out
 
     def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
-        """Returns columns with jumps, whose changes are 0 in windows where a replay blows up.
+        """Returns the columns with changes by jumps, 0 in windows where a replay blows up.
 
-        If `near`, tangents replace the jumps of `gradual` unknowns.
+        If `near`, the changes by `gradual` unknowns are predicted by tangents, not replayed.
         """
         u = self.unknowns
         replayed = [k for k, (q, _) in enumerate(jumps) if not (near and u.gradual[q])]
@@ -224,9 +224,9 @@ class Errors:
         return replace(columns, jumps=tuple(jumps), changes=changes)
 
     def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
-        """Returns columns with one effect of a set removed; None if its replay blows up.
+        """Returns the columns of the hypothesis without one effect; None if its replay blows up.
 
-        Tangents are not computed anew.
+        Tangents are not computed anew: they belong to the hypothesis with the effect.
         """
         u, x = self.unknowns, columns.x
         gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
@@ -237,7 +237,7 @@ class Errors:
         return replace(columns, base=base, x=u.departures(base), errors=errors)
 
     def columns(self, step: tuple[float, float]) -> Columns:
-        """Computes errors and tangents of the unchanged model; tangents of shapes are 0."""
+        """Computes errors and tangents of the unchanged model; shape parameters have tangents 0."""
         base, u = Hypothesis(), self.unknowns
         errors = self.at(base)
         which = np.flatnonzero(~u.shape[: u.single]).tolist()
@@ -246,25 +246,25 @@ class Errors:
         return Columns(base, u.departures(base), errors, tangents, (), none)
 
 
-# In a process of `Errors.each`, the object whose errors it computes.
+# In a worker process of `Errors.each`: the `Errors` object that it serves.
 _served: list[Errors] = []
 
 
 def _begin(at: Errors) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the user interrupts the process that waits
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent process handles interrupts
     at.problem.replay.use_one_thread()
     _served.append(at)
 
 
 def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
-    """Computes errors in a process of `Errors.each`, and the number of replays they took."""
+    """Computes errors in a worker process of `Errors.each`, and the number of its replays."""
     replay = _served[0].problem.replay
     before = replay.rollouts
     return _served[0].at(hypothesis), replay.rollouts - before
 
 
 def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
-    """Returns a hypothesis whose given limits are scaled by `LOUDER`."""
+    """Multiplies those of `limits` that the hypothesis contains by `LOUDER`."""
     for key in limits:
         if key in hypothesis:
             hypothesis = hypothesis.with_values(key, LOUDER * hypothesis[key])
@@ -272,7 +272,7 @@ def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
 
 
 def _size(pushed: np.ndarray) -> np.ndarray:
-    """Computes the root mean square over windows and blocks, (joints,)."""
+    """Computes the RMS force over windows and blocks of time, (joints,)."""
     return np.asarray(rms(np.clip(pushed, -BLOWN, BLOWN), axis=(0, 2)))
 
 
@@ -284,10 +284,10 @@ def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def trials(unknowns: Unknowns) -> list[Jump]:
-    """Returns jumps of possible faults to all trials beyond the smallest, which tangents cover."""
+    """Returns jumps of possible faults to trial values; tangents cover the smallest trials."""
     found: list[Jump] = []
     for u in np.flatnonzero(unknowns.nameable).tolist():
-        # A tied unknown has the trials of its first part.
+        # A tied unknown has the trials of its first element.
         key, i = unknowns.places[u][0]
         p = unknowns.library.sites[key].parameters[i]
         found += [

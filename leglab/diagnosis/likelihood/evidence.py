@@ -1,9 +1,10 @@
-"""Marginal likelihood of sets of effects by the normal equations of one linearisation.
+"""Marginal likelihood of sets of effects (assumed faults) by one linearisation's normal equations.
 
-Errors have the covariance N + s^2 D: N of sensors, start states and time step, D of the model error
-with an unknown scale s. Parameters outside of a set have the prior of good machines, normal with an
-unknown deviation ("spike"), those of the set the prior of faults ("slab"; George and McCulloch
-1993). Log likelihoods are divided by the design effect (Pauli, Racugno and Ventura 2011).
+Errors have the covariance N + s^2 D: N is that of sensors, start states and time step, D that of
+the model error, whose scale s is unknown. Parameters of a set have the prior of faults (slab), all
+others the prior of good machines (spike), normal with an unknown standard deviation (George and
+McCulloch 1993). Log likelihoods are divided by the design effect, since errors are correlated
+(Pauli, Racugno and Ventura 2011).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,18 +30,18 @@ from leglab.diagnosis.thresholds import (
     SMALL,
 )
 
-# An unknown, and the index of its jump in `Columns.jumps`; None for its tangent.
+# Parameter of a set: index of the unknown; index in `Columns.jumps`, or None to use its tangent.
 Member = tuple[int, int | None]
 
-# Share of a sum of squares that rounding may take.
+# Relative rounding error of a sum of squares.
 ROUNDING = 1e-14
-# Fixed unknowns are pinned by this multiple of their curvature, which leaves half of the digits to
-# the free ones.
+# An unknown is fixed by adding this multiple of its curvature. A larger multiple would leave fewer
+# than half of the digits of a sum to the unknowns that are free.
 HELD = ROUNDING**-0.5
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:
-    """Returns each window's part: its recording, or where these are few, a run of windows in it."""
+    """Returns the index of each window's part: a recording, or a piece of one if these are few."""
     every = np.unique(recording)
     pieces = 1 if every.size >= FEW_RECORDINGS else int(np.ceil(2 * FEW_RECORDINGS / every.size))
     out, count = np.zeros(recording.size, dtype=int), 0
@@ -54,30 +55,31 @@ def parts_of(recording: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Evidence of a set."""
+    """Evidence of a set of effects."""
 
-    members: tuple[Member, ...]  #: The set
-    log: float  #: Log evidence
-    fit: float  #: Log evidence without the members' odds, priors and determinant
+    members: tuple[Member, ...]  #: Parameters of the set
+    log: float  #: Log evidence: log of the marginal likelihood times prior odds
+    fit: float  #: Log evidence without prior odds, fault priors and determinant of the members
     size: int  #: Index of the most probable scale of the model error
     spread: int  #: Index of the most probable standard deviation between machines
     values: np.ndarray  #: Departures of the members, (members,)
-    deviations: np.ndarray  #: Their standard deviations
-    shift: np.ndarray  #: Change of all single unknowns in addition to the members, (single,)
-    coefficients: np.ndarray  #: Coefficients of the members' columns
+    deviations: np.ndarray  #: Standard deviations of `values`
+    shift: np.ndarray  #: Changes of all single unknowns, to which `values` are added, (single,)
+    coefficients: np.ndarray  #: Factors on the members' tangents or jumps
 
     @property
     def unknowns(self) -> tuple[int, ...]:
-        """Unknowns of the members."""
+        """Indices of the members' unknowns."""
         return tuple(u for u, _ in self.members)
 
 
 class _Reduced:
-    """Inner products of columns with the single unknowns integrated out.
+    """Inner products of errors, tangents and jumps with the single unknowns integrated out.
 
-    They are computed from products of all columns, `gram`, (sizes, columns, columns), and log
-    determinants of the windows, `log`, (sizes,). `base` is the log evidence of the empty set less
-    its quadratic term, (sizes, spreads). `stays` masks single unknowns fixed at a bound.
+    `gram`, (scales, columns, columns), are the products before the integration, at each scale of
+    the model error, `log`, (scales,), log determinants of the errors' covariance. `base` is the log
+    evidence of the empty set less its quadratic term, (scales, spreads). `stays` masks single
+    unknowns that are fixed at a bound.
     """
 
     def __init__(
@@ -107,7 +109,7 @@ class _Reduced:
                 hold = HELD * self.stays[k, o] * np.diag(matrix)
                 if hold.any():
                     prior = np.linalg.slogdet(precision + np.diag(hold))[1]
-                # Only rounding is added: more would keep unknowns from small deviations.
+                # Only rounding is added: a larger term would act as a prior against departures.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix + np.diag(hold))
                 self._roots[k, o] = root
@@ -119,7 +121,7 @@ class _Reduced:
                 )
 
     def _beside_priors(self, k: int, o: int, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes products with priors of columns, (held, held), and singles, (single, held)."""
+        """Adds priors to products of columns `held`: with each other, and with single unknowns."""
         gram, n = self._kappa * self.gram[k][:, held], self._now.size
         whole, cross = gram[held], gram[1 : 1 + n]
         if held.size and held[0] == 0:
@@ -129,40 +131,40 @@ class _Reduced:
         return whole, cross
 
     def inner(self, k: int, o: int, held: np.ndarray) -> np.ndarray:
-        """Computes reduced products of sorted columns at a size and spread, (held, held)."""
+        """Computes reduced products of sorted columns `held` at scale k, spread o, (held, held)."""
         whole, cross = self._beside_priors(k, o, held)
         half = dtrtrs(self._roots[k, o].T, cross, lower=0, trans=1)[0]
         return np.asarray(whole - half.T @ half)
 
     def several(self, held: np.ndarray) -> np.ndarray:
-        """Computes reduced products of sorted columns, (sizes, spreads, held, held)."""
+        """Computes `inner` at all scales and spreads, (scales, spreads, held, held)."""
         sizes, spreads = self.base.shape
         return np.array([[self.inner(k, o, held) for o in range(spreads)] for k in range(sizes)])
 
     def every(self, k: int, o: int) -> np.ndarray:
-        """Computes reduced products of all columns at a size and spread, (columns, columns)."""
+        """Computes `inner` of all columns at scale k and spread o, (columns, columns)."""
         if (k, o) not in self._every:
             self._every[k, o] = self.inner(k, o, np.arange(self.gram.shape[1]))
         return self._every[k, o]
 
     def follow(self, k: int, o: int, along: np.ndarray) -> np.ndarray:
-        """Computes the response of single unknowns to a step along the columns, (single,)."""
+        """Computes the best changes of single unknowns for a step `along` columns, (single,)."""
         used = np.flatnonzero(along)
         _, cross = self._beside_priors(k, o, used)
         return np.asarray(-cho_solve((self._roots[k, o], True), cross @ along[used]))
 
 
 class Evidence:
-    """Evidence of any set at one linearisation.
+    """Evidence of any set of effects at one linearisation.
 
     Args:
         at: Errors in the windows of the fit.
         columns: The linearisation.
         spread: Covariance of the model error.
         weight: Weights of windows, (windows,).
-        kappa: Share of the log likelihood that counts, 1/design effect.
+        kappa: Factor on the log likelihood, 1/design effect.
         priors: Priors of parameters and of the model error's scale.
-        places: Indices of the scales in the priors to use; None for all.
+        places: Indices in `priors.sizes` of the model-error scales to use; None for all.
     """
 
     def __init__(
@@ -184,7 +186,7 @@ class Evidence:
     def _white(
         self, sizes: Iterable[int], own: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yields whitened columns of some windows at each size, and log determinants."""
+        """Yields whitened columns of the windows `own` and log determinants, scale by scale."""
         columns, whitening = self.columns, self.spread.whitening(self.at)
         stacked = [columns.errors[own][:, :, None], columns.tangents[own], columns.changes[own]]
         turned = whitening.basis[own] @ np.concatenate(stacked, axis=2)
@@ -196,7 +198,7 @@ class Evidence:
             yield factors[:, :, None] * turned, weight * log[own]
 
     def _products(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes products of columns, (sizes, columns, columns), and determinants of windows."""
+        """Computes inner products of columns, (scales, columns, columns), and determinants."""
         gram, logs = [], []
         for white, log in self._white(range(len(self.places)), own):
             flat = white.reshape(-1, white.shape[2])
@@ -205,7 +207,7 @@ class Evidence:
         return np.stack(gram), np.array(logs)
 
     def white(self, errors: np.ndarray, score: Score) -> np.ndarray:
-        """Whitens errors at the model-error scale of a score, (windows, rows)."""
+        """Whitens errors by the covariance at a score's model-error scale, (windows, rows)."""
         size, forces = self.priors.sizes[score.size], self.priors.force_size(score.size)
         return self.spread.whitening(self.at).white(errors, size, forces)
 
@@ -219,35 +221,35 @@ class Evidence:
         return np.asarray(np.einsum("wr,wru->u", back, self.columns.tangents, optimize=True))
 
     def with_kappa(self, kappa: float) -> "Evidence":
-        """Returns a copy with another `kappa` and without cached products."""
+        """Returns a copy with another `kappa`, without the cached products `whole`."""
         other = copy(self)
         other.kappa = kappa
         other.__dict__.pop("whole", None)
         return other
 
     def apart(self, members: Sequence[Member], spread: int | None = None) -> list[Score]:
-        """Scores a set without each part of the recordings in turn; `spread` is as in `score`."""
+        """Scores a set with each part (see `parts_of`) left out in turn; `spread` as in `score`."""
         parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
         found = []
         for r in range(len(parts)):
-            # Sums of the other parts: a difference from the total may lose definiteness.
+            # The other parts are summed: the total less one part may be indefinite by rounding.
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
-            # Unknowns are fixed at bounds once, by all parts of the recordings.
+            # Unknowns are fixed at the same bounds as in the evidence of all windows.
             reduced = _Reduced(self, gram, log, self.whole.stays)
             found.append(self.score(members, reduced, spread))
         return found
 
     @cached_property
     def whole(self) -> _Reduced:
-        """Reduced products of all parts."""
+        """Reduced products of all windows."""
         return _Reduced(self, self.gram, self.log_covariance)
 
     def _columns_of(
         self, members: Sequence[Member]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Returns members' columns: indices, trials per unit, lower and upper coefficients."""
+        """Returns members' columns: indices, trials per unit, lower and upper factors."""
         u, rows = self.unknowns, []
         for unknown, jump in members:
             low = max(u.lower[unknown], -np.inf if u.below[unknown] else 0.0)
@@ -263,7 +265,7 @@ class Evidence:
         return index.astype(int), unit, lower, upper
 
     def odds(self, members: Sequence[int]) -> float:
-        """Computes log prior odds of a set over the empty set; -inf if it holds two twins."""
+        """Computes a set's log odds over the empty set; -inf if it holds two of `Errors.twins`."""
         u = self.unknowns
         keys = u.names(members)
         if any(pair <= keys for pair in self.at.twins):
@@ -278,10 +280,10 @@ class Evidence:
         spread: int | None = None,
         most: tuple[int, int] | None = None,
     ) -> Score:
-        """Computes the evidence of a set, by `reduced` products or else those of all parts.
+        """Computes the evidence of a set from `reduced`, by default the products of all windows.
 
-        `spread` is the index of the only deviation between machines to use, `most` the largest
-        indices of the model-error scale and of that deviation; None for no restriction.
+        `spread` is the index of the only standard deviation between machines to use, `most` are the
+        largest indices of the model-error scale and of this deviation; None for no restriction.
         """
         members = tuple(members)
         own = reduced or self.whole
@@ -305,7 +307,7 @@ class Evidence:
             square = square + 2.0 * (gradient * steps).sum(axis=2)
             square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
             values = steps * unit
-            # Members that compensate each other are bounded by the fault prior alone.
+            # If changes by members cancel each other, only the fault prior determines the members.
             held = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
             inverse = np.linalg.inv(held)
             deviations = np.sqrt(np.einsum("koii->koi", inverse)) * np.abs(unit)
@@ -343,10 +345,10 @@ class Evidence:
         )
 
     def additions(self, score: Score) -> list[tuple[float, Member]]:
-        """Ranks members to add to a set by their first-order gain of log evidence, best first.
+        """Ranks parameters to add to a set by the first-order gain of log evidence, best first.
 
-        The gain is the largest over the score's model-error scale and all smaller ones: a model
-        error that is estimated while an effect is missing has that effect's shape and hides it.
+        The gain is the largest at the score's model-error scale or any smaller one, because a model
+        error that is estimated while an effect is missing has the effect's shape and hides it.
         """
         u = self.unknowns
         on = set(score.unknowns)
@@ -389,16 +391,13 @@ class Evidence:
         return sorted(((g, m) for m, g in best.items() if np.isfinite(g)), key=lambda e: -e[0])
 
     def likeness(self, score: Score) -> np.ndarray:
-        """Computes inner products of jumps with single unknowns integrated out, (jumps, jumps).
-
-        They are taken at the size and spread of a score.
-        """
+        """Returns the jumps' reduced products, see `_Reduced`, at a score's scale and spread."""
         inner = self.whole.every(self.places.index(score.size), score.spread)
         first = 1 + len(self.unknowns)
         return inner[first:, first:]
 
     def left(self, score: Score) -> np.ndarray:
-        """Computes the errors that the fit of a score leaves, to first order, (windows, rows)."""
+        """Predicts the errors after the fit of a score, to first order, (windows, rows)."""
         columns, n = self.columns, self.unknowns.single
         errors = columns.errors + columns.tangents[:, :, :n] @ score.shift
         for (q, jump), step in zip(score.members, score.coefficients, strict=True):
@@ -407,9 +406,9 @@ class Evidence:
         return errors
 
     def telling(self, score: Score) -> np.ndarray:
-        """Returns a mask of single unknowns with data information over a tenth of the prior's.
+        """Tests for which single unknowns the data's information exceeds a tenth of the prior's.
 
-        The information is not scaled by `kappa`, which grows as explanations improve.
+        The information is not multiplied by `kappa`, because `kappa` grows while a fit improves.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(self.unknowns, self.priors.spreads[score.spread])
@@ -417,22 +416,22 @@ class Evidence:
         return np.asarray(data * np.diag(np.linalg.inv(precision)) > SMALL)
 
     def visible(self, score: Score) -> np.ndarray:
-        """Computes steps of single unknowns that change errors by their own scatter, (single,).
+        """Computes steps of single unknowns that change whitened errors by an RMS of 1, (single,).
 
-        Over longer steps the error of a tangent may exceed this scatter.
+        Over longer steps a tangent's prediction may be wrong by more than the errors scatter.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         rows = float(self.weight.sum()) * self.columns.errors.shape[1]
         return np.sqrt(rows / np.maximum(np.diag(self.gram[k])[1 : 1 + n], ROUNDING))
 
     def _free(self, score: Score) -> np.ndarray:
-        """Returns a mask of the single unknowns that move: those of `telling` and of members."""
+        """Tests which single unknowns may move: parameters of the set, and all in `telling`."""
         free = self.telling(score)
         free[[i for q in score.unknowns for i in self.unknowns.singles(q)]] = True
         return free
 
     def posterior(self, score: Score) -> np.ndarray:
-        """Computes the single unknowns' posterior covariance, members free, (single, single)."""
+        """Computes the posterior covariance, (single, single), under wide priors of members."""
         u, k, n = self.unknowns, self.places.index(score.size), self.unknowns.single
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         free = [i for q in score.unknowns for i in u.singles(q)]
@@ -444,17 +443,17 @@ class Evidence:
     def step(
         self, score: Score, values: np.ndarray, damping: float, beyond: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Computes the most probable members and other single unknowns within their bounds.
+        """Computes the most probable values of members and single unknowns within their bounds.
 
-        Size and spread are those of a score; members move along tangents. Unknowns that the data do
-        not show stay: they gain less than half a nat, and models with more effects take time.
+        Model-error scale and spread are those of a score; members move along tangents. Unknowns
+        outside of `_free` stay: each gains less than half a nat and makes replays slower.
 
         Args:
             score: The set.
             values: Departures of the members at the linearisation, (members,).
             damping: Share added to each unknown's curvature, so that unknowns that compensate each
                 other hardly move where errors are nonlinear (Marquardt 1963).
-            beyond: Errors of a replay less those of the tangents, (windows, rows); None for 0.
+            beyond: Errors of a replay less those by tangents, (windows, rows); None for 0.
 
         Returns:
             Departures of the members, (members,), and of the single unknowns, (single,).
@@ -467,7 +466,7 @@ class Evidence:
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         matrix, gradient = gram[np.ix_(use, use)], gram[use, 0].copy()
         matrix[:n, :n] += precision
-        # The Cauchy prior of a fault's magnitude, by its weight at the present one.
+        # The Cauchy prior of a fault is replaced by a normal one with its weight at this magnitude.
         now = self.columns.x[:n]
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
         matrix[range(n, n + index.size), range(n, n + index.size)] += slab_curvature(size)
@@ -490,7 +489,7 @@ class Evidence:
         return begin[n:], now + begin[:n]
 
     def departures(self, score: Score) -> dict[int, float]:
-        """Returns the moves of unknowns from the linearisation to the fit of a score."""
+        """Returns the changes of unknowns from the linearisation to the optimum of a score."""
         shift = np.where(self._free(score), score.shift, 0.0)
         moved = {i: float(d) for i, d in enumerate(shift) if d != 0.0}
         for (q, _), value in zip(score.members, score.values, strict=True):
@@ -498,11 +497,11 @@ class Evidence:
         return moved
 
     def design_effect(self, score: Score) -> float:
-        """Computes the design effect: number of errors over the number of independent ones.
+        """Computes the design effect: the number of errors per independent error.
 
-        It is the variance of the gradients g_r of R parts over that of independent errors: the mean
-        of R/(R-1) sum_r (v'(g_r - mean g))^2/(v'Hv) over the eigenvectors v of H = J'C^-1 J that
-        the data determine (Ribatet, Cooley and Davison 2012).
+        It is the variance of the gradients g_r of R parts of the recordings over the variance for
+        independent errors: R/(R-1) sum_r (v'(g_r - mean g))^2/(v'Hv), averaged over the
+        eigenvectors v of H = J'C^-1 J that the data determine (Ribatet, Cooley and Davison 2012).
         """
         k, n = self.places.index(score.size), self.unknowns.single
         index, _, _, _ = self._columns_of(score.members)
@@ -529,10 +528,10 @@ class Evidence:
 def _held(
     data: np.ndarray, precision: np.ndarray, now: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Returns a mask of single unknowns at a bound that would pass it, as friction at zero.
+    """Tests which single unknowns are to be fixed at a bound beyond which their optimum lies.
 
-    An unknown far from its prior is a member of the set fitted at this point, and stays free.
-    `data` are inner products of errors and tangents, `lower` and `upper` bounds relative to `now`.
+    An example is friction at zero. Unknowns far from their prior were fitted as faults and stay
+    free. `data` are inner products of errors and tangents, bounds are relative to `now`.
     """
     near = np.minimum(-lower, upper) < FINE[0]
     if not near.any():

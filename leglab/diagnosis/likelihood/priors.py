@@ -1,4 +1,4 @@
-"""Priors of good machines' deviations, and of faults' magnitude and number."""
+"""Priors of good machines' deviations, of fault magnitudes, and of the model error's scale."""
 
 from dataclasses import dataclass, field
 
@@ -20,19 +20,19 @@ from leglab.diagnosis.thresholds import (
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Priors of everything but the errors."""
+    """Priors of parameters, of faults, and of the model error's scale."""
 
-    #: Standard deviations of good machines about the specimen, in smallest trials, all as probable;
-    #: a parameter with a tolerance has that tolerance, widened with the larger deviations. Those
-    #: beyond `SPREADS` apply beside a large fault only, and only with healthy recordings: otherwise
+    #: Candidate standard deviations of good machines' parameters from the specimen, in smallest
+    #: trials, all equally probable. A parameter with a tolerance has its tolerance instead, widened
+    #: for larger candidates. Those beyond `SPREADS` need healthy recordings and a large fault: else
     #: naming any large fault would allow a rough machine its large deviations.
     spreads: tuple[float, ...] = SPREADS
     tolerances: float = 1.0  #: Factor on the tolerances
-    #: Covariance of all single unknowns by healthy recordings, (single, single); None without.
+    #: Covariance of single unknowns from healthy recordings, (single, single); None without these.
     covariance: np.ndarray | None = None
     #: Scales of the model error; 0 is an exact model.
     sizes: tuple[float, ...] = SIZES
-    #: Log probabilities of these, (sizes,).
+    #: Log probabilities of `sizes`, (sizes,).
     log_sizes: np.ndarray = field(default_factory=lambda: np.zeros(len(SIZES)))
 
     @property
@@ -41,23 +41,23 @@ class Priors:
         return self.covariance is not None
 
     def force_size(self, place: int) -> float:
-        """Returns the model-error scale of forces, by the index of that of replays."""
+        """Returns the model-error scale of forces if that of replays is `sizes[place]`."""
         return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Returns a mask of spreads to use beside a fault of `largest` trials, (..., spreads)."""
+        """Tests which `spreads` apply if the largest fault is `largest` trials, (..., spreads)."""
         most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
-        """Computes the single unknowns' precision, (single, single), and its log determinant."""
+        """Computes single unknowns' prior precision, (single, single), and log determinant."""
         n = unknowns.single
         known = self.tolerances * unknowns.tolerance[:n]
         wider = max(1.0, spread / self.spreads[0] * USUAL)
         widest = np.minimum(known * wider, np.maximum(known, spread))
         deviation = np.where(known > 0.0, widest, spread)
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
-        # A moving part is present or absent, without small deviations.
+        # An effect that is not gradual is present or absent, so it has no small deviations.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
         deviation = np.where(unknowns.shape[:n], SHAPE_SPREAD * ranges, deviation)
         if self.covariance is None:
@@ -67,10 +67,10 @@ class Priors:
 
 
 def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Computes the log density of faults' departures x in trials, of the same shape.
+    """Computes the log prior density of fault magnitudes x in smallest trials, shaped as x.
 
-    It is a Cauchy density on the sides on which faults lie, times a factor that vanishes at 0. By
-    this non-local prior, evidence for "no fault" grows as well (Johnson and Rossell 2010).
+    It is a Cauchy density on the sides on which faults lie, times a factor that vanishes at 0, so
+    that evidence for "no fault" also grows with the data (Johnson and Rossell 2010).
     """
     sides = unknowns.above[which].astype(int) + unknowns.below[which]
     square = x**2
@@ -80,5 +80,5 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
 
 
 def slab_curvature(x: np.ndarray) -> np.ndarray:
-    """Computes the curvature of the negative log Cauchy density at x by its weight, positive."""
+    """Approximates the curvature of the negative log Cauchy density at x by its weight, > 0."""
     return np.asarray(2.0 / (FAULT_SIZE**2 + x**2))

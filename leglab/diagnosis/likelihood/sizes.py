@@ -1,4 +1,4 @@
-"""Scales of parameters from recorded motions and forces, by the dimension of their units.
+"""Scales of effect parameters from recorded motions and forces, by the parameters' units.
 
 A machine of a hundred times the inertia has faults of a hundred times the magnitude.
 """
@@ -24,11 +24,11 @@ from leglab.diagnosis.thresholds import KINDS_OF_FORCE, LONGEST_DELAY, TOP_QUANT
 class Motion:
     """Largest recorded values of a joint."""
 
-    position: float  #: Half the range of its positions [rad or m]
-    deflection: float  #: From the rest position of its spring, present or missing [rad or m]
-    velocity: float  #: Per second
-    acceleration: float  #: Per second squared
-    force: float  #: Of the drive, of gravity and the like, or of inertia [N m or N]
+    position: float  #: Half the range of the joint's positions [rad or m]
+    deflection: float  #: From the rest position of its spring, if any or missing [rad or m]
+    velocity: float  #: [rad/s or m/s]
+    acceleration: float  #: [rad/s^2 or m/s^2]
+    force: float  #: Of the drive, of gravity and other bias forces, or of inertia [N m or N]
 
     def of_unit(self, unit: str) -> float:
         """Returns the recorded magnitude of a quantity by its unit; 0 for units without one."""
@@ -54,14 +54,14 @@ class Motion:
 class Shown:
     """Largest quantities in recordings."""
 
-    joints: Mapping[str, Motion]  #: By joint
-    #: Half the range of each actuator's input, by actuator: of its command, or of the position
-    #: error of a position servo.
+    joints: Mapping[str, Motion]  #: Largest recorded values, by joint
+    #: Half the range of each actuator's input, by actuator: the command, or for position servos the
+    #: position error.
     commands: Mapping[str, float]
-    #: Largest magnitudes, by ("command", actuator), and of drives by ("force", joint).
+    #: Largest command by ("command", actuator), and largest drive force by ("force", joint).
     largest: Mapping[tuple[str, str], float]
     period: float  #: Sampling period [s]
-    change: float  #: Shortest time in which a command changes by its size, rms u / rms du/dt [s]
+    change: float  #: Shortest time in which a command changes by its rms, rms u / rms du/dt [s]
     correlation: float  #: Longest time at which a command's autocorrelation falls to a half [s]
 
     def or_larger(self, other: "Shown") -> "Shown":
@@ -85,7 +85,8 @@ def shown(problem: Problem) -> Shown:
     rows: dict[str, list[np.ndarray]] = {j: [] for j in machine.joints}
     commands: dict[str, list[np.ndarray]] = {a: [] for a in machine.actuators}
     errors: dict[str, list[np.ndarray]] = {a: [] for a in position_servos(machine)}
-    # Commands are inputs, known of held-out recordings too; a limit at the largest has no effect.
+    # Largest command of all recordings: commands are inputs, so they are known even of held-out
+    # recordings. A limit at the largest command has no effect.
     largest = {
         ("command", a): max(float(np.abs(s.columns[f"{a}_command"]).max()) for s in problem.series)
         for a in machine.actuators
@@ -163,8 +164,8 @@ def _limited(p: EffectParameter, largest: float) -> EffectParameter:
     """Returns a limit with trials below the largest recorded command or force."""
     most = min(p.nominal, largest)
     if most <= p.lower:
-        return p  # nothing comes near a limit
-    # The limit cuts off a little, some or most of the largest value.
+        return p  # no recorded value comes near a limit
+    # Trial limits cut off a little, some or most of the largest recorded value.
     shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
     trials = tuple(most * share for share in shares if most * share > p.lower)
     return replace(p, nominal=most, upper=most, trials=trials or p.trials)
@@ -179,11 +180,11 @@ def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen:
 
 
 def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
-    """Returns a strength with trials scaled to `size` on its former sides, and its bounds."""
+    """Returns a strength with bounds and trials scaled to `size`, on the sides of its trials."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
-    # A controller computes for up to a period and holds for another: less is no fault. Logs do not
-    # show when in a period a command acts or a sensor is read.
+    # A delay below two periods is no fault: a controller computes for up to a period and holds the
+    # command for another. Logs do not show when in a period a command acts or a sensor is read.
     period = seen.period if p.unit == "s" else 0.0
     least = max(TRIALS[0] * size, 2.0 * period)
     steps = [least * t / TRIALS[0] for t in TRIALS]
@@ -194,7 +195,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]
     lower = p.nominal - far if p.lower < p.nominal else p.lower
     if p.lower >= 0.0:
-        lower = p.lower  # what physics forbids stays forbidden
+        lower = p.lower  # a bound set by physics stays
     upper = p.nominal + far if p.upper > p.nominal else p.upper
     if p.unit in ("rad", "m"):  # zeros and rest positions lie anywhere in the joint's travel
         lower, upper = min(lower, p.lower), max(upper, p.upper)
@@ -206,6 +207,6 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    # Controllers compute and hold, models act at once: times differ by up to a period either way.
+    # A model acts at once, a controller computes and holds: delays differ by up to a period.
     tolerance = max(p.tolerance, period / math.sqrt(3.0))
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

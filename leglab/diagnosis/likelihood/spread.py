@@ -1,7 +1,7 @@
-"""Model error: covariance pattern of errors by an inexact model structure, of unknown scale.
+"""Model error: covariance of the errors that an inexact model structure causes, up to a scale.
 
-Errors at the best parameters are correlated in time in each channel, and have a magnitude in each
-recording (Kennedy and O'Hagan 2001).
+Such errors remain at the best parameters. They are correlated in time within a channel, and their
+magnitude differs between recordings (Kennedy and O'Hagan 2001).
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from leglab.diagnosis.thresholds import FORCE_BLOCKS, SMALL
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
     """Returns orthonormal directions in which errors are independent, (channels, channels).
 
-    They are the channels, except for a cylinder's two chambers: the pressure errors that change its
-    force, which the mechanism determines, and those that do not, which valve edges and oil do.
+    They are the channels. For a cylinder's two chambers, one direction changes the cylinder's force
+    (its errors come from the mechanism), the other does not (its errors come from valves and oil).
     """
     found = np.eye(len(channels))
     for cylinder in machine.cylinders:
@@ -38,11 +38,11 @@ def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
 def _pattern(
     errors: np.ndarray, recording: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Computes covariances over the bins, of trace `bins`, and mean squares by recording.
+    """Computes covariance matrices over the bins, scaled to the trace `bins`, and mean squares.
 
-    Errors (windows, directions, bins) in `count` recordings give (directions, bins, bins) and
-    (recordings, directions), 0 for recordings without windows. Mean squares are medians over
-    windows: single windows start in stick-slip or beside a jump.
+    `errors`, (windows, directions, bins), give covariances, (directions, bins, bins), and mean
+    squares, (recordings, directions), which are 0 for recordings without windows. Mean squares are
+    medians over windows, because a few windows start in stick-slip or next to a jump.
     """
     windows, directions, bins = errors.shape
     size = np.sqrt((errors**2).mean(axis=2))
@@ -52,7 +52,7 @@ def _pattern(
     scale = np.maximum(usual[recording], 1e-300)
     normal = errors / np.maximum(size, scale)[:, :, None]
     shape = np.einsum("wki,wkj->kij", normal, normal) / windows
-    # Few windows: correlations of bins are shrunk (Ledoit and Wolf 2004, with a fixed share).
+    # The fewer the windows, the more correlations of bins are shrunk (Ledoit and Wolf 2004).
     share = bins / (bins + windows)
     diagonal = np.einsum("kii->ki", shape)
     shape = (1.0 - share) * shape
@@ -66,7 +66,7 @@ def _pattern(
 class Spread:
     """Covariance of the model error in each recording, at scale 1."""
 
-    replays: np.ndarray  #: Of replays, (recordings, size, size)
+    replays: np.ndarray  #: Of replay errors, (recordings, size, size)
     forces: np.ndarray  #: Of residual forces, (recordings, joints x blocks, joints x blocks)
 
     @classmethod
@@ -88,7 +88,7 @@ class Spread:
         forces = np.zeros((count, joints, blocks, joints, blocks))
         if joints:
             shape, variance = _pattern(left.reshape(-1, joints, blocks), at.recording, count)
-            # A joint at rest has no residual force, but no force is known that well.
+            # A joint at rest has no residual force, but no force is that exact: a minimum applies.
             least = SMALL**2 * variance.max(axis=0)
             variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
@@ -97,11 +97,11 @@ class Spread:
         return cls(*(x.reshape(count, n, n) for x, n in zip((replays, forces), sizes, strict=True)))
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
-        """Returns the covariance of other recordings, each that of one of these by `which`."""
+        """Returns covariances for other recordings; the i-th is that of recording `which[i]`."""
         return Spread(self.replays[list(which)], self.forces[list(which)])
 
     def whitening(self, at: Errors) -> "Whitening":
-        """Returns directions in which window errors are independent at every model-error scale."""
+        """Returns the whitening of the chosen windows' errors for every model-error scale."""
         for known, made in at.whitenings:
             if known is self:
                 return made
@@ -133,25 +133,25 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Covariances N + s^2 D of windows' errors at all scales s, from one decomposition of each.
+    """Covariances N + s^2 D of windows' errors at all scales s, from a decomposition per window.
 
     With N^-1 = L'L and L D L' = Q diag(r) Q', rows of Q'L are independent and have the variances
     1 + s^2 r.
     """
 
-    basis: np.ndarray  #: Q'L, (windows, rows, rows); below it inverse roots of forces
+    basis: np.ndarray  #: Block diagonal: Q'L, inverse roots of forces, (windows, rows, rows)
     ratio: np.ndarray  #: r, (windows, size)
     noise: np.ndarray  #: Diagonal of N, (windows, size)
     own: np.ndarray  #: Diagonal of D, (windows, size)
     log: np.ndarray  #: Log determinants of N, (windows,)
-    force_log: np.ndarray  #: Those of forces, in units of the unchanged model's residual forces
+    force_log: np.ndarray  #: Log determinants of forces, in units of the unchanged model's forces
 
     def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
         """Returns factors that scale rows to unit variance, (windows, rows), and log determinants.
 
-        `size` and `forces` are factors on the model error of replays and of forces. Forces have no
-        noise covariance: they are weighted by the share of the replays' variance that is model
-        error. Residual forces of an exact model are noise and have the weight 0.
+        `size` and `forces` are the model-error scales of replays and of residual forces. Residual
+        forces have no noise covariance. Their weight is the model error's share of the replays'
+        variance, because residual forces of an exact model are noise and have to count 0.
         """
         n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
         variance = 1.0 + size**2 * self.ratio

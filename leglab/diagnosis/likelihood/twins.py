@@ -1,11 +1,11 @@
 """Effects that recordings of some channels cannot distinguish, whatever the motion.
 
 A late command and a late position sensor shift the same motion against the same command. Only a
-third signal tells them apart: a pressure, or the motion of a coupled joint. A delay of a command
-that is constant in all recordings changes nothing and has no twin.
+third signal distinguishes the two effects: a pressure, or the motion of a coupled joint. A delay of
+a command that is constant in all recordings changes nothing, so it has no twin.
 
-A common factor on all forces does not change the motion either: a heavier weight equals less
-inertia, friction and stiffness. Only a known force, of an active drive of known gain, decides.
+A common factor on all forces does not change the motion either: a heavier weight is equivalent to
+less inertia, friction and stiffness. Only a drive with a known gain, hence force, resolves this.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ _DELAYS = ("command_delay", "sensor_delay")
 
 
 def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
-    """Returns the exact twins of an effect on an element among the effects of the search."""
+    """Returns the effects of the search that no recording can distinguish from the effect `key`."""
     machine = problem.machine
     if key[0] not in _DELAYS or any(c.chamber for c in problem.channels):
         return ()
@@ -47,7 +47,7 @@ def _changes(problem: Problem, actuator: str) -> bool:
 
 
 def coupled_joints(machine: Machine) -> tuple[str, ...]:
-    """Returns joints whose acceleration acts on another joint, by mass matrices at some poses."""
+    """Returns joints that inertia couples to another joint, by mass matrices at three poses."""
     model = machine.base.model
     data = mujoco.MjData(model)
     found: set[int] = set()
@@ -66,10 +66,10 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
 def scale_twins(
     problem: Problem, u: Unknowns, own: np.ndarray, members: tuple[int, ...], x: np.ndarray
 ) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
-    """Yields sets with the motion of a fitted set, all forces scaled, and no more members.
+    """Yields sets with a fitted set's motion, all forces scaled, and no more parameters.
 
-    Each factor returns one member of the fitted set to the specimen's value. Other unknowns whose
-    departure nobody would notice, or which their tolerance allows, are no members.
+    Each factor returns one member (parameter of the fitted set) to the specimen's value. Unknowns
+    whose departure is then too small to be noticed, or within tolerance, are no members.
 
     Args:
         problem: Recordings and machine.
@@ -79,7 +79,7 @@ def scale_twins(
         x: Departures of all unknowns in the fitted set, (unknowns,).
 
     Yields:
-        Members of the twin, and the moves of unknowns from `x` to it.
+        Members of the new set, and the moves of unknowns from `x` to this set.
     """
     now = x[: u.single]
     scaling = np.array([_is_force(u, i) for i in range(u.single)]) | (own != 0.0)
@@ -98,11 +98,11 @@ def scale_twins(
 
 
 def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
-    """Returns the specimen's values that a factor on all forces scales, in trials; else zeros.
+    """Returns the specimen's values that scale with all forces, in trials; 0 for other unknowns.
 
-    They are its inertia, friction, stiffness, masses and gains, (single,), each under one effect
-    only: effects that contain another one as a special case have none. All are zero if an acting
-    force has no unknown.
+    They are inertia, friction, stiffness, masses and gains, (single,). Each counts under one effect
+    only: effects that contain another effect as a special case have 0. All values are 0 if an
+    acting drive has no unknown gain.
     """
     machine, library, own = problem.machine, problem.library, np.zeros(u.single)
     acting = {a for a in machine.actuators if _acts(problem, a)}
@@ -121,7 +121,7 @@ def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
 
 
 def _is_force(u: Unknowns, i: int) -> bool:
-    """Tests whether a single unknown is a force, or a force per motion, but no limit of forces."""
+    """Tests whether a single unknown is a force, or a force per motion, but not a limit."""
     (key, n) = u.places[i][0]
     p = u.library.sites[key].parameters[n]
     return p.unit.startswith(("N", "kg")) and p.role == "strength" and not p.inverse
@@ -136,7 +136,7 @@ def _acts(problem: Problem, actuator: str) -> bool:
 def _at_centres(
     problem: Problem, u: Unknowns, members: list[int], x: np.ndarray
 ) -> dict[int, float]:
-    """Returns moves of the payloads among members to their bodies' centres of mass, in trials."""
+    """Returns moves, in trials, that put payloads of the set at their bodies' centres of mass."""
     bodies = {u.keys[q] for q in members if u.keys[q][0] == "payload"}
     found = {}
     for i in range(u.single):

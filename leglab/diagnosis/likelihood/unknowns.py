@@ -1,4 +1,4 @@
-"""Unknowns of a diagnosis: all parameters of all effects, and parameters shared by like parts."""
+"""Unknowns of a diagnosis: all parameters of all effects, and parameters that elements share."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from leglab.diagnosis.effects.base import Effect
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key, Library
 from leglab.diagnosis.thresholds import FINE
 
-# A parameter of the library: effect and element, and its index among their parameters.
+# A parameter of the library: key (effect, element), and index among the effect's parameters.
 Place = tuple[Key, int]
-# Element of an effect that all like parts share.
+# Element in the key of an effect that all like elements share.
 EVERY = "every"
 
 
@@ -20,25 +20,25 @@ EVERY = "every"
 class Unknowns:
     """Departures from the specimen, in smallest trials; all arrays have shape (unknowns,).
 
-    The first unknowns are parameters of the library, each at one place. The others, `tied`, move
-    the same parameter on all like parts by the same number of trials: a bus that delays all
-    commands, one batch of worn valves. Single unknowns deviate from what a tied one sets.
+    The first unknowns are single: one parameter on one element. The others are tied: each moves one
+    parameter on all like elements by the same number of trials, as a bus that delays all commands.
+    The departure of a single unknown is added to that of a tied unknown.
     """
 
-    library: Library  #: The effects
+    library: Library  #: Effects whose parameters are the unknowns
     places: tuple[tuple[Place, ...], ...]  #: Parameters that each unknown moves
-    keys: tuple[Key, ...]  #: Effect and element of each; the element is `EVERY` for tied ones
-    scale: np.ndarray  #: Smallest trial in units of `from_nominal`; 1 for tied ones
-    #: Standard deviation between good machines, in trials; 0 where none is known.
+    keys: tuple[Key, ...]  #: Effect and element; the element of a tied unknown is `EVERY`
+    scale: np.ndarray  #: Smallest trial in units of `from_nominal`; 1 for tied unknowns
+    #: Standard deviation between good machines, in trials; 0 if none is known.
     tolerance: np.ndarray
     lower: np.ndarray  #: Least departure, in trials
     upper: np.ndarray  #: Largest departure, in trials
-    shape: np.ndarray  #: Whether it changes nothing while the effect's strengths are nominal
+    shape: np.ndarray  #: Whether it has no influence while the effect's strengths are nominal
     nameable: np.ndarray  #: Whether it can be a fault
-    gradual: np.ndarray  #: Whether a good machine may have a little of it
-    above: np.ndarray  #: Whether faults lie above nominal
-    below: np.ndarray  #: Whether faults lie below nominal
-    limits: np.ndarray  #: Whether it limits a command or force
+    gradual: np.ndarray  #: Whether a good machine may have a small amount of the effect
+    above: np.ndarray  #: Whether its faults lie above nominal
+    below: np.ndarray  #: Whether its faults lie below nominal
+    limits: np.ndarray  #: Whether it is a limit of a command or force
 
     @classmethod
     def of(cls, library: Library) -> "Unknowns":
@@ -74,12 +74,12 @@ class Unknowns:
 
     @cached_property
     def single(self) -> int:
-        """Number of unknowns at one place; they come first."""
+        """Number of single unknowns, which come first."""
         return sum(key[1] != EVERY for key in self.keys)
 
     @cached_property
     def sites(self) -> int:
-        """Number of effects, on one element or on all like parts, that can be faults."""
+        """Number of effects, on one element or on all like elements, that can be faults."""
         return len({key for key, can_be in zip(self.keys, self.nameable, strict=True) if can_be})
 
     @cached_property
@@ -91,24 +91,24 @@ class Unknowns:
         return tuple(self._index[place] for place in self.places[unknown])
 
     def names(self, unknowns: Iterable[int]) -> frozenset[Key]:
-        """Returns the effects and elements of some unknowns."""
+        """Returns the keys (effect, element) of some unknowns."""
         return frozenset(self.keys[q] for q in unknowns)
 
     def effect(self, unknown: int) -> Effect:
-        """Returns the effect of an unknown, of the first part where it has several."""
+        """Returns the effect of an unknown; for a tied unknown that on the first element."""
         return self.library.sites[self.places[unknown][0][0]].effect
 
     def library_keys(self, unknown: int) -> frozenset[Key]:
-        """Returns the effects and elements that an unknown moves."""
+        """Returns effect and element of each parameter that an unknown moves."""
         return frozenset(key for key, _ in self.places[unknown])
 
     def name(self, unknown: int) -> str:
-        """Returns the name of the parameter."""
+        """Returns the name of the parameter that an unknown moves."""
         key, i = self.places[unknown][0]
         return self.library.sites[key].parameters[i].name
 
     def departures(self, hypothesis: Mapping[Key, np.ndarray]) -> np.ndarray:
-        """Computes the departures of a hypothesis, (unknowns,); those of tied unknowns are 0."""
+        """Computes the departures of a hypothesis, (unknowns,); tied unknowns have 0."""
         x = np.zeros(len(self))
         for u in range(self.single):
             ((key, i),) = self.places[u]
@@ -121,8 +121,8 @@ class Unknowns:
     def moved(self, hypothesis: Hypothesis, by: Mapping[int, float]) -> Hypothesis:
         """Returns the hypothesis with unknowns moved by departures, within the parameters' bounds.
 
-        A moving part is present or absent: a strength below half of the smallest step of tangents,
-        which a step along all unknowns may leave, is set to its nominal value.
+        An effect that is not `gradual` is present or absent. A step along all unknowns may leave a
+        tiny strength of it, so a strength below half of the smallest tangent step becomes nominal.
         """
         new: dict[Key, np.ndarray] = {}
         for u, departure in by.items():
@@ -142,9 +142,9 @@ class Unknowns:
 
 
 def _tied(library: Library, rows: list[dict]) -> list[dict]:
-    """Returns rows of tied unknowns: one parameter shared by at least three like elements.
+    """Returns rows of the unknowns that at least three like elements share, as `rows`.
 
-    On two parts a shared unknown is nearly as informative as one per part, so it has no row.
+    For two elements a shared unknown would gain little over two single ones, so none is made.
     """
     groups: dict[tuple[str, str, str, int], list[dict]] = {}
     for row in rows:

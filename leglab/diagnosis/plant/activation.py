@@ -1,7 +1,7 @@
 """Activation of MuJoCo's native actuators (filters, integrators, muscles) along a recording.
 
-MuJoCo computes it from the commands at the actuators: a model with only these actuators is stepped
-through the recording. MuJoCo documentation, "Computation", "Activation dynamics".
+Activations depend only on the commands, so MuJoCo computes them by a simulation of a model with
+these actuators alone. MuJoCo documentation, "Computation", "Activation dynamics".
 """
 
 import mujoco
@@ -16,7 +16,7 @@ _ATTRIBUTES = ("dyntype", "dynprm", "actlimited", "actrange", "ctrllimited", "ct
 
 
 def unusable(model: mujoco.MjModel, actuator: int) -> str:
-    """Returns why replays cannot command an actuator; empty if they can."""
+    """Returns the reason why replays cannot command an actuator; empty if they can."""
     if (count := int(model.actuator_ctrlnum[actuator])) != 1:
         names = [mujoco.mj_actuatorInputName(model, actuator, i) for i in range(count)]
         listed = f" ({', '.join(n for n in names if n)})" if any(names) else ""
@@ -60,16 +60,16 @@ def activations(
 ) -> np.ndarray:
     """Returns the activations at the samples, (samples, stateful actuators).
 
-    For an actuator that steps its activation before its force (`actearly`) it is the activation of
-    one step earlier.
+    An actuator that steps its activation before its force (`actearly`) gets the activation of one
+    step earlier.
 
     Args:
         model: Model with the actuators.
-        commands: Held from one sample to the next, (samples, stateful actuators).
+        commands: Commands, held between samples, (samples, stateful actuators).
         steps: Simulation steps per sampling period.
-        timestep: Of the simulation [s].
-        integrated: Initial values of integrators, (stateful actuators,); 0 by default. All others
-            begin settled at the first command.
+        timestep: Time step of the simulation [s].
+        integrated: Initial values of integrators, (stateful actuators,); 0 by default. Other
+            actuators start in the steady state of the first command.
     """
     acting = stateful(model)
     bare = _bare(model, acting, timestep)
@@ -97,7 +97,7 @@ def activations(
 
 
 def _bare(model: mujoco.MjModel, acting: np.ndarray, timestep: float) -> mujoco.MjModel:
-    """Returns a model with only some actuators, which exert no force."""
+    """Returns a model that has only the `acting` actuators, without their forces."""
     spec = mujoco.MjSpec()
     spec.option.timestep = timestep
     spec.option.disableflags = int(model.opt.disableflags) | int(_OFF.mjDSBL_AUTORESET)

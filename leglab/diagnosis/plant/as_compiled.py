@@ -1,8 +1,8 @@
-"""Values that MuJoCo's compiler derives from inertia, fixed at those of the unmodified model.
+"""Values that MuJoCo's compiler derives from inertia, fixed as in the unmodified model.
 
-A drive's damping does not change with its load: `dampratio` and `springdamper` are resolved once,
-and so are muscles' lengths and largest forces, and masses that the compiler scales or bounds.
-MuJoCo documentation, "XML reference".
+For example, a real drive's damping does not change with its load, but `dampratio` and
+`springdamper` are relative to inertia. The same holds for lengths and largest forces of muscles,
+and for masses that the compiler scales or bounds. MuJoCo documentation, "XML reference".
 """
 
 import mujoco
@@ -13,7 +13,7 @@ _MUSCLE_BIAS = mujoco.mjtBias.mjBIAS_MUSCLE
 
 
 class AsCompiled:
-    """Compiled values of a specification, to be written into specifications of the same file.
+    """Values derived by the compiler, for other specifications that are read from the same file.
 
     Raises:
         ValueError: MuJoCo refuses the model.
@@ -40,7 +40,7 @@ class AsCompiled:
                 compiler.fusestatic = fused
 
     def keep(self, spec: mujoco.MjSpec) -> None:
-        """Writes the values into a specification that was read anew from the same file."""
+        """Writes the values into a specification that was newly read from the same file."""
         model = self._model
         if model is None:
             return
@@ -82,7 +82,7 @@ def _keep_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _ratio(actuator: mujoco.MjsActuator) -> bool:
-    """Tests whether a servo's damping may be a ratio, which the compiler resolves."""
+    """Tests whether a servo's damping is a damping ratio, which the compiler converts."""
     return bool(actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[2] > 0.0)
 
 

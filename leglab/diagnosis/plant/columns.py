@@ -1,4 +1,4 @@
-"""Columns of recordings that a model can use, with their units and ranges by the model."""
+"""Columns of recordings that a model can use, with the units and ranges that it implies."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class UsableColumn:
     name: str  #: For instance "knee_position"
     element: str  #: Joint or actuator
     kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
-    unit: str  #: Of the column; "ctrl" if it depends on the model's actuator
-    limits: tuple[float, float] = _FREE  #: Range in this unit
-    follows: str = ""  #: Controlled quantity: "position", "velocity", "effort"; "" for a valve
+    unit: str  #: Unit of the column; "ctrl" if only the actuator defines it
+    limits: tuple[float, float] = _FREE  #: Allowed range in `unit`
+    follows: str = ""  #: "position", "velocity" or "effort" that a command sets; "" for a valve
 
 
 def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
@@ -54,7 +54,7 @@ def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:
 
 
 def _control(machine: Machine, name: str) -> tuple[str, str]:
-    """Returns unit and controlled quantity of a command; MuJoCo's force is gain u + bias."""
+    """Returns unit and controlled quantity of a command u; MuJoCo's force is gain u + bias."""
     if name in machine.cylinders:
         return "1", ""
     entry = machine.base.model.actuator(name)

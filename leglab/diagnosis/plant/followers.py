@@ -1,4 +1,4 @@
-"""Joints whose motion follows from that of the other joints by equality constraints."""
+"""Joints whose motion equality constraints determine from the motion of other joints."""
 
 import copy
 from collections.abc import Collection, Sequence
@@ -8,22 +8,22 @@ import numpy as np
 
 _OFF = mujoco.mjtDisableBit
 _ITERATIONS = 50
-# Steps from the reference pose to the first measured pose: a linkage can close in several ways, and
-# small steps keep Newton's method on the branch of the reference pose.
+# Number of steps from the reference pose to the first measured pose. A linkage can close in several
+# ways, and small steps keep Newton's method on the branch of the reference pose.
 _APPROACH = 50
-# Residual of a closed constraint [m or rad]: at most a thousandth of the resolution of encoders.
+# Residual at which a constraint is satisfied [m or rad], below 1/1000 of encoder resolutions.
 _CLOSED = 1e-9
 
 
 class Followers:
-    """Joints whose positions follow from those of the other joints by equality constraints.
+    """Joints ("followers") whose positions are determined by equality constraints.
 
-    Newton's method on the residuals of MuJoCo's active equalities (joint, connect, weld, tendon),
-    with their Jacobian J = [J_l J_f]: dq_f = -J_f^+ r, and v_f = -J_f^+ J_l v_l.
+    Newton's method solves MuJoCo's active equalities (joint, connect, weld, tendon) with residual r
+    and Jacobian [J_l J_f] of leading joints and followers: dq_f = -J_f^+ r, v_f = -J_f^+ J_l v_l.
 
     Attributes:
         names: Names of the followers.
-        leading: Joints that move a follower, by follower.
+        leading: Names of the joints that move each follower.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Followers:
         self._places = [int(row.qposadr[0]) for row in rows]
         self._dofs = [int(row.dofadr[0]) for row in rows]
         self._others = np.setdiff1d(np.arange(model.nv), self._dofs)
-        self._inverse: np.ndarray | None = None  # of a Jacobian nearby
+        self._inverse: np.ndarray | None = None  # pseudo-inverse of J_f at a pose nearby
         self._data.qpos[:] = model.qpos0
         _, jacobian = self._residual()
         slope = np.abs(self._gain(jacobian))
@@ -48,9 +48,9 @@ class Followers:
         }
 
     def positions(self, rows: np.ndarray, *, near: bool = False) -> np.ndarray:
-        """Computes the followers' positions in rows of positions of all joints, (samples, nq).
+        """Returns poses `rows`, (samples, nq), with the positions of followers computed.
 
-        The rows are samples of one motion, or, if `near`, poses with nearly closed constraints.
+        The poses are samples of one motion or, if `near`, almost satisfy the equalities already.
         """
         out, data = rows.copy(), self._data
         others = np.setdiff1d(np.arange(self._model.nq), self._places)
@@ -68,7 +68,7 @@ class Followers:
         return out
 
     def velocities(self, positions: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Completes velocities, (samples, nv), by the followers', at positions (samples, nq)."""
+        """Returns velocities `rows`, (samples, nv), with the followers' velocities computed."""
         out = rows.copy()
         for k, position in enumerate(positions):
             self._data.qpos[:] = position
@@ -103,7 +103,7 @@ class Followers:
 
 
 def copy_of_equalities(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Copies a model whose only constraints are its equalities, with a dense Jacobian."""
+    """Copies a model with all constraints but equalities disabled, and a dense Jacobian."""
     found = copy.copy(model)
     found.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for flag in (_OFF.mjDSBL_CONTACT, _OFF.mjDSBL_LIMIT, _OFF.mjDSBL_FRICTIONLOSS):
@@ -120,16 +120,16 @@ def _residual(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, n
 def determined(
     model: mujoco.MjModel, joints: Sequence[str], unmeasured: Collection[str]
 ) -> frozenset[str]:
-    """Returns the unmeasured joints that equalities determine by the measured ones.
+    """Returns the unmeasured joints whose positions equalities and measured joints determine.
 
-    A joint is determined if it rests in every motion of the unmeasured joints that satisfies all
-    equalities: the null space of J_u has no component on it.
+    A joint is determined if no motion of the unmeasured joints alone that satisfies all equalities
+    moves it: its component in the null space of their Jacobian is zero.
     """
     if not unmeasured or not model.neq:
         return frozenset()
     own = copy_of_equalities(model)
     data = mujoco.MjData(own)
-    # Any non-singular pose; the rank does not depend on the residual.
+    # Any non-singular pose will do, because the rank does not depend on the residual.
     data.qpos[:] = model.qpos0 + 0.1
     _, jacobian = _residual(own, data)
     names = [name for name in joints if name in unmeasured]

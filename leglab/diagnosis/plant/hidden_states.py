@@ -1,4 +1,4 @@
-"""Cache of hidden states along a recording (bristles, spool), reused while inputs are equal."""
+"""Cache of hidden states along a recording (bristles, spool), reused if inputs are equal."""
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
@@ -10,9 +10,9 @@ T = TypeVar("T")
 
 
 class HiddenStates:
-    """The last few results of each name, by their inputs: `found`, in order of use.
+    """Cache `found` of the last three results per name with their inputs, least recent first.
 
-    Cached arrays are returned as the same objects, so that results of these are also found fast.
+    It returns the same array objects again, so that results which depend on them are found fast.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The machine under diagnosis: its model, compiled variants, and places of its parameters."""
+"""The machine under diagnosis: its model, compiled variants, and indices of parameters."""
 
 import math
 from collections import OrderedDict
@@ -40,21 +40,21 @@ _WAY_OUT = {
 }
 _OFF = mujoco.mjtDisableBit
 _CACHED_VARIANTS = 64
-# Only one model is compiled at a time.
+# Held while a model is compiled: only one is compiled at a time.
 _COMPILING = Lock()
-# Moments or inertias below this share of a machine's largest one are rounding, see `moved`.
+# Share of a machine's largest moment (or inertia) below which one is a rounding error; see `moved`.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A compiled model with the places and initial values of its plugin states."""
+    """A compiled model with the indices and initial values of its plugin states."""
 
     model: mujoco.MjModel  #: Compiled at the replay's time step
-    #: Index in `plugin_state` and table of every plugin instance, by name.
+    #: First index in `plugin_state`, and parameter table, of every plugin instance by name.
     elements: dict[str, tuple[int, PluginTable]]
     joint_of: dict[str, str]  #: Joint that a passive instance acts on, by instance
-    drawn_by: dict[str, tuple[str, ...]]  #: Cylinders that draw from each supply, by its instance
+    drawn_by: dict[str, tuple[str, ...]]  #: Cylinders fed by each supply instance
     plugin_state: np.ndarray  #: Parameters and initial states after a reset, (npluginstate,)
 
     def slot(self, element: str, name: str) -> int:
@@ -72,12 +72,12 @@ class Variant:
 class Machine:
     """An MJCF model whose hinge and slide joints are measured.
 
-    It is read from a file, or from a model that ships with leglab. The time step of replays [s] is
-    by default the file's. Positions of `followers` are computed from those of the other joints. If
-    `fix_base`, free joints are removed: the base stays at its pose in the model.
+    `path` is a file, or the name of a model that ships with leglab. The default `timestep` [s] is
+    the file's. Positions of the joints `followers` are computed from the other joints' positions.
+    If `fix_base`, free joints are removed, so that the base stays at its pose in the model.
 
     Raises:
-        LeglabError: If the model cannot be loaded or has another kind of joint.
+        LeglabError: If the model cannot be loaded or has free or ball joints.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Machine:
             if not joint:
                 told = f"{self.path.name}: joint {called} is measured by no column: they go by "
                 raise ModelError(f"{told}name; allowed: ", given=number, allowed='name="..."')
-        #: Joints that equality constraints determine; None where all are measured.
+        #: Joints that equality constraints determine; None if all joints are measured.
         self.followers = Followers(model, self.all_joints, followers) if followers else None
         led = self.followers.leading if self.followers else {}
         #: Joints that are measured.
@@ -143,7 +143,7 @@ class Machine:
         #: Actuators with an activation, in the order of MuJoCo's `act`.
         self.stateful = tuple(self.actuators[i] for i in stateful(model))
         data = mujoco.MjData(model)
-        # At a singular qpos0 (a straight linkage) a moment may vanish.
+        # Not at qpos0: if it is singular (a straight linkage), moments may vanish.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
@@ -187,7 +187,7 @@ class Machine:
         return frozenset(joint for each in led for joint in each)
 
     def measured_by(self, columns: Collection[str]) -> "Machine":
-        """Returns the machine whose unmeasured joints follow, where equalities determine them."""
+        """Returns the machine that has the unmeasured joints as followers, if equalities allow."""
         absent = {j for j in self.all_joints if f"{j}_position" not in columns}
         found = determined(self.base.model, self.all_joints, absent)
         same = found == set(self.follower_names)
@@ -196,9 +196,9 @@ class Machine:
     def spec(self, *, whole: bool = False) -> mujoco.MjSpec:
         """Returns a new specification of the model, read from the file.
 
-        Values that the compiler derives from inertia are fixed, see `AsCompiled`. If `whole`, it
-        keeps free joints that `fix_base` removes. An actuator without a name gets that of its
-        joint, and names in settings of plugins get the prefix of an attached model.
+        Values that the compiler derives from inertia are fixed, see `AsCompiled`. If `whole`, free
+        joints that `fix_base` removes are kept. An actuator without a name gets its joint's name,
+        and names in plugin settings get the prefix of an attached model.
 
         Raises:
             LeglabError: The model's files have changed since they were read.
@@ -229,7 +229,7 @@ class Machine:
         return tuple(name for name, (_, t) in self.base.elements.items() if t.plugin == plugin)
 
     def native_actuators(self) -> tuple[str, ...]:
-        """Returns the names of the actuators that no plugin computes."""
+        """Returns the names of the actuators that are not plugins."""
         model = self.base.model
         return tuple(name for i, name in enumerate(self.actuators) if model.actuator_plugin[i] < 0)
 
@@ -243,12 +243,12 @@ class Machine:
         return float(self.moments[self.actuators.index(actuator), dof])
 
     def instance_on(self, plugin: str, attribute: str, target: str) -> str | None:
-        """Returns a plugin's first instance whose `attribute` ("joint", "actuator") is a target."""
+        """Returns a plugin's first instance whose `attribute` ("joint", "actuator") is `target`."""
         of_it = (one for one in self._spec.plugins if one.plugin_name == plugin)
         return next((str(one.name) for one in of_it if one.config.get(attribute) == target), None)
 
     def free_name(self, name: str) -> str:
-        """Returns a name that no element has, with a number appended if needed."""
+        """Returns the name, with a number appended if an element has this name already."""
         spec = self._spec
         taken = {part.name for part in (*spec.plugins, *spec.actuators, *spec.bodies)}
         numbered = (f"{name}_{number}" for number in count(2))
@@ -259,7 +259,7 @@ class Machine:
         return self.instance_on(SPRING, "joint", joint)
 
     def variant(self, edits: tuple[Edit, ...]) -> Variant:
-        """Returns the model after edits of its specification, compiled once per set of keys.
+        """Returns the model after edits of its specification; compiled models are cached.
 
         Raises:
             LeglabError: If MuJoCo refuses the edited model.
@@ -302,7 +302,7 @@ class Machine:
 
 
 def take_free_joints_out(spec: mujoco.MjSpec) -> None:
-    """Deletes free joints in place: their bodies stay at their poses in the specification."""
+    """Deletes free joints in place, so that their bodies stay at their poses in the model."""
     free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
     for joint in free:
         spec.delete(joint)
@@ -313,9 +313,9 @@ def take_free_joints_out(spec: mujoco.MjSpec) -> None:
 def moved(moments: np.ndarray) -> np.ndarray:
     """Returns the degrees of freedom that an actuator moves, by its moments, (nv,).
 
-    A tendon's moments are differences of lengths as large as the machine: on joints that it does
-    not cross rounding errors remain, 1e-16 of the largest moment, or 1e-13 if a lever is a
-    thousandth of the machine.
+    A tendon's moments are differences of lengths as large as the machine. So moments on joints that
+    the tendon does not cross are not zero but rounding errors: 1e-16 of the largest moment, or
+    1e-13 if a lever is a thousandth of the machine's size.
     """
     size = np.abs(moments)
     return np.flatnonzero(size > ROUNDING * size.max())
@@ -337,19 +337,19 @@ class Measured:
     pressure: dict[str, np.ndarray]
     samples: np.ndarray  #: Samples at which windows start, (windows,)
     start: float = 0.0  #: Time of the first sample [s]
-    #: Part of the velocity by commands of native actuators without lag, by joint, each (n,); its
-    #: slope jumps with the commands.
+    #: Part of the velocity that commands of native actuators cause, by joint, each (n,). Its slope
+    #: jumps with the commands.
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
-    #: Whether a body that a joint carries is in contact, (n,) by joint, if contacts are possible.
+    #: Whether a body that a joint moves is in contact, by joint, each (n,).
     touched: dict[str, np.ndarray] = field(default_factory=dict)
-    #: MuJoCo's `act`, (n,) by actuator with an activation.
+    #: MuJoCo's activation `act` of each actuator that has one, each (n,).
     activation: dict[str, np.ndarray] = field(default_factory=dict)
     hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the recording
 
 
 @dataclass(frozen=True)
 class ForceLeft:
-    """A joint's motion at some moments, and the residual force on it; all (moments,).
+    """A joint's motion at some moments, and the residual force on the joint; all (moments,).
 
     The residual force is M a + bias minus all forces of the model [N m or N].
     """
@@ -360,21 +360,21 @@ class ForceLeft:
     force: np.ndarray
 
 
-# Value of a plugin state at the start of every window, shape (windows,).
+# Function that returns the values of a plugin state at the window starts, (windows,).
 Start = Callable[[Measured, Variant, np.ndarray], np.ndarray]
 
 
 class Change:
-    """Builder to which effects write their changes of an unmodified machine, in order."""
+    """Builder that collects the changes of an unmodified machine by effects, in order."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self.edits: list[Edit] = []
         self.parameters: dict[tuple[str, str], float] = {}
-        #: Plugins of instances that edits insert, by instance.
+        #: Plugin of each instance that edits insert, by instance name.
         self.inserted: dict[str, str] = {}
         self.beyond = False  #: Whether a value was outside the bounds of its plugin's parameter
-        # Paths of the model file come first.
+        # Command and sensor paths of the model file come first.
         commands, corrections = machine.carried
         self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
         self.corrections = {column: list(undone) for column, undone in corrections.items()}
@@ -386,16 +386,16 @@ class Change:
         return self.machine.variant(tuple(self.edits))
 
     def parameter(self, element: str, name: str) -> float:
-        """Returns the present value of a plugin parameter: as set, else as in the model."""
+        """Returns the value of a plugin parameter: as set by this change, else as in the model."""
         if (element, name) in self.parameters:
             return self.parameters[element, name]
         return self.machine.parameter(element, name)
 
     def set_parameter(self, element: str, name: str, value: float) -> None:
-        """Sets a plugin parameter through `plugin_state`, fast since nothing is compiled.
+        """Sets a plugin parameter through `plugin_state`, without compiling the model again.
 
-        The element may be one that an `edit` inserts. A value outside the plugin's bounds becomes
-        the nearest bound; see `within` for an excluded minimum.
+        The element may be inserted by an `edit`. A value outside the plugin's bounds becomes the
+        nearest bound; see `within` if the minimum itself is excluded.
         """
         elements, own = self.machine.base.elements, math.nan
         if element in elements:
@@ -409,7 +409,7 @@ class Change:
         self.parameters[element, name] = self.within(table.parameters[name], value, own)
 
     def within(self, row: Parameter, value: float, own: float) -> float:
-        """Returns the nearest value within bounds; just above an excluded one, by `own` (model)."""
+        """Limits a value to its bounds; an excluded minimum is raised slightly toward `own`."""
         low = row.minimum
         if not row.minimum_allowed:
             low += NEGLIGIBLE * (own - low)
@@ -417,39 +417,39 @@ class Change:
         return float(min(max(value, low), row.maximum))
 
     def add_parameter(self, element: str, name: str, difference: float) -> None:
-        """Adds to a plugin parameter, so that effects on the same parameter compose.
+        """Adds a difference to a plugin parameter, so that several effects on it add up.
 
-        The sum of several effects is limited to the plugin's bounds.
+        The sum is limited to the plugin's bounds.
         """
         self.set_parameter(element, name, self.parameter(element, name) + difference)
 
     def edit(self, key: Hashable, function: Callable[[mujoco.MjSpec], None]) -> None:
         """Edits the specification: inserts an element, or changes a native attribute.
 
-        Models are compiled once per set of keys, so the key holds every value that `function`
-        writes. An element that is inserted with neutral parameters is compiled only once if
-        `set_parameter` then sets them.
+        Compiled models are cached by the keys of their edits, so the key must contain every value
+        that `function` writes. To compile only once, insert an element with neutral parameters and
+        set these by `set_parameter`.
         """
         if key not in [known for known, _ in self.edits]:
             self.edits.append((key, function))
 
     def command(self, actuator: str, function: CommandPath) -> None:
-        """Puts a fault between the measured command and an actuator."""
+        """Applies a function (a fault) to the measured command before it reaches the actuator."""
         if actuator not in self.machine.actuators:
             raise SettingsError.unknown("actuator", actuator, self.machine.actuators)
         self.commands.setdefault(actuator, []).append(function)
 
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
-        """Undoes a sensor fault in a measured column, before states are reconstructed from it.
+        """Corrects a sensor fault in a measured column, before states are reconstructed from it.
 
-        Predictions are compared with corrected values. `noise_gain` is the factor by which
-        `function` multiplies sensor noise (1/scale of a gain fault): no fit gains by less noise.
+        Predictions are compared with corrected values. Errors are divided by `noise_gain`, by which
+        `function` multiplies noise (1/scale of a gain fault): less noise alone is no better fit.
         """
         self.corrections.setdefault(column, []).append((function, noise_gain))
 
     def start(self, element: str, state: str, function: Start) -> None:
         """Sets the function that gives a hidden plugin state at window starts from measured series.
 
-        Needed only for plugins without a general rule in `leglab.diagnosis.replay.starts`.
+        Only plugins that `leglab.diagnosis.replay.starts` does not handle need such a function.
         """
         self.starts[element, state] = function

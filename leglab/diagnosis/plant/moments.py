@@ -1,4 +1,4 @@
-"""Inverse dynamics: forces of a compiled model at moments of a motion."""
+"""Inverse dynamics: forces of a compiled model at single moments of a motion."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 class MomentForces:
     """Forces at moments; arrays that were not requested are empty."""
 
-    #: Residual forces: needed for the accelerations beyond the modelled ones, (moments, nv).
+    #: Residual forces: those that accelerations need beyond the modelled forces, (moments, nv).
     lacking: np.ndarray
-    load: np.ndarray  #: Of actuators on joints, (moments, nv)
+    load: np.ndarray  #: Actuator forces on joints, (moments, nv)
     bias: np.ndarray  #: Gravity, Coriolis and centrifugal forces, (moments, nv)
     length: np.ndarray  #: Lengths of actuators, (moments, nu)
     speed: np.ndarray  #: Velocities of actuators, (moments, nu)
@@ -35,7 +35,7 @@ def forces_at(
     """Computes the forces of a model at independent moments.
 
     Inputs are full physics states, (moments, nstate), controls, (moments, nu), and accelerations,
-    (moments, nv), NaN for joints that move as modelled; None: no residual forces are requested.
+    (moments, nv), NaN for joints that move as modelled. None: no residual is computed.
     """
     joints, actuators = (model.nv,), (model.nu,)
     shapes = dict.fromkeys(("load", "bias"), joints) | {"inertia": joints + joints}
@@ -62,8 +62,8 @@ def states_at(
 ) -> np.ndarray:
     """Returns full physics states of a measured motion at some samples, (samples, nstate).
 
-    `plugin` holds the plugins' parameters and states, (samples, npluginstate) or (npluginstate,);
-    those at the indices `without` are set to zero.
+    `plugin` contains the plugins' parameters and states, (samples, npluginstate) or
+    (npluginstate,); its entries at the indices `without` are set to zero.
     """
     states = np.zeros((samples.size, mujoco.mj_stateSize(model, STATE)))
     states[:, 1 : 1 + model.nq] = model.qpos0
@@ -91,7 +91,7 @@ def accelerations(
 ) -> np.ndarray:
     """Returns accelerations at the samples, (samples, nv), by differences over +-`half` samples.
 
-    They are NaN for joints that a hypothesis adds.
+    The accelerations of joints that a hypothesis adds are NaN.
     """
     k, out = measured.samples, np.full((measured.samples.size, model.nv), np.nan)
     joints = (*machine.joints, *machine.follower_names)
@@ -102,10 +102,10 @@ def accelerations(
 
 
 def dofs(model: mujoco.MjModel, joints: Iterable[str]) -> list[int]:
-    """Returns the degrees of freedom of joints with one each."""
+    """Returns the indices of the degrees of freedom of hinge and slide joints."""
     return [int(model.joint(joint).dofadr[0]) for joint in joints]
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:
-    """Returns the plugins' offset in the full physics state, whose parts are ordered by bits."""
+    """Returns the index of plugin states in the full state, whose parts are ordered by bits."""
     return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

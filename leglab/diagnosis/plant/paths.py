@@ -1,7 +1,7 @@
 """Faults of command and sensor paths: as functions of samples, and as elements of a model.
 
-Replays feed actuators directly and compare corrected samples. Paths in a model file are therefore
-removed from the replayed model and applied to the samples, like hypothetical faults.
+Replays have no command and sensor paths. Paths in a model file are therefore removed from the
+replayed model and applied to the recorded samples, like hypothetical faults.
 """
 
 import math
@@ -16,23 +16,23 @@ from leglab._native import hydraulics as native
 from leglab.machine import sensors
 
 COMMAND_PATH = "leglab.command_path"
-SIDES = ("positive", "negative")  # of commands
-# Samples to each side of an interpolation, and the shape of its window: the noise is unchanged up
-# to about nine tenths of the Nyquist frequency; bins average out higher ones.
+SIDES = ("positive", "negative")  # signs of a command
+# Sinc interpolation: samples on each side, and shape parameter of the Kaiser window. Noise
+# is unchanged up to about 0.9 of the Nyquist frequency; bins average out higher frequencies.
 _TAPS, _KAISER = 16, 6.0
 
-# From sent commands (n,) and the sampling period [s] to commands at the actuator (n,).
+# Converts sent commands (n,), given the sampling period [s], to commands at the actuator (n,).
 CommandPath = Callable[[np.ndarray, float], np.ndarray]
-# From measured samples (n,) and the sampling period [s] to samples without the sensor's fault (n,).
+# Removes a sensor fault from measured samples (n,), given the sampling period [s].
 Correction = Callable[[np.ndarray, float], np.ndarray]
-# Corrections of a column in order, each with its factor on the noise.
+# Corrections of a column in order, each with the factor by which it multiplies noise.
 Corrections = list[tuple[Correction, float]]
 
 
 def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[str, Corrections]]:
-    """Makes command and sensor paths of a specification neutral, in place.
+    """Makes the command and sensor paths in a specification neutral, in place.
 
-    Returns the removed command paths in order, by actuator, and corrections of faults, by column.
+    Returns the removed command paths, in order by actuator, and sensor corrections, by column.
     """
     commands: defaultdict[str, list[CommandPath]] = defaultdict(list)
     for actuator in spec.actuators:
@@ -43,7 +43,7 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
             commands[config["actuator"]] += command_path(config)
-            # Parameters that are not functions of the command stay in the model.
+            # Parameters whose effect is not a function of the command alone stay in the model.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: defaultdict[str, Corrections] = defaultdict(list)
@@ -60,7 +60,7 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
 
 
 def numerics(joint: str, sensor: str) -> tuple[str, str]:
-    """Returns names of the numerics of offset and scale of a sensor, "position" or a chamber."""
+    """Returns the names of the custom numerics of a sensor's offset and scale."""
     place = {"joint": joint, "chamber": sensor}
     if sensor == "position":
         return sensors.ENCODER_OFFSET.format(**place), sensors.ENCODER_SCALE.format(**place)
@@ -83,7 +83,7 @@ def number_of(spec: mujoco.MjSpec, name: str, otherwise: float) -> float:
 
 
 def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
-    """Returns the functions that a `leglab.command_path` applies to held commands, in order."""
+    """Returns, in order, the functions that a `leglab.command_path` applies to commands."""
     names = ("delay", "bias", "hysteresis", "dead_band", "time_constant")
     delay, bias, width, half_width, time_constant = (float(config.get(n, 0.0)) for n in names)
     gain = float(config.get("gain", 1.0))
@@ -106,14 +106,14 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Delays held samples, (n,), by at least 0 s, also by fractions of the period [s]."""
+    """Delays held samples, (n,), by a delay >= 0 [s] that need not be a multiple of the period."""
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
     return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]
 
 
 def play(samples: np.ndarray, width: float) -> np.ndarray:
-    """Returns the output of a play (hysteresis) of full width, (n,); it starts in the middle."""
+    """Returns the output of a play (hysteresis) of this width, (n,), that starts in its middle."""
     if width <= 0.0:
         return samples
     out = np.empty(samples.size)
@@ -128,7 +128,7 @@ def dead_band(samples: np.ndarray, positive: float, negative: float) -> np.ndarr
 
 def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarray:
     """Returns the mean over each period of the exact first-order response to held samples, (n,)."""
-    if time_constant <= 0.0:  # A fit at its bound may end a rounding error below it.
+    if time_constant <= 0.0:  # A fit may end a rounding error below zero.
         return samples
     decay = math.exp(-period / time_constant)
     start = np.array([decay * samples[0]])
@@ -138,7 +138,7 @@ def lagged(samples: np.ndarray, time_constant: float, period: float) -> np.ndarr
 
 
 def undo(offset: float, scale: float) -> Corrections:
-    """Returns functions that subtract an offset, then divide by a scale; none for 0 and 1."""
+    """Returns functions that subtract an offset unless 0, then divide by a scale unless 1."""
     undone: Corrections = []
     if offset != 0.0:
         undone.append((lambda samples, period: samples - offset, 1.0))
@@ -148,9 +148,9 @@ def undo(offset: float, scale: float) -> Corrections:
 
 
 def undo_delay(delay: float) -> Correction:
-    """Returns a shift of samples forward in time by a delay [s], by a windowed sinc (Kaiser 1974).
+    """Returns a function that advances samples by a delay [s], by windowed sinc (Kaiser 1974).
 
-    Linear interpolation would average neighbours, so that a fit could reduce noise by a delay.
+    Linear interpolation would average neighbours, so that a fit could use a delay to reduce noise.
     """
 
     def forward(samples: np.ndarray, period: float) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""Learned remainder: a static map of the error that no effect explains, in model and words."""
+"""Learned remainder: static functions that describe errors which no effect explains."""

@@ -20,11 +20,11 @@ class Term:
 
     variable: str
     knots: np.ndarray  #: Knots of its spline, shape (knots,)
-    columns: np.ndarray  #: Means over windows per unit of each unknown, (windows, unknowns)
-    penalty: np.ndarray  #: Roughness, (unknowns, unknowns)
-    #: Coefficients of the spline by unknown, (knots + 2, unknowns); None where they are the
-    #: unknowns. Unknowns of sines are a constant, cosine and sine of each harmonic, and in a form
-    #: the change of the period.
+    columns: np.ndarray  #: d(mean residual of a window)/d(unknown), (windows, unknowns)
+    penalty: np.ndarray  #: Matrix of the roughness, (unknowns, unknowns)
+    #: d(spline coefficient)/d(unknown), (knots + 2, unknowns); None if the coefficients are the
+    #: unknowns. The unknowns of sines are a constant, the amplitudes of cosine and sine of each
+    #: harmonic and, in a `Form`, the change of the period.
     shape: np.ndarray | None = None
     smoothing: float = 0.0  #: Weight of the roughness, relative to the columns' squares
 
@@ -35,15 +35,15 @@ class Term:
 
 
 class Form:
-    """Form of one balance's remainder, with a first estimate.
+    """Variables and functions that describe one balance's remainder, with a first estimate.
 
-    Terms are in the order of their choice, sines last; their unknowns are concatenated. The last
-    unknown is the change of the sines' `period`, which is None without sines. `gain` is the share
-    of the balance's squares that the form explains in cross-validation.
+    The unknowns of all terms are concatenated. If one term consists of sines, it is the last one,
+    `period` is its period (else None), and the last unknown is the change of this period. `gain` is
+    the share of the balance's squares that the form explains in cross-validation.
 
     Attributes:
         values: Estimate, (unknowns,).
-        precision: Inverse covariance of the estimate with smoothness, (unknowns, unknowns).
+        precision: Inverse covariance, including the smoothness penalty, (unknowns, unknowns).
     """
 
     def __init__(
@@ -99,9 +99,9 @@ class Form:
 def choose_form(
     balance: Balance, *, driven_by_oil: bool, limits: Thresholds = DEFAULT
 ) -> Form | None:
-    """Selects variables forward by cross-validation over blocks; None if no variable helps.
+    """Adds variable after variable by cross-validation over blocks of time; None if none helps.
 
-    If the joint is driven by oil, its command is no force and is not a candidate.
+    If a cylinder drives the joint, the command is not a force and therefore no candidate.
     """
     if len(balance.lacking) < limits.learned_windows:
         return None
@@ -125,7 +125,7 @@ def choose_form(
 
 
 def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
-    """Returns the terms of the variables that change."""
+    """Returns a candidate term for each variable that varies in the data."""
     found = []
     for variable, x in balance.inputs.items():
         if variable == "command" and not balance.oil:
@@ -141,10 +141,10 @@ def _candidates(balance: Balance, driven_by_oil: bool) -> list[Term]:
 
 
 def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
-    """Returns knots over the range of the data, a number by variable; None if it is constant.
+    """Returns knots over the range of the variable's data; None if the data are constant.
 
-    Friction and valves change near zero, so knots of velocity and command are dense there: their
-    distance is a tenth of the largest value at first and grows exponentially.
+    Friction and valve flow change most near zero, so knots of velocity and command are dense there:
+    their distance is even up to a tenth of the largest value and grows exponentially beyond.
     """
     low, high = np.quantile(x, [0.002, 0.998]).tolist()
     if not high - low > 1e-9 * max(abs(low), abs(high), 1e-9):
@@ -160,18 +160,18 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
 
 
 def _mean(balance: Balance, functions: np.ndarray) -> np.ndarray:
-    """Computes means over windows of functions at the samples times gain, (windows, functions)."""
+    """Averages functions of the samples, times the gain, over each window, (windows, functions)."""
     return np.asarray((functions * balance.gain[:, :, None]).mean(axis=1))
 
 
 def worthwhile(saved: np.ndarray, misfit: float, limits: Thresholds) -> bool:
-    """Tests whether savings of blocks or windows are significant and a share of the misfit."""
+    """Tests whether the errors saved are significant and more than a minimum share of `misfit`."""
     total = float(saved.sum())
     return total > limits.beyond_chance * _chance(saved) and total > limits.worthwhile * misfit
 
 
 def _chance(values: np.ndarray) -> float:
-    """Computes the standard error of a sum."""
+    """Computes the standard error of the sum of values."""
     return float(values.std(ddof=1)) * np.sqrt(values.size)
 
 
@@ -188,7 +188,7 @@ class _Fits:
         block = balance.recording * (second.max() + 1) + second
         self.blocks = [np.flatnonzero(block == k) for k in np.unique(block)]
         base = np.ones(self.target.size)
-        if balance.oil:  # errors grow with the gain; a lower limit holds near a closed valve
+        if balance.oil:  # errors grow with the gain, which is small near a closed valve
             size = np.abs(balance.gain).mean(axis=1)
             base = 1.0 / (size**2 + (0.1 * np.median(size)) ** 2)
         self.weight = base
@@ -237,21 +237,21 @@ class _Fits:
         return np.maximum(out, 0.0)
 
     def smoothed(self, chosen: tuple[Term, ...], new: Term) -> tuple[tuple[Term, ...], np.ndarray]:
-        """Adds a term with smoothing by cross-validation; returns terms and errors of blocks."""
+        """Adds a term, smoothed by cross-validation; returns all terms and the errors of blocks."""
         sums = self.sums((*chosen, new))
         tried = []
-        # Relative to the columns' squares: from no smoothing to almost a straight line.
+        # Weights of the roughness, from no smoothing to almost a straight line.
         for smoothing in (10.0 ** np.arange(-7.0, 3.0)).tolist():
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, self.errors(terms, sums)))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]
-        # The smoothest within one standard error of the best (Breiman et al. 1984).
+        # The smoothest whose error is within one standard error of the best (Breiman et al. 1984).
         return next(t for t in reversed(tried) if (t[1] - best).sum() <= _chance(t[1] - best))
 
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
     ) -> Term:
-        """Replaces the position's spline by sines; with amplitudes their period is an unknown."""
+        """Replaces the position's spline by sines; with `amplitudes`, the period is fitted too."""
         low, high = own.knots[0], own.knots[-1]
 
         def waves(x: np.ndarray) -> np.ndarray:
@@ -274,7 +274,7 @@ class _Fits:
 
 
 def _solved(matrices: np.ndarray, rights: np.ndarray, penalty: np.ndarray) -> np.ndarray:
-    """Computes penalised values of the unknowns from the sums of blocks."""
+    """Solves for the unknowns, with a penalty, from the matrices X'WX and X'Wy of all blocks."""
     matrix = matrices.sum(axis=0) + penalty
     ridge = 1e-10 * np.trace(matrix) / max(len(matrix), 1) + 1e-300
     return np.linalg.solve(matrix + ridge * np.eye(len(matrix)), rights.sum(axis=0))
@@ -290,7 +290,7 @@ def sines(x: np.ndarray, period: float, harmonics: int) -> np.ndarray:
 def _periodic(
     fits: _Fits, chosen: tuple[Term, ...], left: np.ndarray, limits: Thresholds
 ) -> tuple[tuple[Term, ...], float | None]:
-    """Replaces the position's spline by sines if these fit as well; returns terms and period.
+    """Replaces the position's spline by sines if sines fit as well; returns terms and period.
 
     `left` are the errors of blocks in cross-validation with the spline.
     """
@@ -326,7 +326,7 @@ def _periodic(
     for harmonics, repeats in ((1, 0.0), (2, 1.3), (3, 1.8)):
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
-        # Half the frequency with every second harmonic fits alike, so the highest one is taken.
+        # Half the frequency with every second harmonic fits equally: the highest is tried first.
         least = costs.min()
         near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
         best = np.inf, chosen, 0.0
@@ -346,7 +346,7 @@ def _periodic(
 
 
 def _neighbours(rest: np.ndarray, balance: Balance) -> float:
-    """Computes the correlation of neighbouring windows, from 0 to 0.95."""
+    """Computes the correlation of errors `rest` of neighbouring windows, limited to 0 to 0.95."""
     step = np.median(np.diff(balance.time)[np.diff(balance.recording) == 0])
     together = (np.diff(balance.recording) == 0) & (np.diff(balance.time) < 1.5 * step)
     limit = 4.0 * np.median(np.abs(rest)) + 1e-300

@@ -19,7 +19,7 @@ from leglab.diagnosis.replay.residual import Problem, robust_cost, robust_weight
 from leglab.diagnosis.result import closed, root_mean
 from leglab.diagnosis.thresholds import ALIKE, EXPLAINED, EXPLANATION, Thresholds
 
-# Sentence for a large rest that is no static function of the present motion.
+# Sentence for large remaining errors that are not a static function of the present motion.
 MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspects"
 
 
@@ -28,9 +28,9 @@ class Remainder:
     """A learned static remainder whose gain is validated on held-out recordings."""
 
     parts: tuple[Part, ...]  #: Forces of joints and command offsets of cylinders
-    hypothesis: Hypothesis  #: The hypothesis with nuisance parameters refitted to the parts
+    hypothesis: Hypothesis  #: Hypothesis whose nuisance parameters are refitted with the parts
     described: tuple[Described, ...]
-    problem: Problem  #: With the parts in every hypothesis, and the noise model at the result
+    problem: Problem  #: Has the parts in every hypothesis, and the noise model at `hypothesis`
     closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
     memory: bool  #: Whether the remaining errors depend on the past
 
@@ -64,8 +64,8 @@ def learn_remainder(
 
     Additive splines are fitted to the balances of forces and oil along the measured motion, and
     refined by replays together with the nuisance parameters. Parts without a gain on held-out
-    recordings are left out; without such recordings the result is None. Values of `named` effects
-    are fixed; None for all effects without a tolerance.
+    recordings are left out; without such recordings the result is None. The values of the effects
+    `named` are fixed; by default these are all effects without a tolerance.
     """
     held, sites, least = problem.held, problem.library.sites, EXPLAINED
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
@@ -73,7 +73,7 @@ def learn_remainder(
     if named is None:
         named = [k for k in hypothesis if all(p.tolerance == 0.0 for p in sites[k].parameters)]
     keep = frozenset(named)
-    # Nuisance parameters biased by a missing force hide it: start without and with their values.
+    # Fitted nuisance parameters may hide a missing force, so both are tried: without and with them.
     starts = [hypothesis.only(keep)]
     if set(hypothesis) != set(keep):
         starts.append(hypothesis)
@@ -94,7 +94,7 @@ def learn_remainder(
 
 
 def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
-    """Chooses forms of all balances' remainders, by moving windows of the fitted recordings."""
+    """Chooses the form of each balance's remainder by the fitted windows with a moving joint."""
     machine, limits = problem.machine, problem.thresholds
     fitted = np.unique(problem.replay.recording[problem.fitted])
     forms = (
@@ -111,7 +111,7 @@ def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
 def _proved(
     problem: Problem, without: Hypothesis, beside: Hypothesis, learned: list[tuple[Part, Form]]
 ) -> Remainder | None:
-    """Validates learned parts by their gain on held-out recordings; None if they have none."""
+    """Keeps the learned parts that improve the held-out recordings; None if no part does."""
     problem, held, limits = copy(problem), problem.held, problem.thresholds
 
     def joined(some: list[tuple[Part, Form]]) -> Problem:
@@ -144,9 +144,9 @@ def _proved(
 def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hypothesis) -> bool:
     """Tests whether learned parts enlarge any error of held-out recordings, in physical units.
 
-    Errors of channels at the end of windows and of joints in whole recordings are compared, since
-    whitening suppresses errors that uncertain start states explain. An error may grow by the noise
-    of its sensor.
+    It compares errors of channels at the end of windows, and of joints in closed-loop simulations
+    of whole recordings. They are not whitened, because whitening suppresses errors that uncertain
+    start states could cause. An error may grow by the noise of its sensor.
     """
     held, noise = problem.held, problem.sensor_noise
     recordings = np.unique(problem.replay.recording[held]).tolist()
@@ -165,7 +165,7 @@ def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hyp
 
 
 def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
-    """Tests whether mean squares of held-out windows fall significantly, by a share of misfit."""
+    """Tests whether costs of windows fall significantly, and by a minimum share of the misfit."""
     cost = robust_cost(before, limits.robust_limit)
     saved = cost - robust_cost(after, limits.robust_limit)
     misfit = saved.size * (max(float(cost.mean()), EXPLAINED) - 1.0)
@@ -175,8 +175,8 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Tests whether the errors of a hypothesis persist and are no function of the present motion.
 
-    Whitened errors of a correct model are independent; persistent ones correlate neighbouring bins.
-    If static functions explain little of the balances, the missing effect depends on the past.
+    Whitened errors of a correct model are independent. If errors of neighbouring bins correlate, an
+    effect is missing; if static functions explain little of the balances, it depends on the past.
     """
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
@@ -186,7 +186,7 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
 
 
 def open_directions(form: Form, most: int) -> np.ndarray:
-    """Returns the least determined directions in standard deviations, (unknowns, directions)."""
+    """Returns the principal directions of largest variance, one standard deviation long each."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
     order = np.argsort(-values)[:most]
@@ -203,7 +203,7 @@ def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
 def refine(
     problem: Problem, hypothesis: Hypothesis, forms: Sequence[Form], fixed: frozenset[Key]
 ) -> tuple[tuple[Part, ...], Hypothesis]:
-    """Fits principal directions of the forms, and a hypothesis's nuisance parameters, to replays.
+    """Fits forms along their principal directions, and nuisance parameters, to replays.
 
     Effects in `fixed` do not change. Returns the parts in the order of the forms, each bounded
     slightly above its largest value on the data, and the hypothesis with the nuisance parameters.
@@ -214,7 +214,7 @@ def refine(
     along = [open_directions(form, each) for form in forms]
     ends = np.cumsum([one.shape[1] for one in along])
     u = Unknowns.of(problem.library)
-    # Parameters that differ between good machines are refitted.
+    # Parameters with a tolerance, which differ between good machines, are refitted.
     loose = [i for i in range(u.single) if u.tolerance[i] > 0.0 and u.keys[i] not in fixed]
     count, z, base = ends[-1], np.zeros(ends[-1]), hypothesis
 
@@ -223,7 +223,7 @@ def refine(
         return tuple(form.part(form.values + axes @ own) for form, axes, own in rows)
 
     def moved(step: np.ndarray) -> tuple[np.ndarray, Hypothesis, np.ndarray]:
-        """Returns coordinates and hypothesis after a step, and departures from prior means."""
+        """Returns `z` and the hypothesis after a step, and their departures from prior means."""
         by = dict(zip(loose, (step[count:] * u.tolerance[loose]).tolist(), strict=True))
         new = z + step[:count], u.moved(base, by)
         eta = u.departures(new[1])[loose] / u.tolerance[loose]
@@ -242,7 +242,7 @@ def refine(
         if iteration < 2:
             problem.noise = with_parts(problem, parts(z)).about(base).noise
         residual, (_, _, offset) = errors(z, base), moved(np.zeros(count + len(loose)))
-        # Differences over half a standard deviation of the balances' estimate or of tolerances.
+        # Finite differences over half a standard deviation of the estimates or half a tolerance.
         probes = (moved(0.5 * row)[:2] for row in np.eye(offset.size))
         columns = [(errors(*probe) - residual) / 0.5 for probe in probes]
         step, scale = _step(residual, np.stack(columns, axis=2), offset, limits.robust_limit)
@@ -269,8 +269,8 @@ def _step(
 ) -> tuple[np.ndarray, float]:
     """Computes a robust step, in standard deviations of priors, and the scale of remaining errors.
 
-    A model that is also wrong in other ways leaves errors of many noise levels. Their scale, the
-    median window after the step, weights replays against priors (Kennedy and O'Hagan 2001).
+    A model that is also wrong in other ways leaves errors of many noise levels. So replays are
+    weighted by the RMS error of the median window after the step (Kennedy and O'Hagan 2001).
     """
     matrices = jacobian.transpose(0, 2, 1) @ jacobian
     rights = np.einsum("wnk,wn->wk", jacobian, residual)

@@ -1,4 +1,4 @@
-"""Learned parts, static forces of joints and command offsets of cylinders, and their library."""
+"""Learned parts (static forces on joints, command offsets of cylinders) and their library."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ _NO_BOUND = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Periodicity:
-    """A repetition over the position."""
+    """Repetition of a learned part over the joint's position."""
 
     length: float  #: rad or m
-    interval: tuple[float, float]  #: 95 %
+    interval: tuple[float, float]  #: 95 % confidence interval of `length`
     amplitudes: tuple[float, ...]  #: Amplitudes of the harmonics, the fundamental first
 
 
@@ -32,24 +32,24 @@ class Part:
 
     element: str
     joint: str  #: Joint whose motion it depends on
-    actuator: str  #: Actuator whose command it depends on; empty for none
-    oil: bool  #: Whether it is a command offset
+    actuator: str  #: Actuator whose command it depends on; empty if none drives the joint
+    oil: bool  #: Whether it is a command offset of a cylinder, otherwise a force
     terms: Mapping[str, CubicSpline]  #: Additive splines by variable
-    period: Periodicity | None = None  #: Repetition over the position; None without one
-    bound: float = _NO_BOUND  #: Largest magnitude of the sum
+    period: Periodicity | None = None  #: Repetition over the position; None if not periodic
+    bound: float = _NO_BOUND  #: Largest magnitude of the sum of the terms
 
     @property
     def name(self) -> str:
-        """Name of the plugin instance, on a machine where it is free."""
+        """Name of the plugin instance; `Machine.free_name` numbers it if it is taken."""
         return f"{self.element}_remainder"
 
     def at(self, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Computes the force or offset at inputs by variable, all of one shape."""
+        """Computes the force or offset from one array of inputs per variable, all of one shape."""
         total = np.sum([spline(inputs[v]) for v, spline in self.terms.items()], axis=0)
         return np.clip(total, -self.bound, self.bound)
 
     def config(self, *, neutral: bool = False) -> dict[str, float | str]:
-        """Returns attributes of its `leglab.residual`; if `neutral`, coefficients are zero."""
+        """Returns its attributes as a `leglab.residual`; if `neutral`, coefficients are zero."""
         out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
         if "command" in self.terms and not self.oil:
             out["actuator"] = self.actuator
@@ -94,7 +94,7 @@ def _numbers(values: np.ndarray) -> str:
 
 
 class LearnedLibrary(Library):
-    """A library whose changes all carry learned parts."""
+    """A library of effects that adds learned parts to the change of every hypothesis."""
 
     def __init__(self, library: Library, parts: Sequence[Part]) -> None:
         self.__dict__.update(library.__dict__)
@@ -103,7 +103,7 @@ class LearnedLibrary(Library):
     def change(
         self, hypothesis: Mapping[Key, np.ndarray], machine: Machine, *, written: bool = False
     ) -> Change:
-        """Returns the change by a hypothesis, with the learned parts."""
+        """Returns the change of the machine by a hypothesis and by the learned parts."""
         change = super().change(hypothesis, machine, written=written)
         for part in self.parts:
             part.apply(change)

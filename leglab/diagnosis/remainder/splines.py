@@ -22,23 +22,23 @@ class CubicSpline:
 
 
 def clamped(knots: np.ndarray) -> np.ndarray:
-    """Returns knots with the outermost ones repeated to multiplicity four."""
+    """Returns the knots with the first and the last repeated, so that each occurs four times."""
     return np.pad(knots, DEGREE, mode="edge")
 
 
 def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Computes all B-splines at clamped inputs of any shape, (..., knots + 2); their sum is 1."""
+    """Computes all B-splines at inputs clipped to the knots, (..., knots + 2); their sum is 1."""
     inside = np.clip(x.ravel(), knots[0], knots[-1])
     return BSpline.design_matrix(inside, clamped(knots), DEGREE).toarray().reshape(*x.shape, -1)
 
 
 def roughness(knots: np.ndarray) -> np.ndarray:
-    """Computes the penalty matrix of the integrated squared second derivative, scaled to the range.
+    """Computes the penalty matrix of the integrated squared second derivative.
 
-    Straight lines have no penalty; it does not depend on knot distances or the input's unit.
+    The factor range^3 makes it independent of the input's unit. Straight lines have no penalty.
     """
     span = knots[-1] - knots[0]
-    points, weights = np.polynomial.legendre.leggauss(2)  # exact: a product of lines
+    points, weights = np.polynomial.legendre.leggauss(2)  # exact for products of two lines
     left, right = knots[:-1, None], knots[1:, None]
     x = (0.5 * (left + right) + 0.5 * (right - left) * points).ravel()
     w = (0.5 * (right - left) * weights).ravel()
@@ -47,5 +47,5 @@ def roughness(knots: np.ndarray) -> np.ndarray:
 
 
 def nearest(knots: np.ndarray, x: np.ndarray, functions: np.ndarray) -> np.ndarray:
-    """Fits coefficients to functions sampled at increasing x, (n,) or (n, functions)."""
+    """Fits spline coefficients to functions, (n,) or (n, functions), sampled at increasing x."""
     return np.asarray(make_lsq_spline(x, functions, clamped(knots), DEGREE).c)

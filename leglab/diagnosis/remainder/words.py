@@ -12,8 +12,8 @@ from leglab.diagnosis.thresholds import SMALL
 Parity = Literal["odd", "even", "mixed"]
 Side = Literal["positive", "negative"]
 
-# Shares below this are negligible: of terms beside larger ones, of the other parity of a curve, of
-# its other side, or of its change in the outer quarters.
+# Share below which these are negligible: a term relative to the largest term, the even or odd part
+# of a curve, its change on one side of zero, or its change in an outer quarter of the range.
 _HARDLY = SMALL
 
 
@@ -26,9 +26,9 @@ class Shape:
     interval: tuple[float, float]  #: Range of the data [unit of the variable]
     #: Parity about zero input; None for positions and if one sign of the input is missing.
     parity: Parity | None
-    one_sided: Side | None  #: Sign of the inputs on which it changes; None for both
-    saturating: bool  #: Whether it is nearly flat in the outer halves of its range
-    rising: bool  #: Whether it correlates with the variable; resistance to motion falls
+    one_sided: Side | None  #: The only sign of input for which it changes; None if both
+    saturating: bool  #: Whether it is nearly flat in the outer quarters of its range
+    rising: bool  #: Whether it rises with the variable; resistance falls with velocity
     period: Periodicity | None  #: Repetition over the position
 
 
@@ -39,12 +39,12 @@ class Described:
     element: str
     unit: str  #: Unit of its magnitudes
     shapes: tuple[Shape, ...]  #: Shapes of its terms, the largest first
-    constant: float  #: Mean over the data
-    text: str  #: One sentence
+    constant: float  #: Mean of the part over the data
+    text: str  #: Description in one sentence
 
 
 def describe(part: Part, inputs: Mapping[str, np.ndarray], unit: str) -> Described:
-    """Describes a part in words, by the data of its fit and the unit of the joint."""
+    """Describes a part in words; `inputs` are the data of its fit, `unit` is the joint's unit."""
     found = [_shape(part, variable, inputs[variable]) for variable in part.terms]
     shapes = tuple(sorted(found, key=lambda shape: -shape.size))
     constant = sum(float(spline(inputs[v].ravel()).mean()) for v, spline in part.terms.items())
@@ -91,7 +91,7 @@ def _shape(part: Part, variable: str, data: np.ndarray) -> Shape:
 
 
 def _share(one: np.ndarray, other: np.ndarray) -> float:
-    """Computes the share of the first in the sum of two."""
+    """Computes the sum of the first array as a share of the sum of both arrays."""
     return float(np.sum(one) / (np.sum(one) + np.sum(other) + 1e-300))
 
 

@@ -1,1 +1,1 @@
-"""Windows of the recordings are replayed by the model from smoothed start states."""
+"""Replay of short windows of the recordings by the model, from smoothed start states."""

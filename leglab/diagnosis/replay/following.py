@@ -1,8 +1,8 @@
 """Closed-loop simulation of whole recordings.
 
 Under the measured commands alone, small errors add up and a machine without a spring drifts away.
-So a position loop corrects each command; the deviation that remains and the correction that the
-loop adds show what the model lacks.
+So a position controller corrects each command. The remaining position error and the corrections of
+the controller together show how wrong the model is.
 """
 
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from leglab.machine.plugin import headless
 class Followed:
     """A simulation of a whole recording; arrays over its samples, (samples,)."""
 
-    time: np.ndarray  #: Of the recording [s]
+    time: np.ndarray  #: Times of the samples [s]
     #: Positions by joint [rad or m], smoothed, with the hypothesis's sensor corrections.
     measured: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]  #: Positions by joint; NaN after the simulation blew up
-    correction: dict[str, np.ndarray]  #: Corrections that the loop added to commands, by actuator
+    correction: dict[str, np.ndarray]  #: Corrections of the commands by the controller, by actuator
 
     def deviation(self, joint: str) -> float:
-        """Computes the RMS of simulated less measured; infinite if the simulation blew up."""
+        """Computes the RMS position error of a joint; infinite if the simulation blew up."""
         error = self.simulated[joint] - self.measured[joint]
         return float(rms(error)) if np.isfinite(error).all() else float("inf")
 
@@ -42,11 +42,11 @@ def follow(
     loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
-    """Simulates recording number `recording` from its first window to its end or first gap.
+    """Simulates the recording with this number from its first window to its end or next gap.
 
-    The first window is the first one that starts at `after` [s] or later; None if there is none.
-    The hypothesis applies throughout. `loop` is the share of a position error that the loop removes
-    within a window: 1 is softer than usual position loops of legs and axes, 0 is open loop.
+    Only windows that start at `after` [s] or later count; returns None if there are none. Effects
+    act from the start, without onsets. `loop` is the share of a position error that the controller
+    removes within a window: 1 is softer than usual controllers of legs and axes, 0 is open loop.
     """
     change = problem.library.change(hypothesis, problem.machine)
     course = problem.replay.course(change, recording, after)
@@ -85,12 +85,12 @@ def follow(
 
 
 def _gains(problem: Problem, course: Course, loop: float) -> np.ndarray:
-    """Computes gains on the error of each actuator's joint and its rate, (2, actuators, joints).
+    """Computes the gains on position error and its rate, (2, actuators, joints).
 
-    A unit command moves the joint by r within a window T, in proportion to time^p. Where commands
-    set a speed (p = 1), the gain `loop`/r closes the loop at a rate of `loop`/T. Where they set a
-    force (p = 2), the square of the natural frequency is 2 `loop`/T^2, and a lead of 2 T (p - 1)
-    damps the loop well.
+    A unit command moves its joint by r within a window of length T, in proportion to time^p. If the
+    command sets a speed (p = 1), the gain `loop`/r removes errors at the rate `loop`/T. If it sets
+    a force (p = 2), the same gain yields a natural frequency with the square 2 `loop`/T^2, and a
+    rate gain of 2 T (p - 1) times the gain damps the loop well.
     """
     machine = problem.machine
     gains = np.zeros((2, len(machine.actuators), len(machine.joints)))

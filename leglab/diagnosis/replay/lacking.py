@@ -1,4 +1,4 @@
-"""Unmodelled forces along the measured motion, by inverse dynamics without integration."""
+"""Residual (unmodelled) forces along the measured motion, computed by inverse dynamics."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ from leglab.diagnosis.replay.windows import Channel
 def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
     """Returns the joints whose drive forces are known; cylinders need measured pressures.
 
-    Joints that lead others are excluded: forces of equality constraints there are unknown.
+    Joints that move followers are excluded, because equality constraints add unknown forces.
     """
     known = {channel.column for channel in channels}
     blind = {
@@ -39,8 +39,8 @@ def lacking_forces(
 ) -> MomentForces:
     """Computes the forces that the measured motion needs beyond those of the changed model.
 
-    They are taken at the samples of `measured` with the full physics states `states`, (samples,
-    nstate). Accelerations are means over `half` samples to both sides.
+    `states` are the full physics states at the samples of `measured`, (samples, nstate).
+    Accelerations are means over `half` samples before and after each sample.
     """
     machine, model, k = change.machine, change.variant.model, measured.samples
     start = plugin_offset(model)
@@ -48,8 +48,8 @@ def lacking_forces(
     closed = plays(machine, change.variant)
     moments = states_at(machine, model, measured, k, plugin, without=closed)
     moments[:, 0] = states[:, 0]
-    # Commands are held between samples, so around a sample the mean of both sides acts. Actuators
-    # that step their activation before the force (`actearly`) see the command before.
+    # Commands are held between samples, so the acceleration around a sample is due to the mean of
+    # its command and the previous one. With `actearly`, an actuator sees the previous command.
     now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
     native = np.isin(machine.actuators, machine.native_actuators())
     command = np.where(native, 0.5 * (now + before), now)
@@ -62,11 +62,11 @@ def comparable_forces(
 ) -> np.ndarray:
     """Refers residual forces to the unmodified machine's inertia, (samples, joints) [N m or N].
 
-    A hypothesis that halves all inertia, friction and drive also halves its residual forces,
-    although its motion errs as much. So a residual force f is converted to the acceleration that it
+    A hypothesis that halves all inertias, frictions and drive forces has half the residual forces,
+    although its motion is equally wrong. So a residual force f is converted to the acceleration it
     causes, in units of the sensor, and then to the force that causes this acceleration on the
-    unmodified machine: M_0 M^-1 f with joint-space inertias M_0 and M. `found` has the hypothesis's
-    residual forces, `joints` are those with known drive forces.
+    unmodified machine: M_0 M^-1 f with joint-space inertias M_0 (unmodified) and M (hypothesis).
+    `found` has the hypothesis's residual forces; `joints` are those of `balanced_joints`.
     """
     machine, base, k = change.machine, change.machine.base, measured.samples
 

@@ -1,7 +1,7 @@
-"""Fast accelerations by commands of MuJoCo's native actuators, which position filters remove.
+"""Motion caused by commands of MuJoCo's native actuators, the fast part of which filters remove.
 
-Smoothed positions do not show how a noisy command moves a light joint from sample to sample. But
-commands are known: the motion that they cause is computed, and the filtered-out part is restored.
+Smoothed positions do not show how a noisy command moves a light joint from sample to sample. This
+motion is therefore computed from the commands, and its filtered-out part is added again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,8 +20,8 @@ class Pushes:
     """Joint accelerations caused by the commands of native actuators, along a recording.
 
     Attributes:
-        actuators: Native actuators with a fixed gain and without activation dynamics.
-        dofs: Degrees of freedom of the model.
+        actuators: Names of the native actuators with a fixed gain and no activation dynamics.
+        dofs: Number of degrees of freedom of the model.
 
     Args:
         machine: Machine of the recording.
@@ -40,7 +40,7 @@ class Pushes:
         limited = model.actuator_ctrllimited[acting].astype(bool)[:, None]
         self._limits = np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf])
         dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
-        # d(acceleration)/d(command), and the rate [1/s] at which dampers and servos slow a joint.
+        # d(acceleration)/d(command), and rate at which dampers and servos slow a joint [1/s].
         count = -(-series.time.size // stride)
         response = np.zeros((acting.size, count, len(dofs)))
         decay = np.zeros(len(dofs))
@@ -63,7 +63,7 @@ class Pushes:
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Computes positions and velocities by the commands alone, from rest, each (joints, n).
+        """Computes positions and velocities that commands alone cause, from rest, each (joints, n).
 
         Each command is held for a sampling period [s].
         """
@@ -74,7 +74,7 @@ class Pushes:
         gained = np.where(decay > 0.0, -np.expm1(-decay * period) / rate, period)
         each = zip(gained, kept, pushed.T, strict=True)
         velocity = np.stack([lfilter([0.0, g], [1.0, -k], a) for g, k, a in each])
-        # Exact for a velocity that is linear between samples.
+        # The trapezoidal rule is exact for a velocity that is linear between samples.
         return cumulative_trapezoid(velocity, dx=period, initial=0.0), velocity
 
 

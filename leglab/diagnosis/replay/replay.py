@@ -30,7 +30,7 @@ from leglab.diagnosis.thresholds import DEFAULT, FORCE_BLOCKS, LOUDER, Threshold
 from leglab.machine.plugin import headless
 
 _CACHED_VARIANTS = 8
-# Memory for the states of windows that are replayed at once [bytes].
+# Maximum memory for the states of the windows in one batch of a replay [bytes].
 _MEMORY = 50_000_000
 
 # Windows of one recording, its measured series, and its corrected columns.
@@ -43,29 +43,29 @@ Along = tuple[Cut, Measured, np.ndarray]
 class ReplayErrors:
     """Errors of a replay: measured less predicted outputs."""
 
-    values: np.ndarray  #: Averaged over bins, in corrected units, shape (windows, channels, bins)
+    values: np.ndarray  #: Means over bins, after sensor corrections, (windows, channels, bins)
     normalised: np.ndarray  #: Divided by the gain of sensor corrections, same shape
-    left: np.ndarray | None  #: Residual forces as in `Replay.lacking`; None if not requested
-    pushed: np.ndarray | None  #: Change of `left` by commands scaled by `LOUDER`, same shape
+    left: np.ndarray | None  #: First array of `Replay.lacking`; None if not requested
+    pushed: np.ndarray | None  #: Second array of `Replay.lacking`; None if not requested
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Course:
-    """Data to simulate a recording from one of its windows on."""
+    """Data for the simulation of a recording from the start of one of its windows."""
 
     period: float  #: Sampling period [s]
-    time: np.ndarray  #: Of the samples [s], (samples,)
+    time: np.ndarray  #: Times of the samples [s], (samples,)
     #: Positions by joint, corrected and smoothed, each (samples,).
     positions: dict[str, np.ndarray]
     state: np.ndarray  #: Full physics state at the start, (nstate,)
-    controls: np.ndarray  #: At every step of the replay, (steps, actuators)
-    #: Displacement of each joint by a unit increase of each command after half a window and a whole
-    #: one, median of windows, (2, actuators, joints).
+    controls: np.ndarray  #: Controls at every time step, (steps, actuators)
+    #: Displacement of each joint by a unit step of each command, after half a window and after a
+    #: whole window, median over windows, (2, actuators, joints).
     moves: np.ndarray
 
 
 def at_replay_step(machine: Machine, period: float) -> Machine:
-    """Returns the machine at the time step of its replays, whose error `Problem` subtracts.
+    """Returns the machine at the time step of replays; `Problem` corrects the error of this step.
 
     The step is the longest that divides the sampling period [s], is at most twice the model's step
     and is accepted by the model.
@@ -84,7 +84,7 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
 class Replay:
     """Windows of several recordings, replayed together by `mujoco.rollout` threads.
 
-    The machine's time step must divide the recordings' sampling period, which is the same for all.
+    All recordings have the same sampling period, which the machine's time step must divide.
 
     Raises:
         RecordingError: No window fits into the recordings.
@@ -102,16 +102,16 @@ class Replay:
         self.machine, self.channels, self.thresholds = machine, channels, thresholds
         self._period = period = series[0].period
         self.substeps = max(1, round(period / machine.timestep))
-        self.samples, self.bins = window_length(period, thresholds)  #: of a window
+        self.samples, self.bins = window_length(period, thresholds)  #: per window
         self.window = self.samples * period  # length of a window [s]
-        self.rest_time = max(thresholds.rest_time, period)  #: s
+        self.rest_time = max(thresholds.rest_time, period)  #: for `Instances.balance` [s]
         chambers = sum(1 for c in channels if c.chamber)
-        #: Whether chamber pressures are not measured; they are then replayed as well.
+        #: Whether some chamber pressures are not measured; a longer replay then estimates them.
         self.blind = chambers < 2 * len(machine.cylinders)
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
         #: Standard deviation of each channel's samples, (recordings, channels).
         self.sensor_noise = sensor_noise(series, channels)
-        #: The recordings with the samples at which windows start.
+        #: Windows of each recording.
         self.cuts = cut_all(
             machine, series, channels, self.sensor_noise, self.samples, self._lead, thresholds
         )
@@ -131,7 +131,7 @@ class Replay:
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
         self._room = np.empty(0)  # buffer of states
-        self.rollouts = 0.0  #: replays of all windows so far
+        self.rollouts = 0.0  #: replays so far; one of some windows counts as a fraction
 
     @property
     def windows(self) -> int:
@@ -139,7 +139,7 @@ class Replay:
         return int(self.start.size)
 
     def on(self, machine: Machine) -> "Replay":
-        """Returns a replay of these windows by another model."""
+        """Returns a replay of the same windows with another machine."""
         other = copy(self)
         other.machine, other.rollouts = machine, 0.0
         other._datas, other._room = {}, np.empty(0)
@@ -148,7 +148,7 @@ class Replay:
 
     def use_one_thread(self) -> None:
         """Replaces the thread pool that a forked process inherited from its parent."""
-        # The pool's threads exist in the parent only; its destructor would wait for them.
+        # The old pool stays referenced: its threads exist in the parent only, so deleting it hangs.
         self._abandoned, self._threads = self._pool, 1
         self._pool, self._datas = rollout.Rollout(nthread=0), {}
 
@@ -161,7 +161,7 @@ class Replay:
         lead: float = 0.0,
         forces: bool = False,
     ) -> ReplayErrors:
-        """Computes measured less predicted outputs under a change, of all or the chosen windows.
+        """Computes measured less predicted outputs of chosen windows, or of all, under a change.
 
         `chosen` is a mask, (windows,). `nudge` perturbs the start states, commands of native
         actuators act earlier by `lead` [s], and `forces` adds the residual forces of the windows.
@@ -170,7 +170,7 @@ class Replay:
         left: np.ndarray | None = None
         pushed: np.ndarray | None = None
         if forces and not self.blind:
-            # One reconstruction of the series serves the window starts and the samples inside.
+            # Hidden states are reconstructed once for window starts and the samples inside windows.
             along = list(self._along(change, parts, starts=True))
             starts = np.concatenate([states[: cut.firsts.size] for cut, _, states in along])
             inside = [
@@ -202,26 +202,26 @@ class Replay:
         )
 
     def lacking(self, change: Change, chosen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Computes residual forces of the measured motion, means over blocks [N m or N].
+        """Computes residual forces along the measured motion, and how they change with commands.
 
-        They are those of `comparable_forces`, shape (chosen windows, joints with known drive
-        forces, blocks). A second array is their change by native commands scaled by `LOUDER`.
+        The first array, (windows, balanced joints, blocks), has means of `comparable_forces` over
+        blocks of a window; the second has their change if native commands are scaled by `LOUDER`.
         """
         return self._left(change, self.along(change, chosen))
 
     def along(self, change: Change, chosen: np.ndarray | None) -> Iterator[Along]:
-        """Yields samples inside the chosen windows of each recording, with full physics states."""
+        """Yields per recording the samples inside chosen windows, with full physics states."""
         return self._along(change, self._parts(change, chosen))
 
     @property
     def half(self) -> int:
-        """Samples to both sides over which accelerations are averaged: those of a bin."""
+        """Samples before and after a sample over which accelerations are averaged: one bin each."""
         return self.samples // self.bins
 
     def _along(
         self, change: Change, parts: Iterable[Part], *, starts: bool = False
     ) -> Iterator[Along]:
-        """Yields like `along`, with window starts first if `starts`; equally long blocks."""
+        """Yields the results of `along` for recordings `parts`; window starts first if `starts`."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
         blocks = FORCE_BLOCKS
         inside = inside[: inside.size // blocks * blocks]
@@ -233,7 +233,7 @@ class Replay:
             yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
     def _left(self, change: Change, along: Iterable[Along]) -> tuple[np.ndarray, np.ndarray]:
-        """Computes the two arrays of `lacking` from the output of `along`."""
+        """Computes the two arrays of `lacking` from the results of `along`."""
         joints = balanced_joints(self.machine, self.channels)
         native = self.machine.native_actuators()
 
@@ -255,7 +255,7 @@ class Replay:
         return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
-        """Predicts outputs from the start of a window under other commands than those measured.
+        """Predicts outputs from the start of a window under commands that differ from the measured.
 
         Commands have the shape (series, samples, actuators), outputs (series, channels, samples).
         """
@@ -267,9 +267,9 @@ class Replay:
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:
-        """Returns a recording from its first window at or after a time [s] to its end or a gap.
+        """Returns a recording from its first window after a time [s] to its end or next gap.
 
-        Returns None if there is no such window.
+        Returns None if no window starts at or after this time.
         """
         cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
@@ -284,7 +284,7 @@ class Replay:
         late = np.array([controls.shape[1] // 2, controls.shape[1]]) - 1
         there = self._roll(change.variant, starts, controls, late, places)
         for i, actuator in enumerate(self.machine.actuators):
-            # 5 % of the command's standard deviation: a visible but small perturbation.
+            # Perturbation: 5 % of the command's standard deviation is small and yet visible.
             step = 0.05 * float(np.std(cut.series.columns[f"{actuator}_command"]))
             if step > 0.0:
                 moved = controls.copy()
@@ -316,7 +316,7 @@ class Replay:
         return np.concatenate([v[c.firsts] for v, c in zip(values, self.cuts, strict=True)])
 
     def _parts(self, change: Change, chosen: np.ndarray | None) -> Iterator[Part]:
-        """Yields the recordings that have chosen windows, with their series under a change."""
+        """Yields each recording with chosen windows, and its measured series under a change."""
         for number, cut in enumerate(self.cuts):
             if chosen is not None:
                 cut = replace(cut, firsts=cut.firsts[chosen[self.recording == number]])
@@ -337,7 +337,7 @@ class Replay:
         unknown = [None] * len(parts)
         if not self.blind:
             return states(0, unknown)
-        # Pressures at window starts come from a replay before them.
+        # The final pressures of a replay of the time before each window are its start pressures.
         controls = [
             self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
@@ -351,16 +351,16 @@ class Replay:
     def _controls(
         self, cut: Cut, measured: Measured, index: np.ndarray, lead: float = 0.0
     ) -> np.ndarray:
-        """Returns controls at the steps of windows of samples `index`, (windows, steps, actuators).
+        """Returns controls at the time steps of the samples `index`, (windows, steps, actuators).
 
         Commands of native actuators act `lead` [s] before their recorded times.
         """
         actuators, steps = self.machine.actuators, self.substeps
         controls = commands_at(self.machine, measured, index)
         controls = np.repeat(controls, steps, axis=1)
-        # Velocities lag half a step, so an impulse spans half a step to both sides of its time and
-        # takes the mean command of that span. Valves and activations follow commands by their
-        # dynamics; an activation stepped before the force takes the command of the step before.
+        # A velocity is half a step older than its position, so an impulse spans half a step before
+        # and after and uses the mean command of this span. Valves and activations follow commands
+        # by their dynamics; an activation stepped before the force uses the previous command.
         lead = ((cut.series.command_lead or 0.0) + lead) / self._period
         early = self.machine.base.model.actuator_actearly
         for name in self.machine.native_actuators():
@@ -383,12 +383,12 @@ class Replay:
         steps: np.ndarray,
         places: np.ndarray,
     ) -> np.ndarray:
-        """Simulates windows; returns `places` of the state after `steps`, (windows, steps, places).
+        """Simulates windows; returns entries `places` of the states after `steps`.
 
-        Windows run in batches, whose states take at most `_MEMORY`.
+        The shape is (windows, steps, places). A batch of windows takes at most `_MEMORY`.
         """
         model = variant.model
-        # An MjData holds the plugin instances of one model, so every variant has its data.
+        # An MjData contains the plugin instances of one model, so each variant has its own MjData.
         if id(variant) not in self._datas:
             made = [mujoco.MjData(model) for _ in range(self._threads)]
             self._datas[id(variant)] = variant, made
@@ -404,7 +404,7 @@ class Replay:
             if self._room.size < math.prod(shape):
                 self._room = np.empty(math.prod(shape))
             states = self._room[: math.prod(shape)].reshape(shape)
-            sensors = np.empty((*shape[:2], model.nsensordata))  # else allocated by each call
+            sensors = np.empty((*shape[:2], model.nsensordata))  # otherwise each call allocates it
             with headless(model):
                 self._pool.rollout(
                     model, datas, starts[part], controls[part], state=states, sensordata=sensors
@@ -414,7 +414,7 @@ class Replay:
         return found
 
     def _predicted(self, variant: Variant, starts: np.ndarray, controls: np.ndarray) -> np.ndarray:
-        """Predicts the channels at the samples of windows, shape (windows, channels, samples)."""
+        """Predicts the channels at all samples of windows, shape (windows, channels, samples)."""
         places = [
             place(variant, c.cylinder or c.joint, c.chamber or "position") for c in self.channels
         ]

@@ -17,7 +17,7 @@ from leglab.diagnosis.replay.starts import Nudge
 from leglab.diagnosis.replay.windows import Channel, filter_difference
 from leglab.diagnosis.thresholds import DEFAULT, EXPLAINED, EXPLANATION, ROOM, SMALL, Thresholds
 
-# Share of a variance that rounding may take.
+# Relative increase of a covariance's diagonal, far above rounding errors: see `inverse_roots`.
 _ROUNDING = 1e-9
 
 
@@ -25,16 +25,16 @@ _ROUNDING = 1e-9
 class NoiseModel:
     """Noise of a correct model's replay errors, linearised at one hypothesis."""
 
-    defect: np.ndarray  #: Error by the replays' time step, shape (windows, channels, bins)
+    defect: np.ndarray  #: Errors at time step zero minus actual ones, (windows, channels, bins)
     #: Inverse Cholesky factors of the windows' covariances, which turn errors into numbers of unit
     #: variance, shape (windows, size, size).
     whitening: np.ndarray
-    # Factors of the last chosen windows, by their mask: hundreds of successive replays use the same
-    # ones, and copying them costs as much as a replay of a leg.
+    # `whitening` of the last chosen windows, by their mask: hundreds of successive replays use the
+    # same windows, and a copy of their factors takes as long as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
 
     def covariance(self, chosen: np.ndarray, block: slice = slice(None)) -> np.ndarray:
-        """Returns error covariances of the chosen windows, or blocks, (windows, size, size)."""
+        """Returns error covariances of chosen windows, or their blocks, (windows, size, size)."""
         factors = (dtrtri(root, lower=1)[0][block] for root in self.whitening[chosen])
         return np.stack([factor @ factor.T for factor in factors])
 
@@ -52,7 +52,7 @@ class NoiseModel:
 def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Whitens errors of windows to unit variance, shape (windows, size).
 
-    It is called hundreds of times: one batched product is faster than triangular solves.
+    This is called hundreds of times, and one batched product is faster than triangular solves.
     """
     return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
@@ -60,8 +60,8 @@ def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
 def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
     """Computes inverse Cholesky factors of covariances (size, size), shape (count, size, size).
 
-    Errors far above noise make covariances nearly singular, so their diagonals are raised by the
-    size of rounding. Takes a third of the work of a general inverse.
+    Model errors far above noise make covariances nearly singular, so their diagonals are raised by
+    a relative 1e-9. Inverting triangular factors takes a third of the work of a general inverse.
     """
 
     def factor(one: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ def inverse_roots(covariances: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def robust_cost(mean_square: np.ndarray, limit: float) -> np.ndarray:
-    """Computes robust costs of mean squares, logarithmic beyond a limit, of the same shape."""
+    """Computes robust costs of mean squared errors: equal up to a limit, logarithmic beyond."""
     beyond = limit * (1.0 + np.log(np.maximum(mean_square, limit) / limit))
     return np.where(mean_square <= limit, mean_square, beyond)
 
@@ -85,8 +85,8 @@ def robust_weight(mean_square: np.ndarray, limit: float) -> np.ndarray:
 class Problem:
     """Recordings and machine as a least-squares problem; immutable.
 
-    The machine is the unmodified one at the replay's time step, and `fit` the indices of the
-    recordings that are fitted; the others are held out.
+    `machine` is the unmodified machine at the replay's time step. `fit` are the indices of the
+    recordings that are fitted; all others are held out.
     """
 
     def __init__(
@@ -119,11 +119,11 @@ class Problem:
             return replay.error(change, chosen=chosen).values
 
         whole, half, quarter = errors(self.replay), errors(self._fine), errors(self._at(0.25), some)
-        #: Joint that blows up in replays of the unmodified model, None if none does; and whether
-        #: replays at half the time step are stable.
+        #: Joint that becomes unstable in replays of the unmodified model, None if none does; and
+        #: whether all are stable at half the time step.
         self.blown, self.finer_helps = self._blown(whole), self._blown(half) is None
         self._beyond_half = extrapolation((half - whole)[some], quarter - half[some])
-        #: At first about the unmodified machine; see `about`.
+        #: Linearised at the unmodified machine; `about` changes this.
         self.noise = self._noise_model(library.change(Hypothesis(), machine), whole, half - whole)
 
     @property
@@ -133,18 +133,18 @@ class Problem:
 
     @property
     def judged(self) -> np.ndarray:
-        """Mask of the windows on which gaps are reported, (windows,): held out, or else fitted."""
+        """Mask of the windows on which errors are reported: held out, or else fitted."""
         return self.held if self.held.any() else self.fitted
 
     def _at(self, share: float) -> Replay:
-        """Returns the replay with a share of its time step."""
+        """Returns the replay at its time step times `share`."""
         return self.replay.on(self.machine.at_timestep(share * self.machine.timestep))
 
     def _blown(self, errors: np.ndarray) -> str | None:
         """Returns the joint that the time step makes unstable in replays, or None.
 
-        No wrong model moves a joint a hundred times its travel in a window, and an unstable step
-        amplifies errors, (windows, channels, bins), by 1e6. More than half of all windows show it.
+        Its position errors, of (windows, channels, bins), exceed a hundred times its travel in more
+        than half of the windows: wrong models stay below, an unstable step amplifies by 1e6.
         """
         for k, channel in enumerate(self.channels):
             if channel.chamber:
@@ -164,7 +164,7 @@ class Problem:
         return other
 
     def beside(self, own: np.ndarray) -> "Problem":
-        """Returns a copy with covariances added to the noise, (recordings, size, size)."""
+        """Returns a copy with `own`, (recordings, size, size), added to the noise covariances."""
         other, recording = copy(self), self.replay.recording
         noise = self.noise.covariance(np.ones(self.replay.windows, dtype=bool))
         whitening = inverse_roots(noise + own[recording])
@@ -172,13 +172,13 @@ class Problem:
         return other
 
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
-        """Computes the noise model at a change from its errors, (windows, channels, bins).
+        """Computes the noise model at a change with errors `reference`, (windows, channels, bins).
 
         The covariance of a window's errors is N + S P S' + D D'. N is the sensor noise of the bins,
-        P the covariance of the start states, S the sensitivity of the predictions to them, from
-        replays with perturbed starts, and D the error by the time step. The errors are corrected by
-        D, since a machine has no time step. A recording simulated by the model itself contains this
-        error, so D also counts as noise. `finer` is the change of the errors by half the time step.
+        P the covariance of the start states, S the sensitivity of predictions to start states, from
+        replays with perturbed starts, and D the error due to the time step. Errors are corrected by
+        D, since a machine has no time step; D also counts as noise, since a recording that the
+        model itself simulated has this error. `finer`: change of the errors at half the step.
         """
         replay, limits, size = self.replay, self.thresholds, self.size
         per_bin = replay.samples // replay.bins
@@ -197,12 +197,12 @@ class Problem:
             moved = replay.error(change, nudge=nudge).values - reference
             directions.append(moved.reshape(-1, size) * (spread / nudge.size)[:, None])
         together = zip(np.stack(directions, axis=2), variance.reshape(-1, size), strict=True)
-        # One window at a time: all covariances together take hundreds of megabytes.
+        # One window at a time, because all covariances together take hundreds of megabytes.
         whitening = inverse_roots(moves @ moves.T + np.diag(own) for moves, own in together)
         return NoiseModel(defect=defect, whitening=whitening)
 
     def _nudges(self) -> list[tuple[Nudge, np.ndarray]]:
-        """Returns a perturbation and the standard deviations, (windows,), of each start state."""
+        """Returns for each start state a perturbation and its standard deviations, (windows,)."""
         found: list[tuple[Nudge, np.ndarray]] = []
         replay, machine, limits = self.replay, self.machine, self.thresholds
         for k, channel in enumerate(self.channels):
@@ -212,7 +212,7 @@ class Problem:
             for quantity, period in known.items():
                 rule = {"deriv": int(period is not None), "delta": period or 1.0}
                 kernel = float(np.sqrt((savgol_coeffs(*channel.filter, **rule) ** 2).sum()))
-                # The difference from a filter of lower order shows where smoothing is biased.
+                # The difference from a filter of lower order indicates the bias of the smoothing.
                 samples = (s.columns[channel.column] for s in self.series)
                 rough = [filter_difference(x, channel.filter, period) for x in samples]
                 sigma = kernel * self.sensor_noise[replay.recording, k]
@@ -233,7 +233,7 @@ class Problem:
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Computes whitened errors, (chosen windows, size); 0 in windows where an effect begins."""
+        """Computes whitened errors, (chosen windows, size); 0 where an effect begins inside."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
@@ -244,13 +244,13 @@ class Problem:
         return np.mean(self.residual(hypothesis) ** 2, axis=1)
 
     def raw_errors(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Computes measured less predicted in SI units, shape (windows, channels, bins)."""
+        """Computes measured minus predicted outputs in SI units, (windows, channels, bins)."""
         return self._errors(self.replay, hypothesis, None)[0] + self.noise.defect
 
     def _errors(
         self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Computes errors of the chosen windows; and 0 where an effect begins inside, else 1."""
+        """Computes errors of chosen windows, and 0 per window in which an effect begins, else 1."""
         if not hypothesis.onsets:
             change = self.library.change(hypothesis, replay.machine)
             errors = replay.error(change, chosen=chosen).normalised
@@ -269,14 +269,14 @@ class Problem:
         return out[chosen], certain[chosen].astype(float)
 
     def window_cost(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Computes robust mean squares of all windows, fitted and held out, shape (windows,)."""
+        """Computes the robust cost of every window, fitted and held out, (windows,)."""
         return robust_cost(self.noise_levels(hypothesis), self.thresholds.robust_limit)
 
 
 def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
     """Tests whether the errors of each recording are noise in all but a few windows.
 
-    `squares` are the windows' mean squares of whitened errors, (windows,).
+    `squares` are the mean squared whitened errors of the windows, (windows,).
     """
     share, limit = 1.0 - SMALL, EXPLAINED**2
     own = (squares[recording == r] for r in np.unique(recording))
@@ -286,13 +286,13 @@ def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
 def lessens(before: float, after: float) -> bool:
     """Tests whether an error falls by the share `EXPLANATION` of its excess over noise.
 
-    Both errors are in noise levels; a complete model has 1.
+    Both errors are in noise levels, so a complete model has the error 1.
     """
     return before - after >= EXPLANATION * max(before - 1.0, ROOM)
 
 
 def thinned(mask: np.ndarray, count: int) -> np.ndarray:
-    """Selects about `count` windows of a mask at even distances, same shape."""
+    """Returns a mask of about `count` of the windows in `mask`, evenly spaced."""
     out = np.zeros_like(mask)
     out[np.flatnonzero(mask)[:: max(1, round(mask.sum() / count))]] = True
     return out
@@ -301,11 +301,11 @@ def thinned(mask: np.ndarray, count: int) -> np.ndarray:
 def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Computes the factor that extrapolates a halved time step to step zero, (channels,).
 
-    The error of a step h is c_1 h + c_2 h^2. Two halvings determine both terms (Romberg): the whole
-    change to step zero is (2 first + 8 second)/3. That is 4/3 of `first` for an error of second
-    order, twice `first` for one of first order. The median of windows is taken, since differences
-    near jumps and stick-slip have no order. `first` is the change of the errors by half the step,
-    (windows, channels, bins), `second` the further change by a quarter.
+    `first` is the change of the errors, (windows, channels, bins), from the step h to h/2, `second`
+    the change from h/2 to h/4. If the error is c_1 h + c_2 h^2, both determine the change from h to
+    0 (Romberg): (2 first + 8 second)/3. This is 4/3 `first` for second-order errors (c_1 = 0) and
+    twice `first` for an error of first order. The factor is the median over windows, because errors
+    near jumps and stick-slip have no order.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)

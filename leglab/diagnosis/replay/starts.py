@@ -1,8 +1,8 @@
-"""Start states of windows: measured motion, and hidden states that follow from it.
+"""Start states of windows: measured motion, and hidden states reconstructed from this motion.
 
-At rest the measured motion is all noise, so dry friction follows from the balance of forces;
-several bristles on one joint (a cylinder's seals, a bearing) share it in proportion to their
-limits. A joint in contact keeps the bristle deflection of its last slide.
+At rest the measured velocity is only noise. Dry friction is then computed from the balance of
+forces; several bristles on one joint (a cylinder's seals, a bearing) share it in proportion to
+their friction limits. A joint in contact keeps the bristle deflection of its last slide.
 """
 
 from collections.abc import Mapping
@@ -28,14 +28,14 @@ from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
 
-# Velocity at which a bristle breaks away: the Stribeck curve is at its peak [m/s or rad/s].
+# Sliding speed at break-away [m/s or rad/s]: nearly zero, where the Stribeck curve peaks.
 _BREAKAWAY = np.finfo(float).tiny
 
 
 class Nudge(NamedTuple):
-    """Perturbation of a reconstructed start state by a size [rad, rad/s, Pa or m].
+    """Perturbation by `size` [rad, rad/s, Pa or m] of one start state of all windows.
 
-    The state is that of an element and a quantity, as in `place`.
+    The state is a quantity of an element, named as in `place`.
     """
 
     element: str
@@ -44,9 +44,9 @@ class Nudge(NamedTuple):
 
 
 def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float) -> np.ndarray:
-    """Computes a LuGre bristle that starts unloaded, exact between samples; all (n,).
+    """Computes the deflection z of a LuGre bristle that starts at 0; all (n,).
 
-    z' = v - sigma |v| z / g with v and g, the steady friction `level`, held over a sample
+    Solves z' = v - sigma |v| z / g with v and g, the steady friction `level`, held over a sample
     (Canudas de Wit et al. 1995).
     """
     out = np.empty(velocity.size)
@@ -55,7 +55,7 @@ def bristle(velocity: np.ndarray, level: np.ndarray, sigma: float, period: float
 
 
 def spool(command: np.ndarray, frequency: float, damping: float, period: float) -> np.ndarray:
-    """Computes spool position and velocity, (n, 2), under a held command, (n,), from rest.
+    """Computes spool position and velocity, (n, 2), from rest under held commands, (n,).
 
     `frequency` is angular [rad/s], `damping` a ratio, `period` the sampling period [s].
     """
@@ -66,15 +66,15 @@ def spool(command: np.ndarray, frequency: float, damping: float, period: float) 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instances:
-    """Plugin instances of a variant at window starts; reconstruction writes to `state`."""
+    """Parameters and states of all plugin instances at window starts; methods write to `state`."""
 
     machine: Machine  #: The unmodified machine
     measured: Measured  #: Series of one recording
-    variant: Variant  #: Compiled model
+    variant: Variant  #: Compiled model with the hypothesis's changes
     state: np.ndarray  #: Parameters and states at window starts, shape (windows, npluginstate)
     #: Reconstructed series by element and name, each (n,): "spool_position", "bristle", and
-    #: "carried", which loads the friction: the load of a joint, or the sum of a cylinder's gauge
-    #: pressures.
+    #: "carried", on which the friction depends: the load of a joint, or the sum of a cylinder's
+    #: gauge pressures.
     followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:
@@ -99,11 +99,11 @@ class Instances:
         return [*self.pressures(self.machine.driven[cylinder][0]).values()]
 
     def reconstruct(self) -> None:
-        """Sets the hidden states of cylinders, joint friction and supplies from the motion.
+        """Sets the hidden states of cylinders, joint friction and supplies from measured series.
 
-        A supply keeps its states if pressures of one of its cylinders are not measured.
+        A supply keeps its initial state if pressures of one of its cylinders are not measured.
         """
-        # Cylinders first: they load the joints.
+        # Cylinders first, because the load on joint friction depends on their forces.
         for plugin, follow in ((CYLINDER, self._cylinder), (FRICTION, self._joint_friction)):
             for element, (_, table) in self.variant.elements.items():
                 if table.plugin == plugin:
@@ -136,9 +136,9 @@ class Instances:
             self._seat(element, velocity, level)
 
     def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
-        """Places a piston at the flank of its play that it pressed last.
+        """Places a piston at that flank of the pin's play against which it pressed last.
 
-        It crosses the play within milliseconds, and rests in it only while friction holds it.
+        A piston crosses the play within milliseconds, and stays inside only if friction holds it.
         """
         samples, play = self.measured.samples, self.value(element, "play")
         pressures = self.chambers(element)
@@ -175,7 +175,7 @@ class Instances:
         )
 
         def followed() -> np.ndarray:
-            # Steps of 0.5 ms at most: some hundredths of a supply's time constant.
+            # Steps of at most 0.5 ms, which is some hundredths of a supply's time constant.
             out, steps = np.empty(chambers[0][0].size), np.ceil(period / 5e-4 - 1e-9)
             native.supply_pressure(*given, period, max(1, int(steps)), out)
             return out
@@ -205,14 +205,14 @@ class Instances:
 
     @cached_property
     def _loads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Every 20th sample, and forces of actuators and bias on all joints, (samples, nv, 2).
+        """Every 20th sample, with the actuator and bias forces on all joints, (samples, nv, 2).
 
-        Loads change with the pose, so interpolation between these samples is enough.
+        Loads change as slowly as the pose, so other samples are interpolated.
         """
         measured, machine, model = self.measured, self.machine, self.variant.model
         count = measured.velocity[machine.joints[0]].size
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
-        # Only states that load joints are set: another joint friction reuses the cached forces.
+        # Only cylinder states are set: the cached forces then serve any change of joint friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
         for cylinder in machine.cylinders:
             start, table = self.variant.elements[cylinder]
@@ -234,7 +234,7 @@ class Instances:
     def _sliding_friction(
         self, element: str, velocity: np.ndarray, at: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """Computes steady friction g at a sliding velocity, by the plugin's law, (samples,)."""
+        """Computes the steady friction g at sliding velocities, by the plugin's law, (samples,)."""
         carried, out = self.followed[element, "carried"], np.empty(velocity.size)
         time = self.measured.start + self.measured.period * np.arange(carried.size)
         plugin, parameters = self.variant.elements[element][1].plugin, self._parameters(element)
@@ -242,7 +242,7 @@ class Instances:
         return out
 
     def _slide(self, element: str, velocity: np.ndarray, carried: np.ndarray) -> np.ndarray:
-        """Sets a bristle by its sliding along the series; returns the steady friction; all (n,)."""
+        """Computes and sets a bristle along the series; returns its steady friction; all (n,)."""
         self.followed[element, "carried"] = carried
 
         def slid() -> tuple[np.ndarray, np.ndarray]:
@@ -256,10 +256,10 @@ class Instances:
         return level
 
     def balance(self, rest_time: float) -> None:
-        """Sets resting bristles by the balance of forces.
+        """Sets the bristles of resting joints so that the forces on each joint balance.
 
-        A bristle rests if it slid less than twice its full deflection in `rest_time` [s]. Joints of
-        cylinders without measured pressures, and joints that lead others, are left unchanged.
+        A bristle rests if it moved less than twice its full deflection in the last `rest_time` [s].
+        Joints of cylinders without measured pressures, and joints that move followers, are skipped.
         """
         measured, samples = self.measured, self.measured.samples
         back = np.maximum(samples - round(rest_time / measured.period), 0)
@@ -274,7 +274,7 @@ class Instances:
             ):
                 continue
             travel = np.abs(measured.position[joint][samples] - measured.position[joint][back])
-            # The force of a contact at rest depends on speeds far below noise, so it is unknown.
+            # Contact forces at rest depend on speeds far below noise and are therefore unknown.
             free = ~measured.touched[joint][samples]
             resting = np.stack([free & (travel < 2.0 * one.travel) for one in acting])
             if resting.any():
@@ -283,7 +283,7 @@ class Instances:
                     self.state[rests, one.slot] = 0.0
         if not still:
             return
-        # A bristle loads its joint only, so one evaluation without all of them serves every joint.
+        # A bristle acts on one joint only, so one evaluation with all at zero serves every joint.
         rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
         left = self._unbalanced(rows, [*still])
         for held, (acting, resting) in zip(left.T, still.values(), strict=True):
@@ -314,7 +314,7 @@ class Instances:
         return found
 
     def _unbalanced(self, rows: np.ndarray, joints: list[str]) -> np.ndarray:
-        """Computes residual forces on joints at the starts of some windows, (rows, joints)."""
+        """Computes residual forces on joints at the starts of windows `rows`, (rows, joints)."""
         machine, model, measured = self.machine, self.variant.model, self.measured
         measured = replace(measured, samples=measured.samples[rows])
         k, closed = measured.samples, plays(machine, self.variant)
@@ -325,18 +325,18 @@ class Instances:
 
 
 class _Bristle(NamedTuple):
-    """A bristle on a joint at window starts; arrays end in (windows,)."""
+    """A bristle on a joint at window starts; the last axis of arrays is (windows,)."""
 
-    slot: int  # Of its deflection in the plugin state.
-    slope: np.ndarray  # Force on the joint by deflection.
-    limits: np.ndarray  # Largest friction on the joint against motion to either side, (2, windows).
-    travel: np.ndarray  # Full deflection as a travel of the joint.
+    slot: int  # Index of its deflection in the plugin state.
+    slope: np.ndarray  # d(force on the joint)/d(deflection).
+    limits: np.ndarray  # Largest friction force in either direction, (2, windows).
+    travel: np.ndarray  # Joint travel of the full deflection.
 
 
 def measure(
     cut: Cut, channels: tuple[Channel, ...], change: Change
 ) -> tuple[Measured, dict[str, np.ndarray]]:
-    """Returns series smoothed under a change's sensor and command faults, and corrected columns."""
+    """Applies a change's sensor and command paths; returns smooth series and corrected columns."""
     machine, series, period = change.machine, cut.series, cut.series.period
     sent = {a: series.columns[f"{a}_command"] for a in machine.actuators}
     command = {a: commanded(change, a, samples, period) for a, samples in sent.items()}
@@ -352,7 +352,7 @@ def measure(
         else:
             position[channel.joint], velocity[channel.joint] = level, slope
     pushed: dict[str, np.ndarray] = {}
-    # A body that a hypothesis puts between motor and joint takes the accelerations by commands.
+    # Not if a hypothesis puts a body between motor and joint: commands then accelerate that body.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
         driven = _driven(cut, channels, command, position, velocity)
         for joint, own in zip(machine.joints, driven, strict=True):
@@ -391,7 +391,7 @@ def activated(
 ) -> dict[str, np.ndarray]:
     """Computes activations under the commands of a series, each (n,), by stateful actuator.
 
-    Integrators begin at the first values of the activations `begun`, else at 0.
+    Integrators begin at the first values in `begun`, or at 0 if `begun` is None.
     """
     machine, model = change.machine, change.variant.model
     if not machine.stateful:
@@ -411,10 +411,10 @@ def activated(
 def _with_integrators(
     change: Change, measured: Measured, channels: tuple[Channel, ...]
 ) -> Measured:
-    """Returns the series with the integrators' initial values from the balance of forces.
+    """Returns the series with activations whose initial values balance the forces.
 
-    Commands determine how an integrator moves; its initial value minimises the residual forces in
-    the least-squares sense over the faster half of the samples: at rest dry friction hides it.
+    Commands determine only the change of an integrator. Its initial value minimises the squared
+    residual forces of the faster half of the samples, because dry friction hides it at rest.
     """
     machine, model = change.machine, change.variant.model
     own = [n for n in machine.stateful if model.actuator(n).dyntype[0] == INTEGRATOR]
@@ -433,7 +433,7 @@ def _with_integrators(
         other = replace(instances, measured=replace(at, activation=moved))
         return other._unbalanced(rows, joints).ravel()
 
-    # With limits, a new initial value saturates at other samples, so it is estimated twice.
+    # With limits, a new initial value saturates other samples, so the estimate is repeated once.
     for _ in range(2 if model.actuator_actlimited.any() else 1):
         step, force = 1e-4, left()
         slopes = np.stack([(left(name, step) - force) / step for name in own], axis=1)
@@ -446,7 +446,7 @@ def _with_integrators(
 def _follow(
     cut: Cut, machine: Machine, position: dict[str, np.ndarray], velocity: dict[str, np.ndarray]
 ) -> None:
-    """Adds the motion of the joints that equalities determine, (n,) each."""
+    """Adds positions and velocities of the followers, computed from the equalities, each (n,)."""
     model, followers = machine.base.model, machine.followers
     assert followers is not None
     given = tuple(position[j] for j in machine.joints) + tuple(velocity[j] for j in machine.joints)
@@ -467,7 +467,7 @@ def _follow(
 
 
 def closed(change: Change, states: np.ndarray) -> np.ndarray:
-    """Returns full physics states, (windows, nstate), with followers that meet the equalities."""
+    """Returns full physics states, (windows, nstate), whose followers satisfy the equalities."""
     joints, followers = change.machine.all_joints, change.machine.followers
     if followers is None:
         return states
@@ -485,9 +485,9 @@ def _driven(
     position: dict[str, np.ndarray],
     velocity: dict[str, np.ndarray],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Restores the motion by native actuators' commands that filters remove from smoothed motion.
+    """Adds to smoothed motion the motion by native actuators' commands that filters removed.
 
-    Returns position, velocity and the part of the velocity by commands, each (n,), by joint.
+    Returns position, velocity and the velocity due to commands, each (n,), for each joint.
     """
     period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
     given = [command[name] for name in cut.pushes.actuators]
@@ -505,7 +505,7 @@ def _driven(
 
 
 def commanded(change: Change, actuator: str, samples: np.ndarray, period: float) -> np.ndarray:
-    """Returns commands as they arrive at an actuator, at a sampling period [s], (n,)."""
+    """Applies the command paths of an actuator to samples with a sampling period [s], (n,)."""
     for path in change.commands.get(actuator, ()):
         samples = path(samples, period)
     return samples
@@ -521,9 +521,9 @@ def start_states(
 ) -> np.ndarray:
     """Computes full physics states at window starts under a change, shape (windows, nstate).
 
-    Windows start at the samples of `measured`. A bristle that slid less than twice its deflection
-    in `rest_time` [s] rests. `pressures` are values of `hidden_slots`, (windows, slots), where
-    pressures are not measured.
+    Windows start at the samples of `measured`. For `rest_time` [s] see `Instances.balance`.
+    `pressures` are the values of all `hidden_slots`, (windows, slots), if pressures are not
+    measured.
     """
     machine, variant, firsts = change.machine, change.variant, measured.samples
     instances = _instances(change, measured, channels)
@@ -537,7 +537,7 @@ def start_states(
     states = moments.states_at(machine, variant.model, measured, firsts, plugin)
     states[:, 0] = cut.series.time[firsts]
     for joint in (*machine.joints, *machine.follower_names):
-        # MuJoCo's velocity lags half a step behind its position: the slope before counts.
+        # MuJoCo's velocity is half a step older than its position, so the slope before is used.
         v = measured.velocity[joint]
         pushed = measured.pushed.get(joint, np.zeros_like(v))
         calm = v - pushed
@@ -561,7 +561,7 @@ def _instances(change: Change, measured: Measured, channels: tuple[Channel, ...]
 
 
 def place(variant: Variant, element: str, quantity: str) -> int:
-    """Returns the full-physics-state index of a joint's position or velocity, or a plugin state."""
+    """Returns the index in the full physics state of a joint's motion or of a plugin state."""
     model = variant.model
     if quantity == "position":
         return 1 + int(model.joint(element).qposadr[0])
@@ -573,7 +573,7 @@ def place(variant: Variant, element: str, quantity: str) -> int:
 def hidden_slots(change: Change) -> np.ndarray:
     """Returns plugin-state indices of all states that depend on unmeasured pressures.
 
-    Chamber pressures A and B and the play of each cylinder in turn, then those of the supplies.
+    These are the chamber pressures and play states of each cylinder, then the supplies' states.
     """
     variant = change.variant
     names = (*CHAMBERS, "play_offset", "piston_velocity", "pin_load", "seated_play")
@@ -583,9 +583,9 @@ def hidden_slots(change: Change) -> np.ndarray:
 
 
 def plays(machine: Machine, variant: Variant) -> list[int]:
-    """Returns plugin-state indices of all cylinders' plays, which force balances set to zero.
+    """Returns plugin-state indices of the cylinders' play widths; force balances set them to zero.
 
-    A piston crosses its play within milliseconds, so its force acts on the joint. The flank's force
-    in the first step of a simulation would be an artefact.
+    A piston crosses its play within milliseconds, so force balances treat it as fixed to the joint.
+    With play, a balance would contain the flank force of a first time step, which is an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.cylinders]

@@ -23,10 +23,10 @@ class Channel:
     """One measured output that a replay predicts."""
 
     column: str  #: Column of the recordings
-    joint: str  #: Joint of the position, or that the cylinder drives
+    joint: str  #: Joint whose position it is, or which the cylinder drives
     cylinder: str | None = None  #: Cylinder of the chamber; None for a position
     chamber: str | None = None  #: "pressure_a" or "pressure_b"; None for a position
-    #: Length in samples and order of the Savitzky-Golay filter that smooths it.
+    #: Length in samples and order of the Savitzky-Golay filter that smooths the channel.
     filter: tuple[int, int] = (21, 4)
 
 
@@ -53,7 +53,7 @@ def channels(
 
 
 def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
-    """Returns a filter's samples and order, from its length [s], fewest samples and order."""
+    """Converts a filter's length [s], minimum length in samples and order to samples and order."""
     duration, least, order = choice
     return max(least, 2 * round(0.5 * (duration / period - 1.0)) + 1), order
 
@@ -61,10 +61,10 @@ def _filter(choice: tuple[float, int, int], period: float) -> tuple[int, int]:
 def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """Estimates the standard deviation of white sensor noise from the residual of smoothing.
 
-    `window` is the filter's length and order. With its centre coefficient c, white noise of
-    variance s^2 leaves a residual of variance s^2 (1 - c). The median makes jumps count little
-    (Rousseeuw and Croux 1993). Samples at a constant reading show no noise and are left out; 0 if
-    the signal never changes or is shorter than the filter.
+    `window` is the filter's length and order. With the centre coefficient c of the filter, white
+    noise of variance s^2 leaves a residual of variance s^2 (1 - c). A median is used, so that jumps
+    have little influence (Rousseeuw and Croux 1993). Samples of a constant reading are left out, as
+    they show no noise. Returns 0 if the signal never changes or is shorter than the filter.
     """
     if samples.size < window[0]:
         return 0.0
@@ -74,10 +74,10 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
 
 
 def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -> np.ndarray:
-    """Estimates the noise of each channel, a standard deviation, (recordings, channels).
+    """Estimates the standard deviation of each channel's sensor noise, (recordings, channels).
 
-    A recording in which a channel shows no noise takes the median of the others, and the estimate
-    is at least the rounding error of the readings.
+    If a channel shows no noise in a recording, the median over the other recordings is used. The
+    estimate is at least the rounding error of the readings.
     """
     level = np.zeros((len(series), len(channels)))
     for k, channel in enumerate(channels):
@@ -93,9 +93,9 @@ def sensor_noise(series: Sequence[UniformSeries], channels: Sequence[Channel]) -
 
 
 def resolution(series: Sequence[UniformSeries], column: str) -> float:
-    """Computes a column's rounding error: its smallest step in any recording over sqrt(12).
+    """Computes a column's rounding error: its smallest quantisation step divided by sqrt(12).
 
-    The step of a column that never changes is unknown: it is taken as `UNSEEN_STEP`.
+    The step of a column that never changes is unknown; `UNSEEN_STEP` is used instead.
     """
     if all(np.ptp(s.columns[column]) == 0.0 for s in series):
         return UNSEEN_STEP[column.endswith("_position")] / np.sqrt(12.0)
@@ -114,7 +114,7 @@ def _kernels(length: int, order: int, period: float | None) -> np.ndarray:
 def smoothed(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
-    """Smooths by Savitzky-Golay, or computes the slope if a sampling period [s] is given, (n,).
+    """Smooths samples by Savitzky-Golay, or computes their slope if `period` [s] is passed, (n,).
 
     Series shorter than the filter are not smoothed. The kernels are cached, while
     `scipy.signal.savgol_filter` computes them at every call.
@@ -131,7 +131,7 @@ def smoothed(
 def filter_difference(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
-    """Computes the difference from a filter of the same length and two orders less, (n,)."""
+    """Computes the smoothed samples minus those of a filter with an order lower by two, (n,)."""
     less = window[0], max(window[1] - 2, 0 if period is None else 1)
     return smoothed(samples, window, period) - smoothed(samples, less, period)
 
@@ -141,7 +141,7 @@ class Cut:
     """Windows of one series."""
 
     series: UniformSeries  #: The recording
-    firsts: np.ndarray  #: Samples at which windows start, shape (windows,)
+    firsts: np.ndarray  #: Indices of the samples at which windows start, (windows,)
     #: d(actuator length)/d(joint position) of the cylinders, each (n,).
     levers: dict[str, np.ndarray]
     touched: dict[str, np.ndarray]  #: Whether bodies that a joint moves are in contact, (n,) each
@@ -149,7 +149,7 @@ class Cut:
     hidden_states: HiddenStates = field(default_factory=HiddenStates)  #: Cache along the series
 
     def filtered(self, channel: Channel, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes smoothed samples of a channel, given as corrected, and their slope, (n,)."""
+        """Smooths corrected samples of a channel; returns the smooth samples and their slope."""
 
         def both() -> tuple[np.ndarray, np.ndarray]:
             level = smoothed(samples, channel.filter)
@@ -161,9 +161,9 @@ class Cut:
 def window_length(period: float, thresholds: Thresholds) -> tuple[int, int]:
     """Returns the number of samples and of bins of a window, at a sampling period [s].
 
-    They follow `thresholds.window` and `bin` as far as the sampling allows: a window has at least
-    two bins for each of its `FORCE_BLOCKS` parts, and a bin at least one sample. Below 33 Hz a
-    window therefore lasts longer than 0.3 s.
+    A window and a bin last `thresholds.window` and `thresholds.bin`, but a window has at least two
+    bins for each of its `FORCE_BLOCKS` blocks, and a bin at least one sample. At sampling rates
+    below 33 Hz a window therefore lasts longer than 0.3 s.
     """
     fewest = 2 * FORCE_BLOCKS
     samples = max(round(thresholds.window / period), fewest)
@@ -180,12 +180,12 @@ def cut_all(
     lead: int,
     thresholds: Thresholds,
 ) -> list[Cut]:
-    """Cuts recordings into windows of `samples`, none before `lead` samples have passed.
+    """Cuts recordings into windows of `samples` samples, none in the first `lead` samples.
 
-    Of windows without motion one in `still_every` is kept: anything that holds a machine at rest
-    explains them. Of these and of windows with hardly any motion (below `still_motion` of the usual
-    travel) at most one is kept for `still_every` windows with motion. Each recording keeps at least
-    one of its windows. `noise` is the result of `sensor_noise`.
+    Of the windows without motion only one in `still_every` is kept, since any force that holds the
+    machine explains them. These and windows with hardly any motion (below `still_motion` of the
+    usual travel) are then thinned to one per `still_every` windows with motion. Each recording
+    keeps at least one of its windows. `noise` is the result of `sensor_noise`.
     """
     made = [
         _cut(machine, one, channels, own, samples, lead, thresholds)
@@ -208,7 +208,7 @@ def cut_all(
 
 
 def _one_in(every: int, mask: np.ndarray) -> np.ndarray:
-    """Returns a mask of all entries outside of `mask` and of one in `every` inside."""
+    """Selects all entries at which `mask` is false and each `every`-th at which it is true."""
     return ~mask | ((np.cumsum(mask) - 1) % every == 0)
 
 
@@ -223,13 +223,13 @@ def _cut(
 ) -> tuple[Cut, np.ndarray, np.ndarray]:
     """Cuts all windows of one recording; `noise` has the shape (channels,).
 
-    Also returns each channel's travel in them, (windows, channels), and whether all commands are
-    constant: a joint that sticks under a growing command is informative, and no window at rest.
+    Also returns each channel's travel in the windows, (windows, channels), and whether all commands
+    are constant, (windows,): otherwise a window without motion is informative (stiction).
     """
     commands = [series.columns[f"{actuator}_command"] for actuator in machine.actuators]
     reach = max(channel.filter[0] for channel in channels)
     margin = reach // 2 + thresholds.margin_samples
-    # Windows start where two filters differ least, in noise levels, and no command jumps.
+    # Windows start where two filters agree best, relative to noise, and no command jumps.
     unrest = np.zeros(series.time.size)
     for channel, own in zip(channels, noise, strict=True):
         unrest += (filter_difference(series.columns[channel.column], (reach, 4)) / own) ** 2
@@ -262,7 +262,7 @@ def _cut(
 def _along(
     machine: Machine, series: UniformSeries, stride: int
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Computes `levers` and `touched` of a `Cut` at every `stride`-th sample, filled in between."""
+    """Computes `levers` and `touched` of a `Cut`, interpolated between each `stride`-th sample."""
     model, count = machine.base.model, series.time.size
     moves = np.zeros((model.nbody, model.nv), dtype=bool)  # degrees of freedom that move a body
     for body in range(1, model.nbody):

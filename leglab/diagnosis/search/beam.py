@@ -9,7 +9,7 @@ from leglab.diagnosis.thresholds import BEST_SETS, DEPTH, SCORED
 
 
 def beam(evidence: Evidence) -> list[Score]:
-    """Returns sets by evidence, best first; of each set of unknowns that with the best jumps."""
+    """Returns sets by evidence, best first; each set of unknowns only with its best jumps."""
     seen: dict[frozenset[Member], Score] = {}
 
     def score(members: Iterable[Member]) -> Score:
@@ -31,7 +31,7 @@ def beam(evidence: Evidence) -> list[Score]:
         if not found:
             break
         before = max(s.log for s in current)
-        # A wrong single effect may lead where only a pair explains, so more single ones are kept.
+        # If only a pair explains the errors, the best single is often wrong: more are kept.
         current = _best(found)[: BEST_SETS if depth else 3 * BEST_SETS]
         if depth and current[0].log < before:
             break
@@ -39,7 +39,7 @@ def beam(evidence: Evidence) -> list[Score]:
 
 
 def _best(scores: Iterable[Score]) -> list[Score]:
-    """Returns each set of unknowns with its best jumps, best first."""
+    """Returns each set of unknowns once, with its best jumps, the best set first."""
     best: dict[frozenset[int], Score] = {}
     for one in sorted(scores, key=lambda s: -s.log):
         best.setdefault(frozenset(one.unknowns), one)
@@ -47,7 +47,7 @@ def _best(scores: Iterable[Score]) -> list[Score]:
 
 
 def without_idle(evidence: Evidence, score: Score, lost: float) -> Score:
-    """Removes members from a set while the removal costs at most `lost` nats."""
+    """Removes parameters from a set while each removal costs at most `lost` nats of evidence."""
     while len(score.members) > 1:
         less = [evidence.score([m for m in score.members if m != one]) for one in score.members]
         best = less[int(np.argmax([s.log for s in less]))]

@@ -1,4 +1,4 @@
-"""Calibrates the model to healthy recordings of the same machine."""
+"""Calibration of the model to healthy recordings of the same machine."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
@@ -26,20 +26,20 @@ class Specimen:
     """The individual machine, identified from its healthy recordings."""
 
     at: Errors  #: Errors of healthy recordings in the windows that were fitted
-    columns: Columns  #: Linearisation where the fit ended
+    columns: Columns  #: Linearisation at the end of the fit
     values: Hypothesis  #: Values of all strengths and shapes of the fit
-    priors: Priors  #: Priors of the same machine on another day
-    kappa: float  #: 1/design effect
-    left_out: tuple[Hypothesis, ...]  #: Fits without each part of the recordings in turn
+    priors: Priors  #: Priors of departures of the same machine on another day
+    kappa: float  #: Factor on log likelihoods, 1/design effect
+    left_out: tuple[Hypothesis, ...]  #: Values fitted without one part of the recordings, by part
 
     @property
     def problem(self) -> Problem:
-        """Healthy recordings and machine."""
+        """Fit problem of the healthy recordings."""
         return self.at.problem
 
     @cached_property
     def errors(self) -> np.ndarray:
-        """Cross-validated errors: windows of each part by the fit without it, (windows, rows)."""
+        """Cross-validated errors: a part's windows by the fit without the part, (windows, rows)."""
         out, part = np.zeros_like(self.columns.errors), parts_of(self.at.recording)
         for r, hypothesis in enumerate(self.left_out):
             own = part == r
@@ -53,9 +53,9 @@ class Specimen:
 
     @cached_property
     def _squares(self) -> np.ndarray:
-        """Mean square error of all windows by the fit without their part, (windows,)."""
+        """Mean square error of each window by the fit without the window's part, (windows,)."""
         at, problem = self.at, self.problem
-        # Windows that are not fitted belong to the part of the next fitted one.
+        # A window that is not fitted belongs to the part of the next fitted window.
         fitted = parts_of(at.recording)
         place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
         part = fitted[np.minimum(place, fitted.size - 1)]
@@ -77,16 +77,13 @@ class Specimen:
 
     @cached_property
     def usual(self) -> np.ndarray:
-        """Median cross-validated error of the windows of each recording, (recordings,).
-
-        It is in noise levels.
-        """
+        """Median cross-validated error by recording, in noise levels, (recordings,)."""
         recording, count = self.problem.replay.recording, len(self.problem.series)
         return np.sqrt([np.median(self._squares[recording == i]) for i in range(count)])
 
     @cached_property
     def day(self) -> float:
-        """Standard deviation of log errors between days, at least that of healthy recordings."""
+        """Standard deviation of log errors between healthy recordings, at least `DAY_FACTOR`."""
         apart = np.log(self.usual)
         return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
 
@@ -98,34 +95,34 @@ class Specimen:
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
-        """Tests whether new errors are those of the healthy specimen on another day.
+        """Tests whether new errors are as small as the healthy specimen's on another day.
 
-        Every recording has to pass: one with motion is more informative than three at rest. `at`
-        are the specimen's values, not refitted: changes by a day could hide a fault.
+        Every recording has to pass, because one with motion is more informative than three at rest.
+        `at` are the specimen's values. They are not refitted, because a refit could hide a fault.
         """
         level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
         largest = max(float(np.median(ratio[recording == r])) for r in np.unique(recording))
-        # The largest of several healthy recordings deviates by up to two standard deviations.
+        # The largest deviation among several healthy recordings is up to two standard deviations.
         limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
     def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
-        """Builds the evidence of sets on recordings of an unchanged machine.
+        """Builds the evidence of sets on the healthy recordings, treated as new recordings.
 
-        As new recordings are, each part of the healthy ones is compared with the fit of the others;
-        departures are from the specimen.
+        Each part of the healthy recordings is compared with the fit to the other parts, just as new
+        recordings are compared with the specimen. Departures are from the specimen.
 
         Args:
             library: Effects on the specimen.
-            members: Unknowns of the sets; tangents of all others are accurate enough.
-            kappa: Share of the log likelihood that counts.
+            members: Unknowns of the sets, whose tangents are computed anew.
+            kappa: Factor on the log likelihood.
         """
         problem, u = copy(self.problem), Unknowns.of(library)
         problem.library = library
         own = sorted({i for q in members for i in u.singles(q)})
         here = self.values, self.columns.errors
-        # Tangents of single unknowns hold for the specimen too: departures only begin elsewhere.
+        # Tangents hold for the specimen's unknowns too: only the zero of departures differs.
         single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
         tangents = np.zeros((*self.errors.shape, len(u)))
         for q in range(len(u)):
@@ -147,9 +144,10 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> Specimen:
     """Fits the model to healthy recordings, under the priors of good machines.
 
-    If that leaves more than noise, and new recordings err more than cross-validated healthy ones,
-    the healthy ones are searched for better descriptions. Only errors beyond all the best sets are
-    a change: the specimen is the first that explains the new recordings, else the most probable.
+    If this fit leaves more than noise, and the new recordings have larger errors than the healthy
+    ones have in cross-validation, sets of effects that describe the healthy recordings are sought.
+    Several may do so, and only errors that none of them explains are a change. So the specimen is
+    the first of the best sets that explains the new recordings too, or else the most probable set.
 
     Args:
         problem: Healthy recordings and machine.
@@ -180,7 +178,7 @@ def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> S
 def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
     """Builds the specimen from a fit to its healthy recordings."""
     at, unknowns = fitter.at, fitter.at.unknowns
-    # The remaining error has the scale 1 from here on.
+    # The scale 1 of the model error is, from now on, that of the errors which this fit leaves.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
     own = Spread.of(at, fit.columns.errors)
     evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)

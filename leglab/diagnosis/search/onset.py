@@ -16,9 +16,9 @@ from leglab.diagnosis.thresholds import EXPLAINED
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
-    """Finds when a model that explains the beginnings of recordings ceases to do so [s].
+    """Finds the times at which recordings, explained at first, cease to be explained [s].
 
-    Returns times, (recordings,), inf for recordings without a change; None if none has one.
+    Returns (recordings,) times, inf for a recording without a change; None if none has a change.
     """
     replay = problem.replay
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
@@ -32,7 +32,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(thresholds.COARSE)
     nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
-    # In most cases the first turns show that the beginnings are not explained either.
+    # In most cases the fit ends early: its first turns show that it cannot explain the beginnings.
     hopeless = thresholds.HOPELESS * EXPLAINED
     fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
     if fit.level > EXPLAINED:
@@ -55,13 +55,13 @@ def onset_of(problem: Problem) -> np.ndarray | None:
 def begun(
     problem: Problem, final: Hypothesis, named: Sequence[Key], onsets: np.ndarray
 ) -> tuple[Hypothesis, dict[Key, np.ndarray]]:
-    """Lets named effects begin at an onset if the recordings require it.
+    """Returns a hypothesis whose named effects begin at an onset if the recordings require it.
 
-    The onset is the middle of the interval in which an effect may have begun, since an effect of
-    fast motion exceeds the noise only some time after it began. The effect was absent in windows
-    that replays with it do not fit, and present from the start of windows that only replays with it
-    fit. Also returns the earliest and the latest possible onset [s] by effect, (recordings, 2), inf
-    in recordings without one.
+    The onset is the middle of the interval in which an effect may have begun, because an effect
+    that only fast motion shows exceeds the noise some time after it began. The effect was absent in
+    windows that replays with it do not fit, and present from the start of windows that only replays
+    with it fit. Also returns the earliest and the latest possible onset [s] by effect,
+    (recordings, 2), inf in recordings without an onset.
     """
     begin, length = problem.replay.start, problem.replay.window
     between: dict[Key, np.ndarray] = {}
@@ -79,7 +79,7 @@ def begun(
             if not after.size:
                 continue
             met = present < max(EXPLAINED, thresholds.ONSET_RISE * float(np.median(after)))
-            # If the error without the effect is far larger than with it, the effect had begun.
+            # If the error without the effect is far larger than with it, the effect is present.
             missed = ~met & (absent < thresholds.ONSET_RISE * present)
             out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
@@ -99,7 +99,7 @@ def begun(
 
 
 def _change_point(values: np.ndarray) -> int | None:
-    """Finds the first index after the most likely rise of the mean (Page 1954), or None."""
+    """Finds the index after the most likely rise of the mean (Page 1954); None without a rise."""
     count = values.size
     places = np.arange(thresholds.FEWEST_WINDOWS, count - thresholds.FEWEST_WINDOWS + 1)
     rise = np.array([values[k:].mean() - values[:k].mean() for k in places])
@@ -110,7 +110,7 @@ def _change_point(values: np.ndarray) -> int | None:
         return None
     where = int(places[np.argmax(gain)])
     before, after = values[:where], values[where:]
-    # Before a true onset windows err by noise alone, so their costs hardly vary.
+    # Before a true onset the errors are noise alone, so the costs of windows hardly vary.
     return where if before.std() < 0.5 * (after.mean() - before.mean()) else None
 
 

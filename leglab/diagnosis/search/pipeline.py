@@ -53,7 +53,7 @@ def set_up(
     held_out: Iterable[str],
     settings: DiagnosisSettings,
 ) -> Problem:
-    """Builds the fit problem of recordings by name, all but those held out fitted.
+    """Builds the fit problem of recordings by name; those in `held_out` are not fitted.
 
     Raises:
         LeglabError: Model or recordings do not fit each other, or are too short.
@@ -73,8 +73,8 @@ def _problem(
 ) -> Problem:
     """Builds the fit problem of admitted recordings.
 
-    `specimen` has the parameter values of the recorded machine, None for the model's. Only columns
-    that the recordings share with those of `beside` are predicted, so that both are comparable.
+    `specimen` has the parameter values of the recorded machine; None for the model's values. Only
+    columns that also occur in the recordings `beside` are predicted, so that errors are comparable.
     """
     recordings, limits = admitted.recordings, settings.thresholds
     others = {f"beside {name}": other for name, other in (beside or {}).items()}
@@ -107,7 +107,7 @@ def _problem(
 
     problem = posed(at_replay_step(machine, period))
     if problem.blown and problem.machine.timestep > machine.file_timestep:
-        # The replay's step is longer than the model's and may be the cause: try the model's.
+        # The replay's step exceeds the model's and may be the cause, so the model's is tried.
         steps = int(np.ceil(period / machine.file_timestep - 1e-9))
         problem = posed(machine.at_timestep(period / steps))
     _check_stable(problem)
@@ -140,8 +140,8 @@ def searched(
 ) -> tuple[Found, Specimen | None, tuple[str, ...]]:
     """Searches for the effects that a model lacks; arguments as in `diagnose`.
 
-    Returns all fitted sets, the specimen by healthy recordings, None without any, and notes on all
-    recordings.
+    Returns all fitted sets, the specimen identified from healthy recordings (None without these),
+    and notes on all recordings.
     """
     limits = settings.thresholds
     machine = machine_for(model, [*recordings.values(), *(healthy or {}).values()])
@@ -170,7 +170,7 @@ def searched(
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
-    """Returns the problem with scales from the recordings and shapes from residual forces."""
+    """Returns the problem with trials scaled to recordings, and shapes from residual forces."""
     sites = dict(sized(problem.library, problem.machine, seen).sites)
     guessing = {k: s for k, s in sites.items() if type(s.effect).guess is not Effect.guess}
     left = forces_left(problem, Hypothesis()) if guessing else {}
@@ -198,6 +198,6 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
 
 
 def _most(parameters: Sequence[EffectParameter], values: np.ndarray) -> float:
-    """Returns the largest departure of strengths from the model's, in smallest trials."""
+    """Returns the largest departure of the strengths from nominal, in smallest trials."""
     each = zip(parameters, values.tolist(), strict=True)
     return max(p.departure(v, p.nominal) for p, v in each if p.role == "strength")

@@ -25,7 +25,7 @@ from leglab.diagnosis.thresholds import (
 )
 
 Members = frozenset[int]
-# Moves that propose sets beyond those of first order and of the balance of forces.
+# Names of the moves that propose further sets, after those by first order and by force balance.
 FURTHER = ("both ways", "neighbours")
 
 
@@ -34,21 +34,21 @@ class Proposal:
     """A set of effects that a move proposes to fit."""
 
     move: str  #: Name of the move
-    candidate: Candidate  #: The set and where its fit begins
+    candidate: Candidate  #: The set, and the start of its fit
     reason: str  #: Reason in words
-    beside: bool = True  #: Argument of `Fitter.fit`
-    renewals: int = 0  #: Argument of `Fitter.fit`
-    finishes: Fit | None = None  #: The unfinished fit that this one replaces
+    beside: bool = True  #: Argument `beside` of `Fitter.fit`
+    renewals: int = 0  #: Argument `renewals` of `Fitter.fit`
+    finishes: Fit | None = None  #: The unfinished fit that the fit of this proposal replaces
     once: Hashable = None  #: Key of a proposal that is made only once
     late: bool = False  #: Whether it counts as an attempt to find a rival of the best set
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A set that was fitted, without its linearisations."""
+    """Record of a set of effects that was fitted, without its linearisations."""
 
     move: str  #: Name of the move that proposed it
-    reason: str  #: In words
+    reason: str  #: Reason in words
     keys: frozenset[Key]  #: Effects and elements of the set
 
 
@@ -56,9 +56,9 @@ class Step:
 class Aim:
     """Purpose of a search: all rival causes, or one good description of recordings."""
 
-    moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: In order of precedence
+    moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: Moves in order of precedence
     rivals: bool  #: Whether rivals of good sets are fitted
-    #: Least predicted log evidence of a further set over that of the best one [nats].
+    #: Smallest predicted log evidence, relative to the best set, for which a set is fitted [nats].
     ahead: float
 
 
@@ -68,11 +68,11 @@ class Scene:
 
     fitter: Fitter
     aim: Aim
-    first: Columns  #: Linearisation of the unchanged model, with all trials
+    first: Columns  #: Linearisation of the unchanged model, with jumps to all trials
     compared: Compared
     #: Linearisations without an effect, see `Errors.without`, by fit and effect.
     removed: dict[tuple[Fit, Key], Columns | None] = field(default_factory=dict)
-    #: Linearisations of fits with jumps to limits.
+    #: Linearisations of fits with the jumps `limits`.
     limited: dict[Fit, Columns] = field(default_factory=dict)
 
     @property
@@ -82,24 +82,24 @@ class Scene:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Parameters of the specimen that scale with all forces, see `own_forces`."""
+        """Values of the specimen that scale with all forces, see `own_forces`, (single,)."""
         return own_forces(self.fitter.at.problem, self.fitter.at.unknowns)
 
     @cached_property
     def limits(self) -> list[Jump]:
-        """Jumps of command and force limits, whose tangents vanish far from the limit."""
+        """Jumps of command and force limits, because tangents far from a limit vanish."""
         u = self.fitter.at.unknowns
         return [jump for jump in trials(u) if u.limits[jump[0]]]
 
     def without(self, fit: Fit, key: Key) -> Columns | None:
-        """Linearises a fit without one effect; None where the replay blows up."""
+        """Linearises a fit without one effect; None if the replay blows up."""
         if (fit, key) not in self.removed:
             made = self.fitter.at.without(fit.columns, fit.members, key)
             self.removed[fit, key] = made
         return self.removed[fit, key]
 
     def with_limits(self, fit: Fit) -> Columns:
-        """Adds jumps of limits to the linearisation of a fit."""
+        """Adds the jumps `limits` to the linearisation of a fit."""
         if fit not in self.limited:
             self.limited[fit] = self.fitter.at.jumped(fit.columns, self.limits)
         return self.limited[fit]
@@ -112,10 +112,10 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Fitted sets and the steps that led to them; immutable, each step returns a new pool."""
+    """Fitted sets and the steps of a search. A pool is immutable: each step returns a new pool."""
 
     scene: Scene
-    kappa: float  #: 1/design effect
+    kappa: float  #: Factor on log likelihoods, 1/design effect
     fits: tuple[Fit, ...] = ()
     steps: tuple[Step, ...] = ()
     tried: frozenset[Members] = frozenset({frozenset()})  #: Sets that have been proposed
@@ -145,7 +145,7 @@ class Pool:
         )
 
     def ranked(self) -> "Pool":
-        """Ranks all sets, with `kappa` from the errors of the fit that errs least."""
+        """Ranks all sets, with `kappa` from the errors of the fit with the smallest errors."""
         compared = self.scene.compared
         ranks, kappa = rank(compared, self.fits, self.kappa), self.kappa
         least = min(ranks, key=lambda r: r.fit.level)
@@ -171,10 +171,11 @@ class Pool:
 
     @cached_property
     def near(self) -> list[Ranked]:
-        """Sets that may turn out to be the best one.
+        """Sets that may turn out to be better than the best set.
 
-        While no set explains the recordings, predicted evidence is wrong by a share of the whole
-        gain. A set with no more parameters than the best one is near if it leaves noise alone.
+        Their evidence is at most `BEHIND * NEAR` below the best set's. While no set explains the
+        recordings, the margin grows with the best set's gain, because predictions err by a share of
+        it. A set that leaves only noise, with no more parameters than the best set, is also near.
         """
         top, rivals = self.best.score.log, self.scene.aim.rivals
         behind = BEHIND * NEAR if rivals else 0.0
@@ -190,9 +191,9 @@ class Pool:
         ]
 
     def needed(self, fit: Fit, there: Evidence | None = None) -> bool:
-        """Tests whether all effects of a set contribute, or the smaller set was not fitted yet.
+        """Tests whether every effect of a fit contributes, or the set of contributing ones is new.
 
-        The evidence is `there`, by default that at the fit.
+        `there` is the evidence to use; None for the evidence at the fit.
         """
         at = self.scene.fitter.at
         there = there or self.scene.compared.evidence(fit, fit.spread, fit, self.kappa)
@@ -202,7 +203,7 @@ class Pool:
 
     @property
     def sound(self) -> list[Ranked]:
-        """Sets without a parameter at a bound, with which others are compared; else all sets."""
+        """Sets to compare with others: those without a parameter at a bound, or else all sets."""
         return [r for r in self.ranks if not r.fit.ended] or list(self.ranks)
 
     def knows(self, members: Members) -> bool:
@@ -216,7 +217,7 @@ class Pool:
 
     @cached_property
     def vain_now(self) -> int:
-        """Consecutive attempts without a rival of the best set, including the present one."""
+        """Number of consecutive attempts without a rival of the best set, with the present one."""
         last = self.further[-1].keys if self.further else frozenset[Key]()
         top = self.best.score.log
         rival = last in {r.fit.keys for r in self.near if r.score.log > top - NEAR}
@@ -224,15 +225,16 @@ class Pool:
 
     @property
     def exhausted(self) -> bool:
-        """Tests whether enough further sets were fitted, or too many without a rival."""
+        """Tests whether enough further sets were fitted, or too many in a row without a rival."""
         return self.vain_now > FRUITLESS or len(self.further) >= FURTHER_FITS
 
     @property
     def ended(self) -> bool:
         """Tests whether the search can stop.
 
-        If the unchanged model leaves noise, linearised evidence is exact: the search stops if the
-        empty set leads, or if no fit clearly lessens the errors. A description stops at noise.
+        If the unchanged model leaves only noise, linearised evidence is exact, so the search stops
+        if the empty set leads or no fit clearly lessens the errors. If no rivals are wanted, the
+        search stops when the best set leaves only noise.
         """
         fitter, best = self.scene.fitter, self.best.fit
         if self.scene.clear:
@@ -248,7 +250,7 @@ class Found:
 
     pool: Pool
     level: float  #: Median error of the unchanged model, in noise levels
-    onsets: np.ndarray | None = None  #: Argument of `search`
+    onsets: np.ndarray | None = None  #: Argument `onsets` of `search`
 
     @property
     def fitter(self) -> Fitter:
@@ -257,7 +259,7 @@ class Found:
 
     @property
     def first(self) -> Columns:
-        """Linearisation of the unchanged model, with all trials."""
+        """Linearisation of the unchanged model, with jumps to all trials."""
         return self.pool.scene.first
 
     @property

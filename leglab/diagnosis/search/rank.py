@@ -1,4 +1,4 @@
-"""Ranking of fitted sets by their evidence at the points of several fits."""
+"""Ranking of fitted sets of effects by their evidence at the linearisations of several fits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from leglab.diagnosis.likelihood.spread import Spread
 from leglab.diagnosis.search.settle import Fit, Fitter
 from leglab.diagnosis.thresholds import SURE_FITS
 
-# Memory for cached products of linearisations [bytes]: a small part of any computer's.
+# Upper limit on cached products of linearisations [bytes]: a small part of any computer's memory.
 _MEMORY = 2e8
 
 
@@ -21,13 +21,13 @@ class Ranked:
     """A fitted set at the linearisation where it is most probable."""
 
     fit: Fit  #: The fit
-    evidence: Evidence  #: At the linearisation of this fit or of another
+    evidence: Evidence  #: Evidence at the linearisation of this fit or of another fit
     score: Score  #: Score of the set by this evidence
-    gain: float  #: Log evidence there less that at the linearisation of the fit [nats]
+    gain: float  #: Log evidence of `score` less that at the linearisation of this fit [nats]
 
 
 class Compared:
-    """Evidence of sets at linearisations; caches all scores, and products up to `_MEMORY`."""
+    """Evidence of sets at fits' linearisations; caches all scores, and products up to `_MEMORY`."""
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter = fitter
@@ -35,7 +35,7 @@ class Compared:
         self._scores: dict[tuple[object, ...], Score] = {}
 
     def evidence(self, at: Fit, spread: Spread, by: Fit, kappa: float) -> Evidence:
-        """Returns evidence at the fit `at`, with a model-error covariance and weights of `by`."""
+        """Returns the evidence at the fit `at`, with the window weights of the fit `by`."""
         key = at.columns, spread, by
         made = self._made.pop(key, None)
         if made is None:
@@ -43,14 +43,14 @@ class Compared:
         elif made.kappa != kappa:
             made = made.with_kappa(kappa)
         self._made[key] = made
-        # Each keeps products at all sizes, and reduced ones for each spread.
+        # Each evidence keeps products at all scales, and reduced products for each spread.
         each = made.gram.nbytes * (1 + len(made.priors.spreads))
         while len(self._made) * each > _MEMORY:
             self._made.pop(next(iter(self._made)))
         return made
 
     def score(self, fit: Fit, at: Fit, spread: Spread, by: Fit, kappa: float) -> Score:
-        """Scores the set of `fit` at the point of another; other arguments as in `evidence`."""
+        """Scores the set of `fit` at the linearisation of `at`; arguments as in `evidence`."""
         key = fit.members, at.columns, spread, by, kappa
         if key not in self._scores:
             members = [(q, None) for q in fit.members]
@@ -59,11 +59,11 @@ class Compared:
 
 
 def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
-    """Ranks sets by evidence, best first; of several fits of a set the best one counts.
+    """Ranks sets by evidence, best first; of several fits of one set, the best one counts.
 
-    The model-error covariance is unknown: each set is scored with its own and those of the sets
-    with the smallest errors, at its own linearisation and at theirs, and the best score counts. So
-    a larger set is never worse than a set that it contains.
+    The model-error covariance is unknown, so each set is scored with the covariance of its fit and
+    with those of the fits with the smallest errors, at its own linearisation and at those of these
+    fits. The best score counts, so a larger set is never worse than a set that it contains.
     """
     near = sorted(fits, key=lambda f: f.level)[:SURE_FITS]
     fixed = compared.fitter.fixed
@@ -81,7 +81,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
-        # At a fit's own point, the gain that tangents predict and no replay reached is subtracted.
+        # At the fit's own linearisation, the predicted gain that no replay reached is subtracted.
         for n, score in enumerate(scores[: len(spreads)]):
             scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))

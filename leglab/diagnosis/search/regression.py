@@ -1,8 +1,8 @@
 """Sets of effects by regression of residual forces, joint by joint, without integration.
 
 Along the measured motion the residual force is nearly linear in most parameters, and no joint's
-balance depends on effects missing at another joint (Gautier and Khalil 1992). Far from the model
-replays are less informative: any misfit favours a weaker drive.
+balance depends on effects missing at another joint (Gautier and Khalil 1992). Replays far from the
+true model are less informative, because any misfit makes a weaker drive seem more probable.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,10 +28,10 @@ from leglab.diagnosis.thresholds import (
 
 @dataclass(frozen=True)
 class Balanced:
-    """A set that balances one joint."""
+    """A set of effects that reduces the residual forces of one joint."""
 
-    start: dict[int, float]  #: Departures of its unknowns
-    #: Gain over no effect [nats], for one number per window; BIC: less log(windows)/2 a parameter.
+    start: dict[int, float]  #: Departures of the set's unknowns
+    #: Gain over no effect [nats], as if a window were one datum, less log(windows)/2 per parameter.
     gain: float
 
 
@@ -48,7 +48,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     loud = _forces(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
-        # The median window of a recording sets the scale; its limit excludes joints at rest.
+        # The scale of weights is a recording's median residual force, raised for joints at rest.
         size = np.sqrt((left[:, j] ** 2).mean(axis=1))
         least = max(NEGLIGIBLE * float(np.median(size)), 1e-12)
         scale = np.ones(len(size))
@@ -62,18 +62,19 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
             own = change[:, j]
             share = _proportion(own.ravel(), drive[:, j].ravel()) if louder else 0.0
             if share and jump[0] not in louder:
-                # A force in proportion to the drive grows with its gain; other friction does not.
+                # A force in proportion to the drive's grows with the drive's gain; other friction
+                # does not grow.
                 both = _forces(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
                 share = share if abs(grown - stronger) < SMALL * stronger else 0.0
             if share:
-                # A gain of 0, or friction that absorbs the drive's force, leaves no residual: the
-                # drive would explain itself. So the force of the motion replaces the drive's.
+                # A gain of 0, or friction that absorbs the drive's force, would leave no residual
+                # force. So the force that the motion takes replaces the drive's force.
                 own = np.sign(own * drive[:, j]) * share * (left[:, j] + drive[:, j])
             columns.append((own * weight[:, None]).ravel())
             scaling.append(share)
         x = np.stack(columns, axis=1)
-        # A weaker or late drive imitates resistance, so the mechanism's columns also run alone.
+        # A weaker or late drive imitates resistance: friction and mechanics are also fitted alone.
         resists = [u.effect(q).group in ("friction", "mechanics") for q, _ in jumps]
         machine = [i for i, share in enumerate(scaling) if share == 0.0 and resists[i]]
         sets: dict[frozenset[int], Balanced] = {}
@@ -85,10 +86,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
 
 
 def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-    """Computes forces along the measured motion, each (windows, joints, moments) [N m or N].
-
-    The first are the residual forces, the second those of the drives.
-    """
+    """Computes residual and drive forces [N m or N], (windows, joints, moments) each."""
     problem, replay = at.problem, at.problem.replay
     change = problem.library.change(hypothesis, replay.machine)
     own = dofs(change.variant.model, problem.balanced)
@@ -102,13 +100,13 @@ def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]
 
 
 def _proportion(change: np.ndarray, drive: np.ndarray) -> float:
-    """Returns the constant ratio of a force change to the drive's, (moments,) each; else 0."""
+    """Returns the ratio of a force change to the drive's force if it is constant, else 0."""
     moves = np.abs(drive) > SMALL * np.abs(drive).max()
     if not moves.any():
         return 0.0
     ratio = np.abs(change[moves] / drive[moves])
     middle = float(np.median(ratio))
-    # The median ignores reversals, where friction is nonlinear.
+    # The median ignores samples at reversals of motion, at which friction is nonlinear.
     return middle if np.median(np.abs(ratio - middle)) <= SAME * middle else 0.0
 
 
@@ -120,12 +118,12 @@ def _subsets(
     windows: int,
     allowed: Iterable[int],
 ) -> list[Balanced]:
-    """Returns the best subsets of columns of x, (numbers, jumps), with positive factors."""
+    """Returns sets of x's columns, (numbers, jumps), that fit y best with positive factors."""
     gram, slope, total = x.T @ x, -x.T @ y, float(y @ y)
     every = [i for i in allowed if 1e-8 * total < gram[i, i] < 1e20]
 
     def fitted(columns: tuple[int, ...]) -> tuple[float, tuple[int, ...], np.ndarray] | None:
-        """Fits columns: residual, columns, factors; None if unknowns repeat or a factor is <= 0."""
+        """Returns residual, columns, factors; None if unknowns repeat or a factor is <= 0."""
         if len({jumps[i][0] for i in columns}) < len(columns):
             return None
         index = np.array(columns)
@@ -135,7 +133,7 @@ def _subsets(
             return None
         return max(total - float(slope[index] @ factors), 1e-12 * total), columns, factors
 
-    # A column with the wrong sign alone may have the right one in combination with another.
+    # A column whose factor is negative alone may have a positive factor with another column.
     best_of: dict[tuple[int, float], int] = {}
     for i in every:
         best_of.setdefault((jumps[i][0], np.sign(jumps[i][1])), i)
@@ -154,7 +152,8 @@ def _subsets(
         level.sort(key=lambda s: s[0])
         current = [s[1] for s in level[: 2 * SCORED]]
         sets += level[:EACH_WAY]
-    # For effects in proportion to the drive: 1/(1 + s) if the motion takes 1 + s times the force.
+    # A force in proportion to the drive was fitted as the share s of the force that the motion
+    # takes. As a share of the drive's force, it is s/(1 + s).
     scales: dict[tuple[int, bool], tuple[float, float]] = {}
     for (q, by), share in zip(jumps, scaling, strict=True):
         scales.setdefault((q, by > 0.0), (by, share))

@@ -1,7 +1,7 @@
 """Renewal of the noise model of a search at the most probable set.
 
-Replays propagate errors of start states. Far from the unchanged model their growth differs, and
-under the old noise model even the right set would leave several noise levels.
+Replays propagate errors of start states. Far from the unchanged model these errors grow otherwise,
+so under the old noise model even the right set would leave errors of several noise levels.
 """
 
 from collections.abc import Hashable
@@ -18,13 +18,13 @@ from leglab.diagnosis.thresholds import EXPLAINED, HOPELESS
 
 
 def wanted(pool: Pool) -> bool:
-    """Tests whether the best set leaves a little more than noise and had no renewal yet."""
+    """Tests whether the best set leaves little more than noise and caused no renewal yet."""
     best = pool.best.fit
     return EXPLAINED < best.level < HOPELESS * EXPLAINED and _about(best) not in pool.done
 
 
 def renewed(pool: Pool) -> Pool:
-    """Returns a ranked pool with the noise model at its best set and all fits unfinished."""
+    """Returns the ranked pool with the noise model at the best set; all fits are unfinished."""
     scene, best = pool.scene, pool.best.fit
     old = scene.fitter
     new = Fitter(old.at.about(best.columns.base), old.priors, old.fixed)
@@ -38,19 +38,19 @@ def renewed(pool: Pool) -> Pool:
 
 
 def _about(fit: Fit) -> Hashable:
-    """Returns the key of the renewal at a set, which is done once."""
+    """Returns the key of the renewal at a set, because a renewal is done once per set."""
     return "noise", fit.keys
 
 
 def _moved(columns: Columns, by: np.ndarray) -> Columns:
-    """Adds a change of the time step's defect, (windows, replayed rows), to the errors."""
+    """Adds `by`, a change of the time-step error, (windows, replay errors), to the errors."""
     errors = columns.errors.copy()
     errors[:, : by.shape[1]] += by
     return replace(columns, errors=errors)
 
 
 def _judged(fitter: Fitter, fit: Fit, columns: Columns, kappa: float) -> Fit:
-    """Scores a fit at its parameters under a noise model; a nonempty set counts as unfinished."""
+    """Scores a fit at its parameters under a noise model; unless empty, it becomes unfinished."""
     spread = fitter.own_spread(columns.errors)
     weight = fitter.weights(columns.errors, spread, fit.score.size)
     evidence = fitter.evidence(columns, spread, weight, kappa)

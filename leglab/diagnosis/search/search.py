@@ -30,7 +30,7 @@ from leglab.diagnosis.search.renewal import renewed, wanted
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import EXPLAINED, SMALL
 
-#: Causes of the misfit, with their rivals.
+#: Aim to find the causes of the misfit, with their rivals.
 CAUSES = Aim(
     moves=(
         finish.propose,
@@ -43,7 +43,7 @@ CAUSES = Aim(
     rivals=True,
     ahead=-thresholds.NEAR,
 )
-#: A good description of recordings; only clear improvements are fitted.
+#: Aim to find a good description of recordings; only clear improvements are fitted.
 DESCRIPTION = Aim(
     moves=(finish.propose, another_point.propose, neighbours.propose),
     rivals=False,
@@ -54,7 +54,7 @@ Log = Callable[[str], None]
 
 
 def windows_of(u: Unknowns) -> int:
-    """Returns the number of windows; fewer with many unknowns, each of which replays them all."""
+    """Returns the number of windows to fit, smaller if many unknowns have to be replayed."""
     most = thresholds.WINDOWS
     return max(most // 2, min(most, most * thresholds.MANY_UNKNOWNS // len(u)))
 
@@ -71,10 +71,10 @@ def search(
 
     Args:
         problem: Recordings and machine, with the library about the specimen.
-        priors: Of everything but the errors; None for a machine without healthy recordings.
-        fixed: Covariance of the model error by healthy recordings; None without.
-        kappa: 1/design effect at first.
-        onsets: Time at which the missing effects begin [s], (recordings,); None for throughout.
+        priors: Priors of parameters and model error; None for the default, without healthy data.
+        fixed: Covariance of the model error from healthy recordings; None without these.
+        kappa: Initial 1/design effect.
+        onsets: Times at which the missing effects begin [s], (recordings,); None for no onset.
         log: Called with what is being done.
     """
     u = Unknowns.of(problem.library)
@@ -85,7 +85,7 @@ def search(
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = at.at(Hypothesis())
-    # A large fault would leave more than noise, so without one small steps are accurate.
+    # A large fault would leave more than noise. If only noise is left, small steps are accurate.
     first = at.columns(thresholds.FINE if fitter.clear(errors) else thresholds.COARSE)
     return Found(_searched(fitter, first, CAUSES, kappa, log), fitter.level(errors), onsets)
 
@@ -97,7 +97,7 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
         fitter: Fits the sets.
         first: Linearisation of the unchanged model, without jumps.
         fit: The fit of the empty set.
-        kappa: 1/design effect at first.
+        kappa: Initial 1/design effect.
         log: Called with what is being done.
     """
     return _searched(fitter, first, DESCRIPTION, kappa, log, fit)
@@ -155,8 +155,8 @@ def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:
 def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -> Pool:
     """Fits the proposals of first order and of the balance of forces.
 
-    Once a set explains the recordings, only simpler sets and those with nearly its promise are
-    fitted; the margin is wide, since first order is inaccurate far from the unchanged model.
+    Once a set explains the recordings, only simpler sets or sets of nearly its predicted evidence
+    are fitted. The margin is wide, since first order errs much far from the unchanged model.
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
@@ -173,7 +173,7 @@ def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -
 
 
 def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[Proposal]:
-    """Returns proposals by the first linearisation, then those by the balance of forces."""
+    """Returns proposals by the first linearisation, then proposals by the balance of forces."""
     scene, u, nothing = pool.scene, evidence.unknowns, evidence.score(()).log
     at, level = scene.fitter.at, scene.fitter.level(scene.first.errors)
     wanted = {
@@ -189,7 +189,7 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             continue
         begins, other = scene.begins(seed), wanted.get(names)
         if other is None:
-            # The balance predicts no evidence; a set that starts near noise is fitted in any case.
+            # The balance predicts no evidence, so a set that starts near noise is always fitted.
             if begins < thresholds.HOPELESS * level:
                 near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed

@@ -1,8 +1,8 @@
 """Fit of a set of effects by replays: Gauss-Newton iteration on the likelihood of `Evidence`.
 
-The members move first, while all other parameters are nearly fixed: beside a gross fault they would
-take wrong values. Tangents of the members are computed at every turn; all others are corrected by
-the errors of replays (Broyden 1965) and computed anew at the end.
+In the first turns (iterations) only members (parameters of the set) move freely, because a gross
+fault would drive other parameters to wrong values. Members' tangents are computed in every turn;
+all others are corrected by the errors of replays (Broyden 1965) and computed anew at the end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,31 +24,31 @@ from leglab.diagnosis.thresholds import EXPLAINED, SAME, SMALL
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set to fit."""
+    """A set of effects to fit, and the start of its fit."""
 
-    members: tuple[int, ...]  #: Its unknowns
+    members: tuple[int, ...]  #: Unknowns of the set
     start: Mapping[int, float]  #: Moves of unknowns from the linearisation to the start of the fit
-    columns: Columns  #: Linearisation
-    spread: Spread  #: Covariance of the model error at first
-    weight: np.ndarray  #: Weights of windows at first
+    columns: Columns  #: Linearisation to which `start` refers
+    spread: Spread  #: Initial covariance of the model error
+    weight: np.ndarray  #: Initial weights of windows
     promise: float = np.inf  #: Log evidence predicted to first order
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set fitted by replays."""
+    """A set of effects fitted by replays."""
 
     members: tuple[int, ...]  #: Unknowns of the set
-    keys: frozenset[Key]  #: Their effects and elements
-    columns: Columns  #: Linearisation where the fit ended
+    keys: frozenset[Key]  #: Effects and elements of the set
+    columns: Columns  #: Linearisation at the end of the fit
     spread: Spread  #: Covariance of the errors that the set leaves
     weight: np.ndarray  #: Weights of windows
-    score: Score  #: Evidence at this linearisation
+    score: Score  #: Evidence at the end of the fit
     level: float  #: Median error in noise levels of the sensors
-    ended: tuple[int, ...]  #: Members that ended at a bound
-    finished: bool  #: Whether another turn would gain nothing
-    unkept: float  #: Gain that tangents predict at the end and no replay reached [nats]
-    #: Gain of the turns of an unfinished fit [nats], which may gain as much again; else 0.
+    ended: tuple[int, ...]  #: Unknowns of the set that ended at a bound
+    finished: bool  #: Whether the fit converged or was given up
+    unkept: float  #: Gain that tangents predict at the end but no replay reached [nats]
+    #: Gain of an unfinished fit [nats], which may gain as much again; 0 for a finished fit.
     gained: float
 
 
@@ -60,7 +60,7 @@ class Point:
     errors: np.ndarray  #: Errors of the hypothesis, (windows, rows)
     x: np.ndarray  #: Departures of all unknowns
     values: np.ndarray  #: Departures of the members, (members,)
-    spikes: np.ndarray  #: Departures of single unknowns less those by members, (single,)
+    spikes: np.ndarray  #: Small deviations: departures of single unknowns less `values`, (single,)
     tangents: np.ndarray  #: Latest tangents, (windows, rows, unknowns)
 
     @property
@@ -79,27 +79,27 @@ class State:
     weight: np.ndarray  #: Weights of windows
     kappa: float  #: 1/design effect
     stiff: int  #: Number of first turns in which parameters outside of the set hardly move
-    fine: bool  #: Whether all tangents are differences over fine steps
-    taken: np.ndarray  #: Departures at which all tangents were taken
+    fine: bool  #: Whether all tangents are differences over small (`FINE`) steps
+    taken: np.ndarray  #: Departures at which all tangents were last computed
     off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
-    missed: float = 0.0  #: Sum of such errors since all tangents were taken [nats]
-    most: np.ndarray | None = None  #: Largest steps of tangents, (single,)
-    #: Largest indices of the model error's scale and of machines' deviation; None for no limit.
+    missed: float = 0.0  #: Sum of prediction errors since all tangents were computed [nats]
+    most: np.ndarray | None = None  #: Largest steps over which tangents are taken, (single,)
+    #: Largest indices of the model-error scale and of the spread to use; None for no limit.
     places: tuple[int, int] | None = None
     turn: int = 0  #: Number of turns
     renewed: int = 0  #: Number of renewals of all tangents
     damping: float = 0.0  #: Damping of the last step
     slow: bool = False  #: Whether the last step gained little or was damped
     gained: float = 0.0  #: Gain of all steps [nats]
-    unkept: float = 0.0  #: Gain that tangents predict at the end and no replay reached [nats]
-    #: Reason of the end; "" before it.
+    unkept: float = 0.0  #: Gain that tangents predict at the end but no replay reached [nats]
+    #: Reason for which the fit ended; "" while it continues.
     ended: Literal["", "finished", "given up", "unfinished"] = ""
 
 
 class Fitter:
-    """Fitter of sets of effects to windows, under priors of all but the errors.
+    """Fitter of sets of effects to windows of recordings, under `priors`.
 
-    `fixed` is the covariance of the model error by healthy recordings; None without.
+    `fixed` is the covariance of the model error from healthy recordings; None without these.
     """
 
     def __init__(self, at: Errors, priors: Priors, fixed: Spread | None = None) -> None:
@@ -114,7 +114,7 @@ class Fitter:
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
 
     def rms(self, errors: np.ndarray) -> float:
-        """Computes the RMS error in noise levels of the sensors, which few windows may raise."""
+        """Computes the RMS error in noise levels; unlike `level`, it shows a few bad windows."""
         return float(rms(self._white(errors)))
 
     def explains(self, fit: Fit) -> bool:
@@ -144,9 +144,9 @@ class Fitter:
         return Evidence(self.at, columns, spread, weight, kappa, priors or self.priors, places)
 
     def own_spread(self, errors: np.ndarray) -> Spread:
-        """Returns the model-error covariance, by healthy recordings or else by these errors.
+        """Returns the model-error covariance from healthy recordings, or else from `errors`.
 
-        If noise alone is left, the first such covariance is used again: later ones are no better.
+        Once errors are noise alone, their first covariance is kept: later ones are no better.
         """
         if self.fixed or not self.clear(errors):
             return self.fixed or Spread.of(self.at, errors)
@@ -154,14 +154,14 @@ class Fitter:
         return self._of_noise
 
     def about(self, errors: np.ndarray) -> tuple[Spread, np.ndarray]:
-        """Returns the model-error covariance at a point, and window weights at its scale 1."""
+        """Returns the model-error covariance by `errors`, and window weights at its scale 1."""
         spread = self.own_spread(errors)
         return spread, self.weights(errors, spread, self.priors.sizes.index(1.0))
 
     def weights(self, errors: np.ndarray, spread: Spread, place: int) -> np.ndarray:
         """Computes robust weights of windows (Huber 1964), (windows,).
 
-        `place` is the index of the model error's scale.
+        `place` is the index in `priors.sizes` of the model error's scale.
         """
         size, forces = self.priors.sizes[place], self.priors.force_size(place)
         square = np.mean(spread.whitening(self.at).white(errors, size, forces) ** 2, axis=1)
@@ -180,8 +180,8 @@ class Fitter:
         """Fits a set.
 
         Args:
-            new: The set; the tangents of its linearisation are corrected by the fit.
-            kappa: 1/design effect at first.
+            new: The set, and the linearisation whose tangents the fit corrects.
+            kappa: Initial 1/design effect.
             renewals: Largest number of times that all tangents are computed anew.
             give_up: Median error beyond which the fit is abandoned, in noise levels.
             beside: Whether all other parameters start at the values of another set's fit and move
@@ -234,12 +234,12 @@ class Fitter:
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
-        """Tries a step by each damping; returns the undamped predicted gain [nats] and the best.
+        """Tries a step per damping; returns the predicted gain of damping 0 [nats] and the best.
 
-        The best step has its damping, its gain [nats], its error beyond the tangents, and its
+        The best step has its damping, its gain [nats], its errors less those by tangents, and its
         point; None if no step lowers the cost. If `lower`, the median error in noise levels may not
-        grow either: until a gross fault is explained, the model-error covariance contains its
-        shape, and the cost is low for any errors of that shape.
+        grow either, because until a gross fault is explained, the model-error covariance contains
+        the fault's shape, so that any errors of this shape cost little.
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
@@ -290,7 +290,7 @@ class Fitter:
     def _by(
         self, members: Sequence[int], values: np.ndarray, spikes: np.ndarray, point: Point
     ) -> np.ndarray:
-        """Computes the moves of single unknowns to members' values and `spikes`, (single,)."""
+        """Computes moves of single unknowns from `point` to `values` and `spikes`, (single,)."""
         u = self.at.unknowns
         goal = spikes.copy()
         for q, value in zip(members, values, strict=True):
@@ -305,7 +305,7 @@ class Fitter:
         values: np.ndarray,
         spikes: np.ndarray,
     ) -> float:
-        """Computes twice the negative log posterior at a score's size and spread."""
+        """Computes twice the negative log posterior at a score's model-error scale and spread."""
         square = self._square(evidence, score, errors)
         spread = evidence.priors.spreads[score.spread]
         precision, _ = evidence.priors.precision(self.at.unknowns, spread)
@@ -318,7 +318,7 @@ class Fitter:
         return evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
 
     def _shapes(self, members: Sequence[int]) -> list[int]:
-        """Returns shapes of the members' effects; those of other effects are irrelevant."""
+        """Returns shape parameters of the members' effects; those of absent effects do nothing."""
         u = self.at.unknowns
         keys = frozenset[Key]().union(*(u.library_keys(q) for q in members))
         return [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
@@ -355,7 +355,7 @@ class Fitter:
         return replace(point, tangents=out)
 
     def _on_ladder(self, evidence: Evidence, score: Score, point: Point) -> Point | None:
-        """Moves each nonlinear member to the best of a ladder of values; None if none is better."""
+        """Moves nonlinear members to the best multiple in `LADDER`; None if none is better."""
         u, begun, members = self.at.unknowns, point, score.unknowns
         lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
         for n, q in enumerate(members):
@@ -382,7 +382,7 @@ class Fitter:
     def _at_sizes(
         self, point: Point, members: Sequence[int], n: int, sizes: Sequence[float]
     ) -> dict[float, Point]:
-        """Returns the points with the n-th member at other values, by value."""
+        """Returns points that differ from `point` in the value of the n-th member, by value."""
         u, now = self.at.unknowns, float(point.values[n])
         moved = [u.moved(point.hypothesis, {members[n]: size - now}) for size in sizes]
         found = {}
@@ -392,7 +392,7 @@ class Fitter:
         return found
 
     def _ended(self, members: Sequence[int], x: np.ndarray, values: np.ndarray) -> tuple[int, ...]:
-        """Returns members at a bound; a lower bound of 0, as no friction, is a valid result."""
+        """Returns members at a bound, except a lower bound of 0 (no friction), which is valid."""
         u, found = self.at.unknowns, []
         for q, value in zip(members, values, strict=True):
             v = float(value if q >= u.single else x[q])
@@ -406,7 +406,7 @@ class Fitter:
 
 
 class _Turns:
-    """Gauss-Newton iteration of one fit: each turn takes tangents and a step."""
+    """Gauss-Newton iteration of one fit: each turn computes tangents and takes a step."""
 
     def __init__(
         self, fitter: Fitter, members: tuple[int, ...], renewals: int, give_up: float
@@ -459,10 +459,10 @@ class _Turns:
         if not first:
             s = replace(s, most=evidence.visible(score))
         if s.renewed:
-            # From here on both can only fall: if they alternated, the fit would oscillate.
+            # From here on scale and spread may only fall: if they alternated, so would the fit.
             s = replace(s, places=(score.size, score.spread))
-        # Dampings begin one below that of the last step; with fresh tangents, and in the first
-        # turns, at 0.
+        # The first damping is one below that of the last step; with fresh tangents, and in the
+        # first turns, it is 0.
         begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)
         dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
         promise, then = fitter._stepped(evidence, score, s.point, dampings, lower=first)
@@ -471,7 +471,7 @@ class _Turns:
             return self._after(s, first, fresh, evidence, score, promise, then)
         if first:
             return replace(s, stiff=s.turn)
-        # Tangents whose predicted gain no step reaches are wrong.
+        # If no step reaches the gain that tangents predict, the tangents are wrong.
         if self._exact(s, fresh, promise):
             return replace(s, ended="finished", unkept=promise)
         return replace(s, slow=True, missed=np.inf, off=0.0 * s.off)
@@ -518,7 +518,7 @@ class _Turns:
         weight = fitter.weights(point.errors, spread, score.size)
         s = replace(s, damping=damping, off=off, point=point, spread=spread, weight=weight)
         if not first:
-            # The better a set explains the recordings, the less its errors correlate.
+            # The better a set explains the recordings, the less the remaining errors correlate.
             kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             s = replace(s, gained=s.gained + gain, kappa=kappa)
         if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
@@ -543,7 +543,7 @@ def _beyond(columns: Columns, point: Point) -> np.ndarray:
 def _broyden(
     tangents: np.ndarray, change: np.ndarray, moved: np.ndarray, members: Sequence[int], single: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corrects tangents by the errors of a step, along the members if they moved (Broyden 1965).
+    """Corrects tangents by the error of a step, only along members if these moved (Broyden 1965).
 
     Also returns the error of the tangents' prediction, (windows, rows).
     """

@@ -1,7 +1,7 @@
-"""Confidence of names: against rival sets, over parts of the recordings, against unknown causes.
+"""Confidence of named effects against rival sets, parts of the recordings and unknown causes.
 
-The share that an impostor of an unknown cause would explain is computed: each effect of the library
-in turn plays the cause, and the best effect of another group its impostor.
+If the cause is not in the library, a wrong effect, the impostor, explains a share of the errors. To
+estimate this share, each effect plays the cause, and the best effect of another group its impostor.
 """
 
 import math
@@ -24,20 +24,20 @@ from leglab.diagnosis.verdict.sets import Row, Sets
 
 @dataclass(frozen=True)
 class Judged:
-    """One effect, or several of which one may be the cause."""
+    """Judgement of one effect, or of several effects of which one may be the cause."""
 
-    confidence: float  #: Probability that the name is right
-    among: float  #: Mean over leaving out each part, by sets without a parameter at a bound
-    possible: float  #: Largest probability over leaving out each part of the recordings
-    evidence: float  #: Probability by evidence alone
-    ties: tuple[frozenset[Key], ...]  #: Sets without it that the data do not distinguish from it
+    confidence: float  #: Probability that the effect is the cause
+    among: float  #: Mean probability over parts left out, by sets without a parameter at a bound
+    possible: float  #: Largest probability over parts of the recordings left out
+    evidence: float  #: Probability by the evidence of sets from all recordings alone
+    ties: tuple[frozenset[Key], ...]  #: Rival effects that the data do not distinguish from it
 
 
 class Judgement:
-    """Verdict of a search, with its names or its confusion set, from all fitted sets.
+    """Verdict of a search, with named effects or a confusion set, by the evidence of all sets.
 
-    Effects are `named`, surest first, or else in a confusion set of effects that the data do not
-    distinguish, the most probable by all recordings first.
+    `named` effects are ordered by confidence. If no effect is named, `confusion` may hold effects
+    that the data do not distinguish and of which one is the cause, the most probable first.
     """
 
     def __init__(self, sets: Sets, specimen: Specimen | None) -> None:
@@ -49,7 +49,7 @@ class Judgement:
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
         named = most("confidence", thresholds.NAMED, "confidence")
-        # Three equal rivals have a third each, so all effects near the most possible one count.
+        # Three equal rivals have a probability of a third each, so the largest one sets the limit.
         top = max((e.possible for e in effects.values()), default=0.0)
         confused = not named and top > thresholds.POSSIBLE
         confusion = (
@@ -84,10 +84,10 @@ class Judgement:
 
 
 def _unchanged(sets: Sets, specimen: Specimen) -> bool:
-    """Tests whether a specimen errs as it did before, whatever sets gain.
+    """Tests whether a specimen's errors are as in the healthy recordings, whatever sets gain.
 
-    Its parameters are those of the healthy recordings or, if the empty set is more probable than
-    all others together, those of its fit, within what the healthy recordings leave uncertain.
+    The parameters are those of the healthy recordings. If the empty set is more probable than all
+    others together, its fit is tried too: it moves them within the healthy recordings' uncertainty.
     """
     problem = sets.at.problem
     own = _shares(np.array([r.score.log for r in sets.rows]))
@@ -100,7 +100,7 @@ def _unchanged(sets: Sets, specimen: Specimen) -> bool:
 
 
 def _as_noise(sets: Sets) -> bool:
-    """Tests whether only noise remains."""
+    """Tests whether the empty set is probable, within tolerances, and leaves only noise."""
     whole = _shares(np.array([r.score.log for r in sets.rows]))
     for row, own in zip(sets.rows, whole, strict=True):
         if not row.keys and own >= thresholds.POSSIBLE:
@@ -110,7 +110,7 @@ def _as_noise(sets: Sets) -> bool:
 
 
 def _within_tolerances(row: Row) -> bool:
-    """Tests whether no parameter goes beyond its tolerance, as in 19 of 20 good machines."""
+    """Tests whether all parameters are within tolerances that 19 of 20 good machines keep."""
     u = row.evidence.unknowns
     known = np.flatnonzero(u.tolerance[: u.single])
     away = u.departures(row.hypothesis)[known] / u.tolerance[known]
@@ -118,9 +118,9 @@ def _within_tolerances(row: Row) -> bool:
 
 
 def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
-    """Tests whether the errors are those of noise in each recording separately.
+    """Tests whether the errors of every single recording are noise alone.
 
-    `squares` are mean squares of windows in noise levels, `recording` their recordings, (windows,).
+    `squares` are windows' mean squared errors in noise variances, `recording` has their recordings.
     """
     largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
     return largest**0.5 <= EXPLAINED
@@ -133,12 +133,12 @@ def _shares(logs: np.ndarray) -> np.ndarray:
 
 
 def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) -> Judged:
-    """Judges how sure an effect is, or that the cause is one of several."""
+    """Judges how probable it is that one of the effects `names` is the cause."""
     rows = sets.rows
     logs, apart = np.array([r.score.log for r in rows]), np.array([r.apart for r in rows])
     drive = np.array([r.drive for r in rows])
     has = np.array([bool(names & r.keys) for r in rows])
-    # If an effect ends at a bound, the truth lies beyond: no name of that set is sure, and the
+    # If an effect ends at a bound, the truth lies beyond. So no effect of that set is sure, and the
     # effect at the bound is not even possible.
     sound = has & ~np.array([bool(r.ended) for r in rows])
     there = np.array([bool(names & r.keys - r.ended) for r in rows])
@@ -163,9 +163,9 @@ def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) ->
 
 
 def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:
-    """Computes the probability that an effect of a set is the cause and its claim is true.
+    """Computes the probability that an effect of a set is the cause and is rightly so named.
 
-    It follows from the share that the effect explains of the errors without it.
+    It follows from the share of the errors that the effect explains, and from `_claimed`.
     """
     (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
@@ -175,11 +175,11 @@ def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> fl
 
 
 def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ...]:
-    """Returns the rival effects of sets without `key` that the data do not rule out.
+    """Returns rivals of the effect `key`: effects of sets without `key` with similar evidence.
 
-    Such sets have nearly as much evidence. A weaker drive and more resistance move
-    a joint alike: for a drive's gain, a set that fits as well is a rival even with more parameters.
-    A set that contains the effect as a special case always fits as well and is no rival.
+    A weaker drive and more resistance change a joint's motion alike. So a set that fits as well as
+    a drive's gain is a rival even with more parameters. An effect that contains `key` as a special
+    case always fits as well and is no rival.
     """
     library, shared = first.evidence.unknowns.library, first.keys - {key}
     numbers = len(first.score.members) - 1 + thresholds.RESISTING
@@ -197,7 +197,7 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
 
 
 def _claimed(row: Row, key: Key) -> float:
-    """Computes the probability that directions differ noticeably, if a name claims so; else 1."""
+    """Computes the probability that directions differ noticeably; 1 if no difference is claimed."""
     u, score = row.evidence.unknowns, row.score
     places = [] if key in row.renamed.values() else row.places(key)
     if not places:
@@ -214,7 +214,7 @@ def _claimed(row: Row, key: Key) -> float:
 
 
 def impostors(sets: Sets) -> tuple[float, float]:
-    """Computes mean and standard deviation of the logit of the best impostor's explained share."""
+    """Computes mean and standard deviation of the logit of the share a best impostor explains."""
     u, first, best = sets.unknowns, sets.found.first, sets.best
     evidence = sets.fitter.evidence(first, best.spread, best.weight, best.kappa, places=[sets.size])
     product = evidence.likeness(sets.found.ranks[0].score)
@@ -239,10 +239,10 @@ def impostors(sets: Sets) -> tuple[float, float]:
 
 
 def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float]:
-    """Computes the share of errors beyond noise that an effect explains where it acts; its action.
+    """Computes the share of errors beyond noise that an effect explains, and the effect's action.
 
-    The action is its change of errors over this change plus the errors left with it. An effect that
-    acts much and explains little is wrong; where it hardly acts, nothing is known.
+    The action c/(c + e), with the effect's change of errors c and the errors left e, is the weight
+    of the share: effects that act much but explain little are wrong; others are undecided.
     """
     with_, without, change = blocks
     count = np.array([(at.recording == r).sum() for r in np.unique(at.recording)])
@@ -255,10 +255,10 @@ def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float
 
 
 def _inside(share: float, impostor: tuple[float, float], top: float) -> float:
-    """Computes the probability that an effect is the cause, and not one outside of the library.
+    """Computes the probability that an effect is the cause, not a cause outside of the library.
 
-    `share` is what it explains of the errors without it, `impostor` mean and standard deviation of
-    impostors' shares as logits, `top` the largest logit that can be determined in noise.
+    `share` is the share of the errors that the effect explains, `impostor` mean and standard
+    deviation of the logit of impostors' shares, `top` the largest logit that noise lets one see.
     """
     mean, deviation = impostor
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)

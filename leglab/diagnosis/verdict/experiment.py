@@ -23,9 +23,9 @@ def excitations(samples: int, period: float) -> dict[str, np.ndarray]:
 def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     """Chooses the T-optimal excitation (Atkinson and Fedorov 1975) between two rivals.
 
-    Both rivals, with the parameters that fit the present recordings, are simulated under every
-    excitation from a calm moment in these. The excitation with the largest difference in noise
-    levels is proposed; None if none separates them.
+    Both rivals are simulated with their fitted parameters under every excitation, from a calm
+    moment of the recordings. The excitation under which the predictions differ most, in noise
+    levels, is proposed; None if no excitation separates the rivals.
     """
     (one, first), (other, second) = rivals.items()
     replay, period = problem.replay, problem.series[0].period
@@ -34,7 +34,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     commands = np.concatenate(rows)
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    # Each lasts 1 s, with small and large commands, as shares of the present range.
+    # Each excitation lasts 1 s and is tried at 30 % and at 100 % of the present range of commands.
     waves = excitations(round(1.0 / period), period)
     tried = [(name, amplitude) for name in waves for amplitude in (0.3, 1.0)]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]

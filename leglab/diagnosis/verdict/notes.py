@@ -1,4 +1,4 @@
-"""Notes on recordings and fit for the reader of a verdict, a line each."""
+"""Notes on recordings and fit for the reader of a verdict, one line per note."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,9 +15,9 @@ from leglab.diagnosis.replay.pushes import poses
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.thresholds import NEGLIGIBLE
 
-# Fewest windows with a state's value, and without it, for a comparison.
+# Minimum number of windows with a state's value, and of windows without it, to compare them.
 _FEWEST = 5
-# Significance level: one irrelevant state in a thousand is reported.
+# Significance level of this comparison: one irrelevant state in a thousand is reported.
 _CHANCE = 1e-3
 
 
@@ -48,7 +48,7 @@ def by_states(
 
     Args:
         problem: Problem whose windows are compared.
-        recordings: As logged, by name, with their states.
+        recordings: Recordings as logged, by name, with columns of states.
         squares: Mean squares of the errors of all windows, (windows,).
 
     Returns:
@@ -84,9 +84,9 @@ def by_states(
 
 
 def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
-    """Reports each parameter whose fit ended at its smallest or largest value, in a line.
+    """Reports each parameter whose fit ended at its smallest or largest value, one line each.
 
-    `values` are those of the effects that were fitted, each (parameters,).
+    `values` has the fitted values of effects, (parameters,) each.
     """
     lines = []
     for key, fitted in values.items():
@@ -108,6 +108,6 @@ def touching_share(machine: Machine, series: Sequence[UniformSeries]) -> float:
     """Computes the share of the measured poses in which bodies of the model touch."""
     touched = []
     for one in series:
-        some = np.linspace(0, one.time.size - 1, 50).astype(int)  # enough for a share
+        some = np.linspace(0, one.time.size - 1, 50).astype(int)  # 50 samples suffice for a share
         touched += [data.ncon > 0 for data in poses(machine, one, some)]
     return float(np.mean(touched))

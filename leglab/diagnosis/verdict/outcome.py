@@ -30,7 +30,7 @@ class Outcome:
     def __init__(self, judged: Judgement, specimen: Specimen | None) -> None:
         self.judged, self.specimen, self.found = judged, specimen, judged.sets.found
         rows, fitter = judged.rows, judged.sets.fitter
-        # The values that are reported were fitted under that name, not a twin's.
+        # Reported values come from a fit of the effect itself, not of its twin.
         fitted = {key for row in rows if not row.renamed for key in row.keys}
         names = judged.named or tuple(k for k in judged.confusion if k in fitted)[:1]
         self.problem = problem = fitter.at.problem
@@ -44,22 +44,22 @@ class Outcome:
         self.final = row.hypothesis  #: the reported set with all other parameters as fitted
         #: The problem with the noise model linearised at the reported set.
         self.about = problem.about(self.final)
-        #: Covariance of all single unknowns there, in trials, (single, single).
+        #: Covariance of all single unknowns at the reported set, in trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
         if specimen is not None:  # both values of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
         #: Effects that are reported, named or in a confusion set.
         self.named = tuple(
-            dict.fromkeys(  # An effect on all joints may accompany the one on a single joint.
+            dict.fromkeys(  # An effect may act on all joints and, in addition, on a single joint.
                 key
                 for name, element in names
                 for key in sorted(problem.library.sites)
                 if key[0] == name and element in (key[1], EVERY)
             )
         )
-        #: The model recalibrated: fitted within tolerances, without the named effects' parameters.
+        #: Recalibrated model: parameters within tolerances, those of named effects at nominal.
         self.baseline = self.nothing
-        #: The improved model, `written`, has the reported effects and parameters with a tolerance.
+        #: Improved model: only reported effects, and parameters with a tolerance, are changed.
         if specimen is not None:
             self.written = self.final.only(self.named)
             if judged.verdict == "nothing_missing" and not self.named:
@@ -74,10 +74,10 @@ class Outcome:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
             tuning = _within(problem.library, tuned.columns.base).without(*self.named)
-            # With a gross fault, recalibration may improve most windows and worsen the others.
+            # With a gross fault, recalibration may worsen some windows: the better of both is used.
             self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
-        #: Of effects that begin during a recording, the earliest and the latest time [s] at which
-        #: they can have begun, (recordings, 2), inf where an effect begins in none.
+        #: Earliest and latest possible onset [s] of each effect that begins during a recording,
+        #: (recordings, 2), inf in recordings in which the effect does not begin.
         self.onsets: dict[Key, np.ndarray] = {}
         if self.found.onsets is not None:
             self.final, self.onsets = begun(problem, self.final, self.named, self.found.onsets)
@@ -102,7 +102,7 @@ class Outcome:
         return self.about.beside(fixed.replays) if fixed else self.about
 
     def floors(self) -> np.ndarray:
-        """Computes the mean square of noise, or of the healthy specimen, by window, (windows,)."""
+        """Computes windows' mean squares by noise or by the healthy specimen, (windows,)."""
         problem = self.problem
         if self.specimen is None:
             return np.ones(problem.replay.windows)
@@ -111,9 +111,9 @@ class Outcome:
 
 
 def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
-    """Sets parameters that are neither named nor tolerant to the model's values.
+    """Sets parameters that are not named and have no tolerance to the model's values.
 
-    The fit leaves small values on every effect that it has tried.
+    Otherwise the small values would remain that the fit leaves in every effect it has tried.
     """
     values = {}
     for key, value in fitted.items():
@@ -125,7 +125,7 @@ def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -
 
 
 def _within(library: Library, fitted: Hypothesis) -> Hypothesis:
-    """Limits parameters to their tolerances; those without one get the model's values."""
+    """Limits parameters to their tolerances; parameters without a tolerance become nominal."""
     values = {}
     for key, value in _named_alone(library, fitted, ()).items():
         site = library.sites[key]
@@ -142,20 +142,20 @@ def _lean(
     *,
     fixed: tuple[Key, ...] = (),
 ) -> tuple[Fit, np.ndarray]:
-    """Fits the reported members with all other parameters at the model's values or in tolerance.
+    """Refits the reported effects; all other parameters are nominal or within their tolerance.
 
-    Small deviations of other parameters would take over a part of each effect. Effects in `fixed`
-    do not move. Also returns the covariance of all single unknowns.
+    Otherwise small deviations of other parameters would take over a part of each effect. Effects in
+    `fixed` do not move. Also returns the covariance of all single unknowns.
     """
     u, old, kappa = fitter.at.unknowns, row.evidence.columns, row.evidence.kappa
     values = zip(row.score.unknowns, row.score.values.tolist(), strict=True)
     kept = {q: value for q, value in values if u.library_keys(q) <= set(named)}
-    # Shapes keep their fitted values.
+    # Shape parameters keep their fitted values.
     goal = np.where(u.shape, old.x, 0.0)
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
-    # Bounds fix all parameters that the written model omits: a thousandth of a trial may change
-    # errors by five noise levels.
+    # Bounds fix all parameters that the written model omits, because even a thousandth of a trial
+    # may change errors by five noise levels.
     own = frozenset[Key]().union(*map(u.library_keys, kept))
     held = np.array(
         [
@@ -178,10 +178,10 @@ def _lean(
 
 
 def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
-    """Computes the single unknowns' covariance, posterior or by jackknife, (single, single).
+    """Computes the single unknowns' covariance, (single, single), by posterior and jackknife.
 
-    The posterior ignores errors that all windows of a recording share, so members have the larger
-    variance of the posterior and of a jackknife over parts of the recordings.
+    The posterior ignores errors that all windows of a recording share. So a parameter of the set
+    has the larger of the variances by the posterior and by a jackknife over parts.
     """
     spread, u = evidence.posterior(score), evidence.unknowns
     parts = int(evidence.part.max()) + 1

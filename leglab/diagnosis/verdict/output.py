@@ -19,9 +19,9 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.machine.mjcf_patch import MjcfPatch, difference_lines, differences
 
-# Passes of patching: changes, then values that the compiler derives, as a servo's damping.
+# Number of patching passes: first changes, then values the compiler derives (a servo's damping).
 _PASSES = 2
-# Largest number of lines of a difference in the terminal; longer ones are in the file.
+# Maximum number of lines of a model difference in the terminal; a longer one is in the file only.
 _SHOWN = 20
 
 
@@ -38,11 +38,11 @@ def write_model(
 ) -> tuple[Path, tuple[str, ...]]:
     """Writes DIR/improved.xml, the model under a hypothesis with learned parts, and loads it.
 
-    The text is that of the model with the changes. It is written by MuJoCo if the file is no MJCF,
-    or replicates or attaches changed elements. Learned parts of the problem's library are left out.
+    The file's text is patched. MuJoCo writes a new text instead if the file is no MJCF, or
+    replicates or attaches changed elements. Learned parts of the problem's library are left out.
 
     Returns:
-        Its path, and its differences from the model, as a unified diff.
+        Path of the file, and its differences from the model, as a unified diff.
 
     Raises:
         LeglabError: MuJoCo refuses the patched model.
@@ -94,7 +94,7 @@ def write_model(
 
 
 def summary_tables(result: Diagnosis) -> list[Table]:
-    """Builds tables of verdict, effects and gaps for the terminal."""
+    """Builds tables of verdict, effects and replay errors for the terminal."""
     head = Table(title=f"verdict: {result.verdict}", title_justify="left")
     before = "model" if result.calibration is None else result.nominal_words
     words = (word for e, _ in result.all_effects for word in (e.name, e.element))

@@ -1,6 +1,6 @@
-"""Sets of effects for a verdict: evidence in total, without each part, in units of the drive.
+"""Evidence of sets of effects for a verdict: total, with parts left out, in units of the drive.
 
-Each effect of every good set is also removed by a replay, so that every name has a rival.
+Each good set is also fitted without each of its effects, so that every named effect has a rival.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,22 +21,22 @@ from leglab.diagnosis.thresholds import BLOWN, LAW, NEAR, NO_FAULT, SMALL, WINDO
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A set with its evidence."""
+    """A set of effects with its evidence."""
 
-    keys: frozenset[Key]  #: Its effects
-    ended: frozenset[Key]  #: Those that ended at a bound
+    keys: frozenset[Key]  #: Effects of the set
+    ended: frozenset[Key]  #: Effects of the set with a parameter that ended at a bound
     score: Score  #: Score at the linearisation where the set is most probable
     evidence: Evidence  #: Evidence at this linearisation
-    apart: np.ndarray  #: Log evidence without each part of the recordings in turn, (parts,)
-    left: np.ndarray  #: Errors that it leaves, (windows, rows)
-    hypothesis: Hypothesis  #: Hypothesis that leaves these errors
-    level: float  #: Median of these in noise levels
-    #: New names of effects that are renamed, to a twin's or a simpler effect's.
+    apart: np.ndarray  #: Log evidence with each part of the recordings left out in turn, (parts,)
+    left: np.ndarray  #: Errors that the set leaves, (windows, rows)
+    hypothesis: Hypothesis  #: Hypothesis whose errors are `left`
+    level: float  #: Median of `left` in noise levels
+    #: New names of effects that are called by their twin's or a simpler effect's name, by old name.
     renamed: Mapping[Key, Key] = field(default_factory=dict)
-    drive: float = 0.0  #: Change of log evidence in units of the drive [nats], at most 0
+    drive: float = 0.0  #: Change of log evidence if errors are in units of the drive [nats], <= 0
 
     def places(self, key: Key) -> list[int]:
-        """Returns the indices of an effect's parameters among the members."""
+        """Returns the indices of an effect's parameters among the parameters of the set."""
         u = self.evidence.unknowns
         names = [self.renamed.get(u.keys[q], u.keys[q]) for q in self.score.unknowns]
         return [i for i, name in enumerate(names) if name == key]
@@ -55,7 +55,7 @@ class Sets:
         self.best, self.size = found.ranks[0].evidence, found.ranks[0].score.size
         self.channels = len(problem.channels)
         self._roots = self._whiteners(self.at)
-        # Windows of held-out recordings; with onsets they are not used.
+        # Windows of held-out recordings, which are not used if effects have onsets.
         held = thinned(problem.held, WINDOWS)
         shown = held.any() and found.onsets is None
         self.elsewhere = Errors(problem, self.unknowns, held) if shown else None
@@ -68,15 +68,15 @@ class Sets:
         self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
 
     def _whiteners(self, at: Errors) -> np.ndarray:
-        """Computes inverse roots of noise, or noise and healthy errors, (windows, size, size)."""
+        """Computes inverse roots of the noise covariance, plus healthy errors' if known."""
         if self.fitter.fixed:
             return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Yields fitted windows, then held-out ones, with median squares of errors of each.
+        """Yields the `Errors` of fitted windows, then of held-out ones, with median squares.
 
-        Squares are with the effect, without it, and of the change, (3, recordings, channels).
+        Median squares, (3, recordings, channels), are with the effect, without it, of the change.
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:
@@ -94,19 +94,19 @@ class Sets:
             yield at, np.array(middles)
 
     def channel_squares(self, errors: np.ndarray, roots: np.ndarray | None = None) -> np.ndarray:
-        """Computes mean squares of errors by window and channel, whitened by `_whiteners`.
+        """Computes mean squared whitened errors, (windows, channels).
 
-        `roots` are those of the windows, see `_whiteners`; None for the windows of the search.
+        `roots` are the windows' inverse roots by `_whiteners`; None for the windows of the search.
         """
         roots = self._roots if roots is None else roots
         white = np.einsum("wij,wj->wi", roots, errors[:, : self.at.size])
         return np.asarray((white.reshape(len(white), self.channels, -1) ** 2).mean(axis=2))
 
     def _row(self, evidence: Evidence, members: Sequence[int], ended: Sequence[int]) -> Row:
-        """Builds the row of a set, with its evidence corrected by replays.
+        """Builds the `Row` of a set, with its evidence corrected by the errors of a replay.
 
-        The replay is that of the first-order fit, or that of the linearisation point, with each
-        deviation between machines; its loss against first order is subtracted. The best one counts.
+        The replay is at the first-order fit, or at the linearisation point with each deviation of
+        machines. Its loss of log likelihood against first order is subtracted. The best one counts.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
@@ -118,11 +118,11 @@ class Sets:
             tries.append((score, None, there, led, 0.0))
         for spread in range(len(evidence.priors.spreads)):
             score = evidence.score(chosen, spread=spread)
-            if not np.isfinite(score.log):  # no such deviation beside such faults
+            if not np.isfinite(score.log):  # this deviation needs a larger fault
                 continue
             precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
-            for q in score.unknowns:  # members depart as far as the fit did
+            for q in score.unknowns:  # the prior does not pull members from their fitted values
                 stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
             moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
@@ -137,7 +137,7 @@ class Sets:
             keys=u.names(members),
             ended=u.names(q for q in ended if q in members),
             score=replace(score, log=score.log - lost, fit=score.fit - lost),
-            evidence=evidence.with_kappa(evidence.kappa),  # without its large caches
+            evidence=evidence.with_kappa(evidence.kappa),  # a copy without the large caches
             apart=parts - np.maximum(all_parts - beyond[best], 0.0),
             left=errors,
             hypothesis=hypothesis,
@@ -145,7 +145,7 @@ class Sets:
         )
 
     def _beyond(self, evidence: Evidence, score: Score, errors: np.ndarray) -> np.ndarray:
-        """Computes the loss of log likelihood against first order, by part [nats]."""
+        """Computes the loss of log likelihood against first order in each part [nats]."""
         squares = [
             (evidence.white(one, score) ** 2).sum(axis=1) for one in (errors, evidence.left(score))
         ]
@@ -158,7 +158,7 @@ class Sets:
         rows: dict[tuple[frozenset[Key], bool], Row] = {}
 
         def enter(row: Row) -> None:
-            # An effect too small to be noticed is no fault: the set is the one without it.
+            # An effect too small to be noticed is no fault, so it is removed from the set's names.
             row = replace(row, keys=frozenset(k for k in row.keys if row.size(k) >= NO_FAULT))
             names = row.keys, bool(row.renamed)
             if names not in rows or row.score.log > rows[names].score.log:
@@ -180,32 +180,32 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
-                # A set that is left of several ones is fitted once, from the most probable one.
+                # If several sets leave the same set, it is fitted once, from the most probable one.
                 if frozenset(members) in rivals:
                     continue
                 rivals.add(frozenset(members))
                 less = Candidate(members, {}, columns, pattern, best.weight)
                 rest = fitter.fit(less, best.kappa, renewals=0, beside=True)
-                # Without the effect the errors have another covariance.
+                # Without the effect, the errors have another covariance, which is tried as well.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     enter(self._row(there, members, fit.ended))
         for names, row in list(rows.items()):
             alike = self._alike(row)
-            if alike and (alike.keys, False) in rows:  # fitted under the simpler name as well
+            if alike and (alike.keys, False) in rows:  # the simpler set was fitted as well
                 del rows[names]
                 enter(alike)
                 continue
-            for key in row.keys:  # the same motion by another name
+            for key in row.keys:  # a twin: the same motion by another effect
                 pairs = [pair for pair in self.at.twins if key in pair]
                 for twin in sorted({k for pair in pairs for k in pair} - row.keys):
                     enter(replace(row, keys=row.keys - {key} | {twin}, renamed={key: twin}))
         return sorted(rows.values(), key=lambda r: -r.score.log)
 
     def _since(self, rows: Sequence[Row], specimen: Specimen) -> list[Row]:
-        """Ranks sets by their gain of log evidence beyond that on healthy recordings.
+        """Ranks sets by log evidence less what each set gains on healthy recordings.
 
-        Healthy windows are weighted to the number of new ones; a set's prior odds count once.
+        Healthy windows are weighted to the number of new windows. Only new ones get prior odds.
         """
         count = self.at.recording.size / specimen.at.recording.size
         members = {q for row in rows for q in row.score.unknowns}
@@ -220,10 +220,10 @@ class Sets:
         return sorted(found, key=lambda r: -r.score.log)
 
     def _alike(self, row: Row) -> Row | None:
-        """Renames a direction-dependent effect that is equal both ways to the symmetric one.
+        """Gives a direction-dependent effect with like directions the symmetric effect's name.
 
-        No friction law is exactly the machine's, so a difference of directions below `LAW` is not
-        claimed. Returns None if the difference is larger.
+        No friction law is exactly the machine's, so a relative difference of directions below `LAW`
+        is not reported. Returns None if the difference is larger, or no effect has directions.
         """
         u, members, values = self.unknowns, row.score.unknowns, row.score.values
         simpler = both_ways(u, members, values.tolist())
@@ -237,7 +237,7 @@ class Sets:
         return replace(row, keys=names, renamed={old: next(iter(new))})
 
     def without(self, row: Row, key: Key) -> np.ndarray:
-        """Computes errors without an effect, other members refitted, all else unchanged."""
+        """Computes errors without an effect if only the set's other effects are refitted."""
         gone, removed = row.places(key), self.removed.get((row.keys, key))
         columns, errors = row.evidence.columns, row.left
         if removed is not None:
@@ -258,12 +258,11 @@ class Sets:
         return np.asarray(errors)
 
     def _in_units_of_the_drive(self, rows: Sequence[Row]) -> np.ndarray:
-        """Computes changes of log evidence by errors in units of the drive, (sets,), at most 0.
+        """Computes changes of log evidence if errors are in units of the drive, (sets,), at most 0.
 
-        Any misfit shrinks the influence of a drive on the motion that a fit predicts, as noise in
-        a regressor shrinks its slope. Errors in units of the drive, motion error over the motion by
-        a command, do not gain from that: they are those of the inverse regression. Only errors
-        beyond the sensors' noise count.
+        A fit with any misfit predicts too small an influence of the drive on the motion, as noise
+        in a regressor shrinks its slope. Errors in units of the drive, motion error over the motion
+        by a command, as in inverse regression, do not gain. Only errors beyond sensor noise count.
         """
         at, size = self.at, self.fitter.priors.sizes[self.size]
         noise = at.covariance

@@ -1,4 +1,4 @@
-"""From recordings to the verdict: names, confusion sets, confidence, gaps."""
+"""From recordings to the verdict: named effects, confusion sets, confidence, remaining errors."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -58,8 +58,8 @@ def diagnose(
         recordings: Recordings by name.
         held_out: Names of the recordings on which the verdict is judged; None for the choice of
             `split_held_out`, which cuts the end off a single recording.
-        healthy: Recordings of the same specimen before it changed, by name; then the diagnosis
-            names changes since these.
+        healthy: Recordings of the same specimen before it changed, by name. If present, the
+            diagnosis names changes since the healthy recordings.
         settings: Settings of the diagnosis; None for defaults.
         progress: Called with a line on what is being done.
 
@@ -86,14 +86,14 @@ def diagnose(
         outcome = Outcome(judgement.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judgement.as_it_was:
-        # The names close less than half of the gap, and the errors are as healthy as before.
+        # The named effects explain less than half of the errors, which are as small as if healthy.
         outcome = Outcome(judgement.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Tests whether errors are noise without the reported effects, which hardly lessen them."""
+    """Tests whether errors without the reported effects are noise, hardly larger than with them."""
     problem = outcome.about
     if not problem.held.any():
         return False
@@ -105,7 +105,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
 def _clear_elsewhere(outcome: Outcome) -> bool:
     """Tests whether the empty set's fit leaves only noise on held-out recordings.
 
-    True without held-out recordings, and with healthy ones: `as_it_was` compared all recordings.
+    True without held-out recordings; with healthy ones, since `as_it_was` compared all recordings.
     """
     problem = outcome.problem
     if outcome.specimen or not problem.held.any():
@@ -117,7 +117,7 @@ def _clear_elsewhere(outcome: Outcome) -> bool:
 def _told(
     outcome: Outcome, logged: Mapping[str, Recording], remarks: Sequence[str], began: float
 ) -> result.Diagnosis:
-    """Builds the diagnosis of a judged search; `remarks` are those on the recordings."""
+    """Builds the diagnosis of a judged search; `remarks` are notes on the recordings."""
     final, problem, floors = outcome.final, outcome.about, outcome.floors()
     errors = errors_of(problem, outcome.baseline, final)
     remarks = [*remarks, *notes(problem), *by_states(problem, logged, problem.noise_levels(final))]
@@ -127,7 +127,7 @@ def _told(
         unnamed = result.root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
-            # A slow held-out motion does not show the effects of a fast one.
+            # Slow held-out motion does not show effects of fast motion: all windows are compared.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
@@ -180,10 +180,10 @@ def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict
 
 
 def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
-    """Tests whether effects change predictions far less in the judged windows than in all.
+    """Tests whether the named effects hardly change predictions in the judged windows.
 
-    It is also True if errors without the effects in judged windows, `without` (windows,), are no
-    larger than a healthy specimen's on another day.
+    It is True if the share of windows with a change is far smaller than among all windows, or if
+    errors without the effects, `without` (windows,), are no larger than a healthy specimen's.
     """
     problem = outcome.about
     if outcome.specimen and result.root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
@@ -215,10 +215,10 @@ def _effects(
         gone = final.without(key)
         without = result.root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
-        # No member of a confusion set is more probable than not.
+        # No effect of a confusion set gets a probability above one half.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < EXPLANATION:
-            # A name does not stand while most of the error is left.
+            # No effect is confidently named while most of the error is left.
             confidence = min(confidence, explained)
         begins = zip(problem.series, outcome.onsets.get(key, ()), strict=False)
         onsets = [(s.name, s.time[0], ends) for s, ends in begins if np.isfinite(ends).all()]
@@ -242,7 +242,7 @@ def _effects(
             )
         )
     effects.sort(key=lambda e: -e.contribution)
-    # Smaller effects are listed separately in addition to a named cause only.
+    # Smaller effects are listed separately only if there is a named main cause.
     small = SMALL if judged.named and len(effects) > 1 else 0.0
     smaller = tuple(e for e in effects if e.contribution < small)
     return verdict, tuple(e for e in effects if e not in smaller), smaller
@@ -251,8 +251,8 @@ def _effects(
 def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     """Returns an effect's parameters, then differences of directions, with 95 % intervals.
 
-    If the machine obeys another law, an estimate depends on the motion: on a machine that is not
-    exactly its model the interval also allows a share `LAW` of the change, which no error shows.
+    If the machine does not follow an effect's law exactly, the estimate depends on the motion. So,
+    if the model is not exact, the interval is widened by the share `LAW` of the change.
     """
     evidence, site = outcome.row.evidence, outcome.about.library.sites[key]
     u, parameters = evidence.unknowns, site.parameters
@@ -261,12 +261,12 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     values = outcome.final[key].tolist()
     scaled = told * np.array([p.step(v) for p, v in zip(parameters, values, strict=True)])
     spread = np.diag(scaled @ outcome.spread[np.ix_(own, own)] @ scaled.T)
-    # The scatter is estimated from few parts, so the interval is Student's.
+    # The scatter is estimated from few parts of recordings, so Student's distribution applies.
     width = float(student.ppf(0.975, max(int(evidence.part.max()), 1)))
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > EXPLAINED else 0.0) * change
-    # Of a limit, a share of its value: it departs from the largest recorded command or force.
+    # For limits at most the share `LAW` of the value, as the change is from the largest record.
     limits = [i for i, p in enumerate(parameters) if p.limit_of]
     law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
@@ -289,11 +289,11 @@ def _estimate(
 
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:
-    """Computes the probability of each set against each other one; equal sets count once."""
+    """Computes the probability of each set against every other set; equal sets count once."""
     rows = [row for n, row in enumerate(rows) if all(row.keys != r.keys for r in rows[:n])]
     joined = [" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows]
     places = [" + ".join(f"{name} at {element}" for name, element in sorted(r.keys)) for r in rows]
-    # Sets with the same effects on other elements are called by both.
+    # Sets with the same effects on different elements are named by effects and elements.
     names = tuple(n if joined.count(n) == 1 else p for n, p in zip(joined, places, strict=True))
     logs = np.array([row.score.log for row in rows])
     preference = 1.0 / (1.0 + np.exp(np.clip(logs[None, :] - logs[:, None], -500, 500)))
@@ -303,7 +303,7 @@ def _rivals(rows: Sequence[Row]) -> result.Rivals:
 
 
 def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, ...]:
-    """Computes errors at the end of the judged windows, before and after."""
+    """Computes RMS errors at the end of the judged windows, of the model before and after."""
     before, after = (problem.raw_errors(h)[problem.judged][:, :, -1] for h in (Hypothesis(), final))
     noise = np.median(problem.sensor_noise, axis=0)
     return tuple(
@@ -320,7 +320,7 @@ def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, .
 
 
 def _calibration(specimen: Specimen) -> result.Calibration:
-    """Returns the calibration for the page, the largest departures first."""
+    """Returns the calibration of a specimen for the page, the largest departures first."""
     problem, rows = specimen.problem, []
     for key, site in problem.library.sites.items():
         values = site.model.tolist(), specimen.values[key].tolist()
@@ -367,7 +367,7 @@ def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[result.ResidualTrace, ...]:
-    """Returns replay errors before and after, of every recording and channel."""
+    """Returns replay errors of the model before and after, of every recording and channel."""
     replay = problem.replay
     before, after = (problem.raw_errors(h) for h in (Hypothesis(), final))
     # A replay predicts the samples after each step, so the first sample is left out.

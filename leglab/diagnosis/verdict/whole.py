@@ -36,7 +36,7 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
         time=before.time,
         measured=measured,
         before=before.simulated[joint],
-        # A faulty sensor shows another position than the true one.
+        # The simulated deviation is added, as a faulty sensor does not measure the true position.
         after=measured + after.simulated[joint] - after.measured[joint],
         correction_before=before.correction[actuator] / spread,
         correction_after=after.correction[actuator] / spread,

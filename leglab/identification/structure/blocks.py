@@ -1,4 +1,4 @@
-"""Blocks of records that are held out, and stretches of the remaining data for the fits."""
+"""Held-out blocks of records, and stretches of the remaining records for the fits."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -8,13 +8,13 @@ import numpy as np
 from leglab.identification.structure.fit import Fit, Problem, Stretch, startable
 
 BLOCKS = (8, 3)
-_LEAD_IN = 10_000  # samples of a free run before the block that is scored
-_OVERLAP = 4  # stretches that contain a sample
+_LEAD_IN = 10_000  # samples that a free run simulates before the block in which it is scored
+_OVERLAP = 4  # number of overlapping stretches that contain the same sample
 Table = tuple[tuple[float, ...], ...]
 
 
 def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
-    """Splits all records into about `count` blocks, which are held out in turn."""
+    """Splits the records into about `count` blocks, each of which is held out once."""
     out = []
     total = sum(map(len, problem.records))
     for k, record in enumerate(problem.records):
@@ -29,7 +29,7 @@ def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
 
 
 def lead_in(problem: Problem, block: Stretch, depth: int) -> int:
-    """Returns the sample at which the free run begins that scores a block."""
+    """Returns the index of the sample at which the free run over a held-out block begins."""
     usable = np.flatnonzero(startable(problem.records[block.record], depth))
     return int(usable[np.searchsorted(usable, max(0, block.start - _LEAD_IN))])
 
@@ -37,7 +37,7 @@ def lead_in(problem: Problem, block: Stretch, depth: int) -> int:
 def stretches(
     problem: Problem, depth: int, length: int, budget: int, without: Stretch | None = None
 ) -> list[Stretch]:
-    """Returns the stretches of a fit, outside of the block `without` that is held out."""
+    """Returns overlapping stretches for a fit that do not touch the held-out block `without`."""
     out: list[Stretch] = []
     while not out and length > 1:
         for k, record in enumerate(problem.records):
@@ -66,7 +66,7 @@ def _touches(stretch: Stretch, block: Stretch | None, depth: int) -> bool:
 
 
 class Held:
-    """Blocks that are held out: by default eighths and thirds of all records."""
+    """Held-out blocks, by default eighths and thirds of the records, and errors on the blocks."""
 
     def __init__(self, problem: Problem, depth: int, counts: tuple[int, ...] = BLOCKS) -> None:
         self._problem = problem
@@ -76,7 +76,7 @@ class Held:
         self._ends = np.cumsum([len(part) for part in parts])
 
     def errors(self, fits: Sequence[Fit]) -> Table:
-        """Returns the mean squared error over each block, of the model fitted without the block."""
+        """Returns mean squared errors by block; the k-th fit was made without the k-th block."""
         found = [
             self._problem.error_of(*one) for one in zip(fits, self.all, self._firsts, strict=True)
         ]

@@ -1,4 +1,4 @@
-"""Output-error fits: they minimise the error of the free run over stretches of records."""
+"""Output-error fits, which minimise the free-run error over stretches (samples of a record)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -19,20 +19,20 @@ from leglab.identification.spline_state_space import (
 )
 
 Array = NDArray[np.float64]
-# Structure of a model: features of lags, or one state space.
+# Structure of a model: features of lagged signals, or a single `StateSpace`.
 Features = Sequence[Feature | StateSpace]
 Settings = SplineNarxSettings | SplineStateSpaceSettings
 Model = SplineNarx | SplineStateSpace
-# Prior precision of second differences of a spline's weights, relative to that of a weight. Signals
+# Prior precision of the second differences of a spline's weights; that of a weight is 1. Signals
 # are scaled to [-1, 1], so all constants of this file are dimensionless.
 SMOOTHNESS = 10.0
 ITERATIONS = 25
-_CONVERGED = 2e-4  # decrease of the cost in an iteration below which a fit ends
-LEAST_SHARE = 1e-20  # of the variance: a smaller squared error is rounding
+_CONVERGED = 2e-4  # a fit ends if an iteration lowers the cost by no more than this
+LEAST_SHARE = 1e-20  # lower bound of squared errors, in output variances; less is rounding
 _FIRST_DAMPING, _LEAST_DAMPING, _FACTOR, _TRIES = 1e-3, 1e-9, 8.0, 6
-SHORTEST = 60  # samples of a stretch: a free run must go on beyond the past that it starts from
-_MOST_STARTS = 5000  # one-step errors of the least squares from which a fit starts
-# Mean squared error assigned to a run that diverges, in variances of the output.
+SHORTEST = 60  # minimum samples of a stretch: a free run must outlast its measured initial outputs
+_MOST_STARTS = 5000  # approximate number of one-step errors in the least squares that start a fit
+# Mean squared error assigned to a diverging free run, in variances of the output.
 DIVERGED = 1e9
 
 
@@ -63,7 +63,7 @@ class Stretch(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums of a Gauss-Newton step over stretches, scaled; see csrc/identification/free_run.h."""
+    """Scaled sums of a Gauss-Newton step over stretches; see csrc/identification/free_run.h."""
 
     error: float
     samples: int
@@ -73,14 +73,14 @@ class Sums(NamedTuple):
 
 
 class Further:
-    """Candidate features that a model may take next, with their blocks for the C++ core."""
+    """Candidate features of the next selection step, with their `ParameterBlock`s for the core."""
 
     def __init__(self, template: SplineNarxSettings, features: Sequence[Feature]) -> None:
         self.features = tuple(features)
         self.blocks = replace(template, features=self.features).blocks if features else ()
 
     def without(self, index: int) -> "Further":
-        """Returns all candidates but one."""
+        """Returns the candidates without the one at `index`."""
         out = object.__new__(Further)
         out.features = self.features[:index] + self.features[index + 1 :]
         out.blocks = self.blocks[:index] + self.blocks[index + 1 :]
@@ -100,7 +100,7 @@ class Simulator:
         self._runs = [Runs(settings, further, r.u, r.y) for r in records]
 
     def sums(self, theta: Array, stretches: Sequence[Stretch], *, sensitivities: bool) -> Sums:
-        """Returns the sums over the stretches; those of sensitivities are zero if not wanted."""
+        """Returns the sums over the stretches; without `sensitivities` their sums are zero."""
         total: tuple | None = None
         for number, runs in enumerate(self._runs):
             own = [(s.start, s.length) for s in stretches if s.record == number]
@@ -116,11 +116,11 @@ class Simulator:
 
 
 class Problem:
-    """Training records and the settings that all models of them share.
+    """Training records and the settings shared by all models that are fitted to them.
 
     Args:
         records: Training records.
-        template: Signals with their ranges, limits and estimator; each model replaces its features.
+        template: Signals with ranges, limits and estimator; a model replaces the features.
     """
 
     def __init__(self, records: Sequence[Record], template: SplineNarxSettings) -> None:
@@ -143,12 +143,12 @@ class Problem:
         return {n: c[np.isfinite(c)] for n, c in zip(names, columns, strict=True)}
 
     def lagged(self, features: Features) -> SplineNarxSettings:
-        """Returns the settings of a model of features of lags."""
+        """Returns the settings of a model of lags; a state space among the features is ignored."""
         chosen = tuple(f for f in features if not isinstance(f, StateSpace))
         return replace(self.template, features=chosen)
 
     def model(self, features: Features) -> Settings:
-        """Returns the settings of a model of these features."""
+        """Returns the settings of a model of lags, or of a state-space model."""
         first = features[0]
         if not isinstance(first, StateSpace):
             return self.lagged(features)
@@ -170,8 +170,8 @@ class Problem:
     def error_of(self, fit: "Fit", block: Stretch, first: int) -> float:
         """Returns the mean squared free-run error in a block, as a share of the output's variance.
 
-        The run begins at the sample `first`, long before the block where possible, so that the
-        measured initial outputs help the model no more than in any longer run.
+        The run begins at the sample `first`, if possible long before the block, because a model
+        is more accurate shortly after the measured initial outputs than in a long run.
         """
         model, record = self.identifier(fit), self.records[block.record]
         end = block.start + block.length
@@ -192,7 +192,7 @@ class Fit:
     """A fitted model.
 
     Attributes:
-        features: Features of lags, or one state space.
+        features: Features of lagged signals, or a single state space.
         theta: Parameters in scaled units.
         error: RMS error of the free run over the stretches of the fit, as a share of the output's
             standard deviation.
@@ -205,13 +205,13 @@ class Fit:
 
 @cache
 def roughness(splines: int) -> Array:
-    """Returns the prior precision of a curve's weights: 1, and SMOOTHNESS of 2nd differences."""
+    """Returns the prior precision of spline weights: I + SMOOTHNESS D'D, D: second differences."""
     second = np.diff(np.eye(splines), 2, axis=0)
     return np.eye(splines) + SMOOTHNESS * second.T @ second
 
 
 def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Array:
-    """Returns the precision matrix of the prior of unit strength, (n, n): 1 for each parameter."""
+    """Returns the prior precision of unit strength, (n, n): I, but `roughness` for splines."""
     out = np.eye(sum(block.count for block in blocks))
     at = 0
     for feature, block in zip(features, blocks, strict=True):
@@ -223,7 +223,7 @@ def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Arra
 
 
 def solve(matrix: Array, right: Array) -> Array:
-    """Solves a linear system, by the least-norm solution if it is singular."""
+    """Solves a linear system; returns the least-norm solution if the matrix is singular."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), float)
     except np.linalg.LinAlgError:
@@ -231,7 +231,7 @@ def solve(matrix: Array, right: Array) -> Array:
 
 
 class HasSums(Protocol):
-    """Sums of which a Gauss-Newton step is computed."""
+    """Sums from which a Gauss-Newton step is computed."""
 
     @property
     def error(self) -> float: ...  # noqa: D102
@@ -251,17 +251,17 @@ def descend(
     iterations: int,
     centre: Array | float = 0.0,
 ) -> tuple[Array, float]:
-    """Fits the free run, maximum a posteriori, by damped Gauss-Newton steps (Marquardt 1963).
+    """Computes maximum a-posteriori parameters by damped Gauss-Newton steps (Marquardt 1963).
 
-    With the mean squared error E and the prior's quadratic form R it minimises
-    log E + (theta - centre)' R (theta - centre); the unknown variance of the error is eliminated.
+    Minimises log E + (theta - centre)' R (theta - centre), with the mean squared free-run error E
+    and the prior's precision matrix R. The logarithm arises because the error variance is unknown.
 
     Args:
-        sums: Returns the sums for parameters, with sensitivities or without.
+        sums: Function of parameters and of whether sensitivities are wanted.
         theta: Initial parameters, (n,).
         form: R, (n, n).
-        variance: Variance of the output, in the units of the sums.
-        iterations: Largest number of iterations.
+        variance: Variance of the output, in the units of the sums' squared error.
+        iterations: Maximum number of iterations.
         centre: Mean of the prior.
 
     Returns:
@@ -325,14 +325,14 @@ def fit(
 def one_step(
     problem: Problem, features: Sequence[Feature], without: Stretch | None = None
 ) -> Array:
-    """Fits the one-step error by least squares; output-error fits start from the result."""
+    """Fits one-step predictions by least squares, to initialise output-error fits."""
     settings = problem.lagged(features)
     simulator = Simulator(settings, problem.records)
     stretches = one_step_stretches(problem, settings.lags, without, _MOST_STARTS)
     theta = np.zeros(sum(block.count for block in settings.blocks))
     found = simulator.sums(theta, stretches, sensitivities=True)
     scale = problem.variance * max(found.samples, 1)
-    # Prior as for a one-step error of a thousandth of the output's standard deviation.
+    # Weight of the prior if the RMS one-step error is 0.001 standard deviations of the output.
     form = 1e-6 * prior(features, settings.blocks) / problem.count
     return solve(found.products / scale + form, found.gradient / scale)
 
@@ -340,13 +340,13 @@ def one_step(
 def one_step_stretches(
     problem: Problem, depth: int, without: Stretch | None = None, most: int | None = None
 ) -> list[Stretch]:
-    """Returns free runs of one sample, one-step predictions, from starts whose past is measured.
+    """Returns stretches of one sample: free runs over them are one-step predictions.
 
     Args:
         problem: Records.
-        depth: Number of past samples.
-        without: Stretch that is held out.
-        most: Approximate number of starts, evenly spaced; None takes all.
+        depth: Number of measured outputs that must precede a sample.
+        without: Held-out stretch; no output of it is used.
+        most: Approximate number of samples, evenly spaced; None takes all.
     """
     every = 1 if most is None else max(1, problem.count // most)
     out = []
@@ -359,7 +359,7 @@ def one_step_stretches(
 
 
 def whole_runs(problem: Problem, depth: int) -> list[Stretch]:
-    """Returns a free run of each record from its first sample that has a measured past."""
+    """Returns one stretch per record, from the first sample after `depth` measured outputs on."""
     out = []
     for k, record in enumerate(problem.records):
         usable = np.flatnonzero(startable(record, depth))
@@ -369,7 +369,7 @@ def whole_runs(problem: Problem, depth: int) -> list[Stretch]:
 
 
 def startable(record: Record, depth: int) -> NDArray[np.bool_]:
-    """Tests for each sample whether `depth` measured outputs precede it, (N,)."""
+    """Tests for each sample whether the `depth` outputs before the sample are measured, (N,)."""
     gaps = np.concatenate([[0], np.cumsum(~np.isfinite(record.y))])
     out = np.zeros(len(record), dtype=bool)
     at = np.arange(depth, len(record))

@@ -1,4 +1,4 @@
-"""`identify`: a model of each output, with its errors on training and test data."""
+"""`identify`: models of the outputs of a machine, with errors on training and test data."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,12 +30,12 @@ from leglab.identification.structure.plans import Candidate, Plan
 from leglab.identification.structure.signals import Signals, signals_of
 from leglab.identification.structure.states import information_of, refitted
 
-# Limits of the free run: the range of the training output, widened on each side by this share. That
-# leaves room for test data beyond the range and still bounds an unstable model.
+# The free run is limited to the range of the training output, widened on each side by this share of
+# the range: test data may lie beyond the range, but an unstable model must not diverge.
 _REACH = 0.3
-_INITIAL_GAIN = 1e4  # F(0) of an untrained model, and in directions that the data do not excite
-_DEPARTURE = 0.1  # prior deviation of a state-space model's parameters from its linear start
-_DISTURBANCES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # process noise, in variances of sensor noise
+_INITIAL_GAIN = 1e4  # F(0) of an untrained model; later F in directions that the data do not excite
+_DEPARTURE = 0.1  # prior standard deviation of a state-space model's parameters about their start
+_DISTURBANCES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # tried process noise, in output-error variances
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,15 @@ class Errors:
 
     Attributes:
         recording: Name of the recording.
-        free_run: RMS of the free run from the first measured samples on [unit of the output].
-        one_step: RMS of the one-step prediction.
+        free_run: RMS error of the free run from the first measured samples on [output's unit].
+        one_step: RMS error of the one-step prediction.
         fit: 100 (1 - |y - free run| / |y - mean of y|) [%].
-        linear: RMS free run of the best linear model.
-        mean: RMS of the output about the mean of the training data.
-        online: RMS free run of the same structure, learned online in one pass from zero
-            parameters; for a state-space model from straight curves.
+        linear: RMS free-run error of the best linear model.
+        mean: RMS deviation of the output from the mean of the training data.
+        online: RMS free-run error of `Identified.online`, learned in a single pass.
         measured: Output, (N,).
-        simulated: Free run, (N,), the first samples measured.
-        predicted: One-step prediction, (N,), the first samples measured.
+        simulated: Free run, (N,); begins with measured samples.
+        predicted: One-step prediction, (N,); begins with measured samples.
     """
 
     recording: str
@@ -80,7 +79,7 @@ class Identified:
         candidates: All structures, the chosen one first.
         problem: Training records.
         tests: Test records, which no fit uses.
-        notes: Messages about data that were left out, bridged or are doubtful.
+        notes: Messages about omitted, interpolated or doubtful data.
     """
 
     output: str
@@ -104,7 +103,7 @@ class Identified:
 
     @property
     def constant(self) -> Candidate:
-        """The constant that every model has to beat."""
+        """The constant output, which every model has to beat."""
         return next(c for c in self.candidates if c.plan.kind == plans.CONSTANT)
 
     @property
@@ -120,10 +119,10 @@ class Identified:
         return self.chosen.plan.kind != plans.CONSTANT
 
     def at_rest(self, signal: str, values: Array) -> Array:
-        """Returns the output with one signal at given values, the others at their means, (n,).
+        """Returns the output for values of one signal, the other signals at their means, (n,).
 
-        For a model of lags this is the one-step prediction with all lags at these values, for a
-        state-space model the steady output under these inputs.
+        A model of lags predicts one step with all lags of a signal at the same value; for a
+        state-space model the result is the steady output under constant inputs.
 
         Args:
             signal: An input or, for a model of lags, the output.
@@ -143,10 +142,10 @@ class Identified:
 
     @cached_property
     def online(self) -> tuple[Model, Array]:
-        """The structure learned online in one pass, and its parameters over the first record.
+        """A model learned online in one pass, and its parameters over the first record, (N, P).
 
-        A model of lags starts from zero parameters, a state-space model as a linear one, with
-        straight curves. The parameters are scaled, (N, P).
+        A model of lags starts from zero parameters, a state-space model with straight curves, which
+        make it linear. The parameters are in scaled units.
         """
         model = _from_nothing(self.model)
         trajectory = np.zeros((0, 0))
@@ -159,7 +158,7 @@ class Identified:
 
     @cached_property
     def trained(self) -> tuple[Errors, ...]:
-        """Errors on the training records, each simulated from its first samples on."""
+        """Errors on the training records; each free run starts from a record's first samples."""
         return self._all_errors(self.problem.records)
 
     @cached_property
@@ -218,7 +217,7 @@ def rms(residual: Array, given: int = 0) -> float:
 
 
 def _break_off(model: Model) -> None:
-    """Feeds a sample of NaN to the model: the next record does not continue the last one."""
+    """Feeds a sample of NaN, so that the model does not take the next record as a continuation."""
     missing = np.full((1, model.inputs), np.nan)
     model.run(single(missing), np.full(1, np.nan), missing="skip")
 
@@ -229,7 +228,7 @@ def _from_nothing(model: Model) -> Model:
     if isinstance(settings, SplineNarxSettings):
         rls = Rls(initial_gain=_INITIAL_GAIN)
         return SplineNarx(replace(settings, rls=rls, output_error_after=0))
-    # Zero curves would remove the feedback through them; straight ones leave a linear model.
+    # Straight curves make the model linear. Zero curves would also remove feedback through curves.
     structure = settings.structure
     out = SplineStateSpace(
         replace(settings, rls=Rls(initial_gain=_DEPARTURE**2), process_noise=0.0)
@@ -258,14 +257,14 @@ def identify(
 
     Args:
         recordings: Training recordings, by name.
-        inputs: Columns that drive the machine; default: those that begin with u.
-        outputs: Columns to be modelled; default: those that begin with y.
+        inputs: Columns that drive the machine; by default the columns that begin with u.
+        outputs: Columns to be modelled; by default the columns that begin with y.
         tests: Test recordings; they do not affect the choice.
         period: Sampling period to resample to [s].
-        jobs: Structures tried at a time; the result does not depend on it.
-        progress: Called after each structure with the number done, their total and the stage.
+        jobs: Number of threads; the result does not depend on it.
+        progress: Function called after each structure; see `search.Progress`.
         kept: Results of an interrupted search, by output.
-        keep: Called with each new result and its output.
+        keep: Function called with the name of an output and each new result for it.
 
     Returns:
         A model for each output, by name.
@@ -309,7 +308,7 @@ def _identified(
     tested: Signals | None,
     k: int,
 ) -> Identified:
-    """Fits the chosen structure to all records."""
+    """Refits the chosen structure to more samples of all records, and collects the results."""
     best = found[0]
     plan, features = best.plan, best.fit.features
     if plan.kind == plans.STATES:
@@ -342,7 +341,7 @@ def _problem(learned: Signals, k: int) -> Problem:
     for j, name in enumerate(learned.inputs):
         column = np.concatenate([r.u[:, j] for r in records])
         signals.append(Signal(name=name, lower=float(column.min()), upper=float(column.max())))
-    # Forgetting: after N further samples, N that of the training data, their weight is 1/e.
+    # Forgetting factor: after as many new samples as training samples, the old ones weigh 1/e.
     kept = 1 - 1 / max(int(np.isfinite(y).sum()), 2)
     template = SplineNarxSettings(
         output=Signal(name=learned.outputs[k], lower=low, upper=high),
@@ -362,9 +361,9 @@ def _problem(learned: Signals, k: int) -> Problem:
 def _going_on(problem: Problem, best: Candidate) -> Model:
     """Returns an identifier with the fitted parameters and the gain after all training samples.
 
-    It learns by the error of the free run or of one step: by the one that leaves the smaller
-    free-run error after another pass over the training data. Sensor noise biases one-step
-    learning, disturbances of the machine bias learning by the free run.
+    The identifier minimises the free-run or the one-step error in learning, whichever leaves the
+    smaller free-run error after another pass over the training data. Sensor noise biases learning
+    by the one-step error; disturbances of the machine bias learning by the free-run error.
     """
     tried: list[tuple[float, Model]] = []
     for model, information in _learners(problem, best):
@@ -386,7 +385,7 @@ def _going_on(problem: Problem, best: Candidate) -> Model:
 
 
 def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]]:
-    """Yields identifiers that learn by free run and by one step, and the information of each."""
+    """Yields identifiers that minimise free-run or one-step errors, and information matrices."""
     theta, settings = best.fit.theta, problem.model(best.fit.features)
     if isinstance(settings, SplineNarxSettings):
         simulator = Simulator(settings, problem.records)
@@ -397,7 +396,7 @@ def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]
             yield narx, simulator.sums(theta, own, sensitivities=True).products
         return
     information = information_of(problem, best.fit, best.plan.strength)
-    # Many combinations of parameters have no effect; exponential forgetting would let F wind up.
+    # Exponential forgetting would let F grow along the many parameters that have no effect on y.
     rls = replace(settings.rls, forgetting="directional")
     settings = replace(settings, rls=rls)
     for disturbed in (False, True):
@@ -409,7 +408,7 @@ def _learners(problem: Problem, best: Candidate) -> Iterator[tuple[Model, Array]
 
 
 def disturbed_model(problem: Problem, model: SplineStateSpace) -> SplineStateSpace:
-    """Returns the model with the process noise of least one-step error."""
+    """Returns the model with the process noise that gives the least one-step error."""
     tried: list[tuple[float, int, SplineStateSpace]] = []
     for share in _DISTURBANCES:
         noise = share * model.settings.structure.noise
@@ -432,7 +431,7 @@ def _one_step_error(problem: Problem, model: Model) -> float:
 
 
 def _free_run_error(problem: Problem, model: Model) -> float:
-    """Returns the sum of squared free-run errors over all records, from where a run can start."""
+    """Returns the sum of squared errors of free runs of all records, from the first valid start."""
     total = 0.0
     for record in problem.records:
         usable = startable(record, model.lags)
@@ -447,7 +446,7 @@ def _free_run_error(problem: Problem, model: Model) -> float:
 def _drift(
     learned: Sequence[Record], tested: Sequence[Record], inputs: Sequence[str], output: str
 ) -> tuple[str, ...]:
-    """Returns notes on test data beyond the range of the training data, or with another mean."""
+    """Returns notes on test signals that exceed the training range or have another mean."""
     if not tested:
         return ()
     notes = []

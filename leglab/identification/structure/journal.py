@@ -1,4 +1,4 @@
-"""Results of a search that was interrupted, one JSON line each."""
+"""File of search results, one JSON line per result, from which a search can resume."""
 
 import json
 from collections import defaultdict
@@ -13,25 +13,25 @@ from leglab.identification.structure.plans import Candidate, Plan
 
 
 class Journal:
-    """Candidates in a file, with those of an interrupted search that had the same key.
+    """File of candidates; `kept` holds the candidates that an interrupted search wrote.
 
     Args:
-        path: The file; one with another key is overwritten.
-        key: Digest of data and code.
+        path: The file; a file with another key is overwritten.
+        key: Digest of data and code, for which the results are valid.
     """
 
     def __init__(self, path: Path, key: str) -> None:
         self.path = path
         self.kept: dict[str, dict[Plan, Candidate]] = defaultdict(dict)
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        self._whole = [key]  # valid lines, with which `keep` rewrites the file at the next result
+        self._whole = [key]  # valid lines, which the next `keep` writes to a new file
         if lines[:1] != [key]:
             return
         for line in lines[1:]:
             try:
                 output, candidate = _read(line)
             except (ValueError, LookupError, TypeError):
-                break  # the line in which the earlier search was interrupted
+                break  # incomplete: the earlier search was interrupted while it wrote this line
             self.kept[output][candidate.plan] = candidate
             self._whole.append(line)
 
@@ -42,7 +42,7 @@ class Journal:
         self._whole = []
 
     def done(self) -> None:
-        """Removes the file: the search is over."""
+        """Removes the file, which a completed search no longer needs."""
         self.path.unlink(missing_ok=True)
 
 

@@ -18,13 +18,13 @@ from leglab.identification.structure.fit import (
     solve,
 )
 
-_TRIED = 3  # features of largest expected gain that are fitted; the best of them is added
-_GLANCE, _STEPS = 3, 10  # iterations of their fits, and further iterations for the best
-_WORTH = 0.997  # largest ratio of RMS errors, with to without a feature, at which it is added
+_TRIED = 3  # number of candidate features that are fitted, by expected gain; the best is added
+_GLANCE, _STEPS = 3, 10  # iterations of the fit of each candidate, and of the refit of the best
+_WORTH = 0.997  # a feature is added if it multiplies the RMS error by at most this ratio
 
 
 class LagPath:
-    """Forward selection: adds the feature expected to explain most of the free-run error."""
+    """Forward selection of features by the free-run error that each is expected to explain."""
 
     def __init__(
         self,
@@ -39,7 +39,7 @@ class LagPath:
         self.fit, self.ended = start, False
 
     def grow(self) -> None:
-        """Adds one feature, or ends the path if none reduces the error enough."""
+        """Adds one feature; ends the selection if the RMS error falls too little (`_WORTH`)."""
         self.ended = self.ended or not self._further.features
         if self.ended:
             return
@@ -69,8 +69,8 @@ def promises(
 ) -> Array:
     """Estimates the share of the remaining squared error that each candidate feature explains.
 
-    To first order: with the sensitivities D of a feature, those J of the model, and the errors r,
-    the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r - D'J (J'J)^-1 J'r.
+    To first order the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r -
+    D'J (J'J)^-1 J'r: J and D are sensitivities of the model and of the feature, r the errors.
     """
     settings = problem.lagged(now.features)
     simulator = Simulator(settings, problem.records, further.blocks)
@@ -91,7 +91,7 @@ def promises(
     single = sizes == 1
     at = ends[single] - 1
     gram = found.squares[corners[single] - 1] / scale + share - beside[at]
-    # Exactly, gram is at least the prior's share; rounding may leave less.
+    # In exact arithmetic gram is at least the prior's `share`, but rounding can make it smaller.
     gains[single] = left[at] ** 2 / np.maximum(gram, share)
     for k in np.flatnonzero(~single):
         n = sizes[k]

@@ -1,4 +1,4 @@
-"""Library of candidate features of a structure, made from the lags of its signals."""
+"""Library of candidate features for models, built from lagged signals."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,19 +12,19 @@ from leglab.identification.spline_state_space import Curve, SplineStateSpace, St
 from leglab.identification.structure.fit import Array, Fit, Model, Problem
 from leglab.identification.structure.states import variances
 
-HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal at which hinges have their kinks
-SPLINES, FINE = 8, 16  # number of splines of a curve, and of a fine one
-_SPLINE_RANGE = (0.005, 0.995)  # quantiles of a signal between which a curve has its knots
-# Widths of smooth signs, in standard deviations: nearly a jump, to those of friction and valves.
+HINGES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a signal for the kinks of hinge functions
+SPLINES, FINE = 8, 16  # number of splines of a usual curve and of a fine curve
+_SPLINE_RANGE = (0.005, 0.995)  # quantiles of a signal for the first and last knot of a curve
+# Widths of smooth signs, in deviations of the signal: from nearly a jump to those of valves.
 WIDTHS = (0.01, 0.1, 0.5)
 
 
 @dataclass(frozen=True)
 class Orders:
-    """Lags of a structure.
+    """Orders of a model: which lags of its signals it uses.
 
     Attributes:
-        outputs: Lags of y: 1 ... outputs.
+        outputs: Number of lags of the output y, which are 1 ... outputs.
         inputs: Number of lags of each input.
         delays: First lag of each input [samples].
     """
@@ -34,7 +34,7 @@ class Orders:
     delays: tuple[int, ...]
 
     def lags(self, problem: Problem) -> Iterator[tuple[str, int]]:
-        """Yields (signal, lag) for all lags."""
+        """Yields (signal name, lag) for all lags of the output, then of the inputs."""
         template = problem.template
         for k in range(1, self.outputs + 1):
             yield template.output.name, k
@@ -43,7 +43,7 @@ class Orders:
                 yield signal.name, k
 
     def linear(self, problem: Problem) -> tuple[Feature, ...]:
-        """Returns the features of the linear model of these lags; without lags, a constant."""
+        """Returns the features of the linear model: all lags and a constant."""
         template = problem.template
         parts: list[Feature] = []
         if self.outputs:
@@ -55,7 +55,7 @@ class Orders:
 
 
 def terms(problem: Problem, orders: Orders) -> list[Feature]:
-    """Returns products, cubes and hinges of all lags, signs of signals and of their changes."""
+    """Returns products, cubes and hinges of all lags, and signs of signals and of changes."""
     lags = list(orders.lags(problem))
     out: list[Feature] = []
     for i, (name, lag) in enumerate(lags):
@@ -81,7 +81,7 @@ def _signs(name: str, lag: int, values: np.ndarray) -> Iterator[Term]:
 
 
 def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Feature]:
-    """Returns spline curves of all lags."""
+    """Returns one spline curve per lag, as a function of the lagged signal."""
     out: list[Feature] = []
     for name, lag in orders.lags(problem):
         low, high = map(float, np.quantile(problem.samples[name], _SPLINE_RANGE))
@@ -91,8 +91,8 @@ def curves(problem: Problem, orders: Orders, splines: int = SPLINES) -> list[Fea
     return out
 
 
-_SMALL = 0.01  # share of a variance that counts as negligible
-# Libraries that are tried first, and refinements of the best one.
+_SMALL = 0.01  # share of a variance below which a contribution counts as negligible
+# Libraries that are tried first, and refined libraries that are tried if `curves` is the best.
 Maker = Callable[[Problem, Orders], list[Feature]]
 KINDS: dict[str, Maker] = {"terms": terms, "curves": curves}
 REFINED: dict[str, Maker] = {"fine curves": partial(curves, splines=FINE)}
@@ -124,7 +124,7 @@ def _state_space(structure: StateSpace, curves: Sequence[Curve], spread: Array) 
     many = "a static curve" if len(curves) == 1 else f"{len(curves)} static curves"
     n = structure.states
     heights = np.array([np.ptp(c.e) for c in curves])
-    # Variances of the curves' arguments, and of their effects on states and output, by heights.
+    # Variance by signal in arguments of curves, and squared weights of curves in states and output.
     into = heights @ np.array([c.v**2 * spread for c in curves])
     out = heights @ np.array([np.append(c.w, c.o) ** 2 for c in curves])
     if into[:n].sum() < _SMALL * into.sum():
@@ -170,7 +170,7 @@ def _term(term: Term) -> str:
 def named_parameters(model: Model) -> Iterator[tuple[str, list[str], Array]]:
     """Yields each feature's name, the names of its parameters, and their values in scaled units.
 
-    The features of a state-space model are its matrices, by rows, and its curves.
+    A state-space model yields its matrices, row by row, and its curves in place of features.
     """
     if isinstance(model, SplineStateSpace):
         yield from _matrices(model)

@@ -1,7 +1,7 @@
 """Plans of the structure search, their order, and the ranking of their results.
 
-A nonlinear model is taken only if it beats the linear ones in interpolation, over held-out eighths,
-and in extrapolation, over held-out thirds.
+A nonlinear model is chosen only if it beats the linear models over held-out eighths of the records
+(interpolation) and over held-out thirds (extrapolation).
 """
 
 from collections.abc import Sequence
@@ -13,29 +13,29 @@ from leglab.identification.structure import library
 from leglab.identification.structure.fit import SHORTEST, Array, Fit, Problem
 from leglab.identification.structure.library import Orders
 
-# Simulated samples of a fit: more hardly change the parameters. The last fit has up to LAST.
+# Maximum samples that a fit simulates (sketch, full, final); more hardly change the parameters.
 SKETCH, FULL, LAST = 4000, 12000, 100_000
 MOST_TERMS, FEW_TERMS = 20, 5
-MOST_CURVES = 4  # of a state-space model
-STATES_BUDGET = 3000  # samples of state-space fits, which cost more than fits of lags
+MOST_CURVES = 4  # maximum number of curves of a state-space model
+STATES_BUDGET = 3000  # samples simulated by state-space fits, which are slower than fits of lags
 _STATES = (1, 2, 3, 4, 6)
 STATES_STRENGTHS = (10.0, 100.0, 1000.0)
-_KEPT = 3  # structures of the first search that are searched in full
+_KEPT = 3  # number of best structures of a stage that the next stage refines
 _LINEAR = ((1, 1), (1, 2), (2, 2), (2, 3), (3, 3), (3, 4), (2, 6), (3, 6), (4, 6), (6, 6), (8, 9),
            (12, 12), (16, 16))  # fmt: skip
 _BENT = ((1, 2), (2, 3), (3, 4), (3, 6), (4, 6))
-# Least number of samples per parameter of a linear structure. It bounds the time of the search;
-# the prior and the held-out blocks prevent overfitting.
+# Minimum number of samples per parameter of a linear structure, which only limits the duration of
+# the search: the prior and the held-out blocks prevent overfitting.
 _SAMPLES = 5
-_MOST_LAGS = 24  # largest number of lags, of all signals, of which terms are made
-# Samples of a stretch; the best is the machine's memory, so the held-out blocks choose it.
+_MOST_LAGS = 24  # maximum number of lags of all signals together in nonlinear models of lags
+# Lengths of a stretch [samples], tried on held-out blocks: the best is about the machine's memory.
 LENGTHS = (SHORTEST, 200, 600)
-# Precision of the prior. For white errors and parameters of about one it would be one; errors of
-# a free run are correlated, so that N samples weigh as N/10 or N/100 independent ones.
+# Strengths of the prior. With white errors and parameters of about 1 the right strength is 1; but
+# free-run errors are correlated, so that N samples inform like N/10 or N/100 independent samples.
 _STRENGTHS = (1.0, 10.0, 100.0)
 USUAL = 10.0
-# Linear models, fitted to the free run or to one step by least squares. The latter is better if
-# disturbances act on the machine rather than on its sensor.
+# Linear models, fitted to the free run, or to one-step predictions by least squares. The one-step
+# fit is better if disturbances act on the machine rather than on its sensor.
 LINEAR = ("linear", "one step")
 STATES = "states"  # state-space models with curves
 CONSTANT = "constant"
@@ -44,15 +44,15 @@ SIMPLE = (*LINEAR, CONSTANT)
 
 @dataclass(frozen=True)
 class Plan:
-    """A structure that is searched.
+    """A model structure and the settings of its search.
 
     Attributes:
         kind: One of `SIMPLE`, a kind of the library, or `STATES`.
         orders: Lags; for a state-space model `outputs` is the number of states.
-        length: Samples of a stretch of its fits.
-        strength: Strength of the prior of its parameters.
-        most: Largest number of features beyond the linear ones.
-        budget: Samples that a fit simulates.
+        length: Length of a stretch in fits of lags [samples].
+        strength: Factor of the prior precision of the parameters.
+        most: Maximum number of nonlinear features or curves.
+        budget: Maximum number of samples that a fit simulates.
         sketch: Whether this is a cheap preselection over thirds, before a search in full.
     """
 
@@ -74,7 +74,7 @@ class Candidate:
         fit: The model, fitted to all records.
         held_out: Mean squared error over each held-out eighth and each third of the records, as a
             share of the output's variance; for a sketch over the thirds only.
-        path: Score at each number of features.
+        path: Scores with 0, 1, 2, ... nonlinear features.
     """
 
     plan: Plan
@@ -84,7 +84,7 @@ class Candidate:
 
     @property
     def scores(self) -> tuple[float, ...]:
-        """Geometric mean of the RMS errors, over eighths and over thirds, in output deviations."""
+        """Geometric means of RMS errors over eighths and over thirds, in output deviations."""
         return tuple(map(score_of, self.held_out))
 
     @property
@@ -94,7 +94,7 @@ class Candidate:
 
 
 def score_of(held_out: Sequence[float] | Array) -> float:
-    """Returns the geometric mean of RMS errors, given their squares."""
+    """Returns the geometric mean of RMS errors from mean squared errors."""
     return float(np.exp(np.mean(np.log(held_out)) / 2))
 
 
@@ -114,7 +114,7 @@ def _lengths(problem: Problem) -> list[int]:
 
 
 def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
-    """Returns the plans of linear structures, and of the constant that they have to beat."""
+    """Returns the plans of linear structures and of a constant; `lead` has the inputs' delays."""
     lengths = _lengths(problem)
     return [
         Plan(CONSTANT, Orders(0, 0, lead), lengths[0]),
@@ -129,7 +129,7 @@ def plans_linear(problem: Problem, lead: tuple[int, ...]) -> list[Plan]:
 
 
 def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
-    """Returns plans of the best linear structures with other stretches and priors."""
+    """Returns plans of the best linear structures with other stretch lengths and priors."""
     return [
         replace(c.plan, length=length, strength=strength)
         for c in sorted(_of("linear", linear), key=_score)[:_KEPT]
@@ -140,7 +140,7 @@ def plans_tuned(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
-    """Returns plans of structures of lags with a few nonlinear features."""
+    """Returns plans of models of lags with at most `FEW_TERMS` nonlinear features."""
     best = [min(_of(kind, linear), key=_score).plan for kind in LINEAR]
     inputs = len(problem.template.inputs)
     orders = [p.orders for p in best if p.orders.outputs + inputs * p.orders.inputs <= _MOST_LAGS]
@@ -165,7 +165,7 @@ def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
-    """Returns the best plans in full: sketches as searches, lags with more samples and features."""
+    """Returns the best plans as full searches; models of lags get more samples and features."""
     best = [c.plan for c in sorted(candidates, key=_score)[:_KEPT]]
     return [
         replace(plan, sketch=False)
@@ -177,7 +177,7 @@ def plans_full(candidates: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
-    """Returns variants of the best model of lags and of states, each unless the other beats it."""
+    """Returns variants of the best state-space and lag models, or of one that beats the other."""
     families = (_of(STATES, bent), [c for c in bent if c.plan.kind != STATES])
     best = [min(family, key=_score) for family in families if family]
     plans = []
@@ -189,7 +189,7 @@ def plans_varied(problem: Problem, bent: Sequence[Candidate]) -> list[Plan]:
 
 
 def _variants(problem: Problem, plan: Plan) -> list[Plan]:
-    """Returns plans of the structure with other stretches, then priors and finer curves."""
+    """Returns plans of the structure with other stretch lengths, priors and numbers of splines."""
     if plan.kind == STATES:
         return [replace(plan, strength=s) for s in STATES_STRENGTHS]
     kinds = [plan.kind, *(library.REFINED if plan.kind == "curves" else ())]
@@ -210,11 +210,11 @@ def _of(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def chosen_first(linear: Sequence[Candidate], bent: Sequence[Candidate]) -> list[Candidate]:
-    """Sorts candidates by score; those that do not beat every simpler one come last.
+    """Sorts candidates by score; candidates that do not beat all simpler candidates come last.
 
-    A linear model has to beat the constant, a nonlinear one every linear one: over the eighths by
-    more than a standard error, and over the thirds. A state-space model also has to beat the
-    nonlinear models of lags that have fewer parameters, and vice versa.
+    To beat is to be better over the eighths, by more than a standard error, and over the thirds. A
+    linear model has to beat the constant, a nonlinear model all linear models; a state-space model
+    also the nonlinear models of lags with fewer parameters, and vice versa.
     """
     constant, simple = _of(CONSTANT, linear), list(linear)
 
@@ -234,7 +234,7 @@ def _beats(candidate: Candidate, rival: Candidate) -> bool:
     (eighths, thirds), (its_eighths, its_thirds) = candidate.held_out, rival.held_out
     if score_of(thirds) >= score_of(its_thirds):
         return False
-    if len(eighths) != len(its_eighths):  # other lags may leave one block fewer
+    if len(eighths) != len(its_eighths):  # models with more lags may have one block fewer
         return score_of(eighths) < score_of(its_eighths)
     gain = np.log(its_eighths) - np.log(eighths)
     return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 LAGS = 25
-_QUANTILE = 2.5758  # of the normal distribution, 99 % two-sided
+_QUANTILE = 2.5758  # two-sided 99 % quantile of the standard normal distribution
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ResidualTest:
 
     @property
     def outside(self) -> float:
-        """Share of lags beyond the band; .01 is expected."""
+        """Share of lags whose correlation exceeds the band; 0.01 without any correlation."""
         counted = self.lags != 0 if self.name == "itself" else np.ones(len(self.lags), bool)
         return float(np.mean(np.abs(self.correlation[counted]) > self.band))
 
@@ -37,7 +37,7 @@ class ResidualTest:
     def white(self) -> bool:
         """True if the autocorrelation passes the test of whiteness at the 99 % level.
 
-        N times the sum of their squares is chi-square distributed (Ljung 1999, section 16.6).
+        N times the sum of squared autocorrelations is chi-square distributed (Ljung 1999, 16.6).
         """
         scaled = _QUANTILE * self.correlation[1:] / self.band
         return float(np.sum(scaled**2)) <= float(chi2.ppf(0.99, len(scaled)))
@@ -61,7 +61,7 @@ def residual_tests(residual: Array, inputs: dict[str, Array]) -> tuple[ResidualT
         u = column - column.mean()
         scale = power * (float(np.sqrt(np.sum(u**2))) or 1.0)
         cross = np.array([np.sum(e[k:] * u[: n - k]) for k in lags]) / scale
-        # Variance for correlated series: sum_k R_e(k) R_u(k) / N (Ljung, eq. 16.69).
+        # Variance of a cross-correlation: sum_k R_e(k) R_u(k) / N (Ljung, eq. 16.69).
         auto = np.array([np.sum(u[k:] * u[: n - k]) for k in lags]) / max(
             float(np.sum(u**2)), 1e-300
         )

@@ -1,10 +1,9 @@
 """Choice of a structure by cross-validation of the free run over held-out blocks.
 
-The score of a structure is the mean logarithm of its error over the blocks. Each block is simulated
-in one run by a model whose features and parameters come from the other blocks, so that neither is
-fitted to the block. The mean of logarithms keeps a single block beyond the range of the others from
-deciding the choice. Eighths test interpolation, thirds extrapolation; a nonlinear model is taken
-only if it is better than the linear ones in both.
+The score of a structure is the mean logarithm of its errors over the blocks. Each block is
+simulated in one free run by a model that was selected and fitted without the block. Logarithms keep
+one block with a large error from deciding the choice. Eighths of the records test interpolation,
+thirds extrapolation; a nonlinear model has to be better than the linear models in both.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -46,27 +45,27 @@ from leglab.identification.structure.plans import (
 )
 from leglab.identification.structure.states import StatePath, refitted
 
-# A path ends after _PATIENCE features in a row, none of which lowers the best score to this share
-# of it; these features are not taken.
+# A forward selection ends after _PATIENCE features in a row of which none lowers the best score to
+# _PROGRESS times that score; these features are dropped.
 _PATIENCE, _PROGRESS = 3, 0.99
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
-Each = Callable[..., Iterable]  # `map`, or that of a thread pool
+Each = Callable[..., Iterable]  # the function `map`, or the method `map` of a thread pool
 
 
 def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
-    """Carries out a plan: grows one path per held-out block, in step, then one on all records.
+    """Selects and fits features: without each held-out block in turn, then on all records.
 
     Args:
         problem: Records and signals.
-        plan: The plan.
-        each: Applies a function to the blocks, as `map` does.
+        plan: Structure to search.
+        each: Function `map` by which the held-out blocks are processed.
     """
     if plan.sketch and plan.kind == STATES:
         return _sketched(problem, plan, each)
     depth, begun = _beginning(problem, plan)
     held = Held(problem, depth, _counts(plan))
     flat = list(each(begun, held.all))
-    grown: list[list[Fit]] = []  # fits without each block, by size
+    grown: list[list[Fit]] = []  # [number of added features][held-out block]
 
     def sizes() -> Iterator[Table]:
         while True:
@@ -87,9 +86,9 @@ def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
 
 
 def _best_minimum(problem: Problem, plan: Plan, first: Fit, others: Sequence[Fit]) -> Fit:
-    """Returns the first fit, or a refit from another start that is likelier by more than a nat.
+    """Returns the fit `first`, or the best refit from `others` if it is likelier by over one nat.
 
-    `plan.strength` is the number of samples that are worth one independent error.
+    The likelihood counts `plan.strength` samples, whose errors are correlated, as one.
     """
     fits = [refitted(problem, one, plan.strength, plan.budget) for one in others]
     best = min(fits, key=lambda one: one.error)
@@ -104,7 +103,7 @@ def _counts(plan: Plan) -> tuple[int, ...]:
 def _beginning(
     problem: Problem, plan: Plan
 ) -> tuple[int, Callable[[Stretch | None], LagPath | StatePath]]:
-    """Returns the samples that a start needs, and a function that starts a path without a block."""
+    """Returns the number of samples before a free run, and a function that starts a selection."""
     orders = plan.orders
     if plan.kind == STATES:
         structure = StateSpace(states=orders.outputs, delays=orders.delays)
@@ -113,7 +112,7 @@ def _beginning(
     linear = orders.linear(problem)
     makers = {**library.KINDS, **library.REFINED}.get(plan.kind)
     further = Further(problem.template, makers(problem, orders) if makers else ())
-    depth = problem.model(linear).lags + 1  # one more, for features of a change
+    depth = problem.model(linear).lags + 1  # a change x(t - k) - x(t - k - 1) needs one lag more
 
     def begun(block: Stretch | None) -> LagPath:
         own = stretches(problem, depth, plan.length, plan.budget, block)
@@ -126,10 +125,10 @@ def _beginning(
 
 
 def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
-    """Grows one path on all records and refits it without each block at every size.
+    """Adds curves on all records and, after each curve, refits without each held-out block.
 
-    The fits without a block start from the fit with it and take a tenth of the time. The start
-    leaks information of the block, so the scores only rank state-space models among each other.
+    Starting from the fit to all records, which includes the block, a refit takes a tenth of the
+    time. But it leaks information of the block, so the scores only rank state-space models.
     """
     structure = StateSpace(states=plan.orders.outputs, delays=plan.orders.delays)
     held = Held(problem, problem.model((structure,)).lags, _counts(plan))
@@ -145,7 +144,7 @@ def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
 
 
 def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float, ...]]:
-    """Returns errors up to the fewest features within 1 % of the best score, and all scores."""
+    """Returns errors up to the smallest model scored within 1 % of the best, and all scores."""
     table: list[Table] = []
     scores: list[float] = []
     best, since = np.inf, 0
@@ -161,7 +160,7 @@ def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float,
 
 
 def delays(problem: Problem) -> tuple[int, ...]:
-    """Estimates the delay of each input by the free run of a second-order linear model."""
+    """Estimates each input's delay as the one with the least error of a second-order model."""
     allowed = [d for d in _DELAYS if d <= longest(problem) // 20]
     found = [0] * len(problem.template.inputs)
     for j in range(len(found)):
@@ -172,13 +171,14 @@ def delays(problem: Problem) -> tuple[int, ...]:
             own = stretches(problem, problem.model(features).lags, LENGTHS[1], SKETCH)
             start = one_step(problem, features)
             errors.append(fit(problem, features, start, own, USUAL).error)
-        # The shortest delay within 1 % of the least error: lags cannot make up for one too long.
+        # Lags can replace a delay that is too short, but not shorten one that is too long: so the
+        # shortest delay whose error is within 1 % of the least error is taken.
         least = min(errors)
         found[j] = next(d for d, e in zip(allowed, errors, strict=True) if e <= 1.01 * least)
     return tuple(found)
 
 
-# Called after each structure with the number done, the number in this stage, and the stage.
+# Function called after each structure: number done, total number and name of the present stage.
 Progress = Callable[[int, int, str], None]
 
 
@@ -194,17 +194,17 @@ def search(
 
     Args:
         problem: Records and signals.
-        jobs: Structures at a time; the result does not depend on it.
-        progress: Called after each structure.
-        kept: Results of an interrupted search.
-        keep: Called with each new result.
+        jobs: Number of threads; the result does not depend on it.
+        progress: Function called after each structure.
+        kept: Results of an interrupted search, which are not computed again.
+        keep: Function called with each new result.
     """
     known = dict(kept or {})
 
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
         done = []
-        # A second pool serves the blocks: the last structure of a stage then uses several threads.
+        # Blocks have a second pool, so that several threads share the last structure of a stage.
         pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
         try:
             results = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), wanted)

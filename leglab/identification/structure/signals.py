@@ -1,4 +1,4 @@
-"""Preparation of signals: one period, unusable columns left out, gaps marked by NaN."""
+"""Preparation of signals: resampling, removal of unusable columns, NaN for missing samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from leglab.identification.structure.fit import SHORTEST, Record
 
 Array = NDArray[np.float64]
 LEAST_SAMPLES = 100
-# Relative deviation within which an interval counts as one period, or as several (missing samples).
+# Share by which an interval between samples may deviate from a period or, in a gap, a multiple.
 _JITTER = 0.05
-# A sample farther from the median than _WILD interquartile ranges is no measurement; a column with
-# more than the share _MOST_WILD of them is left out.
+# A sample more than _WILD interquartile ranges from the median is an outlier; a column in which the
+# share of outliers exceeds _MOST_WILD is left out.
 _WILD, _MOST_WILD = 1e4, 0.2
-_SAME = 1e-3  # relative difference of periods that count as equal
-_LONGEST_GAP = 100_000  # periods
-# RMS change of the output a sample, in deviations, below which a longer period is recommended.
+_SAME = 1e-3  # relative difference up to which two sampling periods count as equal
+_LONGEST_GAP = 100_000  # maximum number of missing samples of a recording
+# A longer period is recommended if the RMS change per sample, in standard deviations, is smaller.
 _SLOW = 0.01
 
 
@@ -28,11 +28,11 @@ class Signals:
     """Signals of all recordings.
 
     Attributes:
-        records: A tuple of records for each output, each with the inputs in the order of `inputs`.
+        records: One tuple of records per output; a record has the inputs in the order of `inputs`.
         inputs: Names of the columns that are used.
         outputs: Names of the columns to be modelled.
         period: Sampling period [s].
-        notes: Messages about data that were left out, bridged or are doubtful.
+        notes: Messages about omitted, interpolated or doubtful data.
     """
 
     records: tuple[tuple[Record, ...], ...]
@@ -45,10 +45,10 @@ class Signals:
 def columns_of(
     recordings: Mapping[str, Recording], inputs: Sequence[str], outputs: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the columns to be used: those that are named or, if none are, `u...` and `y...`.
+    """Returns input and output columns: those named or, by default, `u...` and `y...`.
 
     Raises:
-        SettingsError: A name is unknown, stands on both sides, or none can be guessed.
+        SettingsError: A name is unknown or both input and output, or no column begins with u or y.
     """
     known = list(dict.fromkeys(c for r in recordings.values() for c in r.columns))
     for kind, names in (("input", inputs), ("output", outputs)):
@@ -76,15 +76,15 @@ def signals_of(
     period: float | None = None,
     resting: bool = False,
 ) -> Signals:
-    """Reads signals on one uniform time axis per recording.
+    """Returns the signals of recordings, each on a uniform time axis.
 
     Args:
-        recordings: By name.
-        inputs: Columns; see `columns_of`.
-        outputs: Columns.
-        period: Period to resample to [s]; None takes that of the recordings.
-        resting: Whether constant columns count as signals, as in test data; all columns have to
-            be named then.
+        recordings: Recordings by name.
+        inputs: Names of input columns; see `columns_of`.
+        outputs: Names of output columns.
+        period: Period to resample to [s]; None takes the period of the first recording.
+        resting: True accepts constant columns, which test data may have, and needs the names of
+            all columns.
 
     Raises:
         RecordingError: A recording is too short or not uniformly sampled, lacks a column, or a
@@ -137,7 +137,7 @@ def _check_recording(name: str, recording: Recording, columns: Sequence[str]) ->
 
 
 def _period(recording: Recording) -> float:
-    """Returns the usual interval [s], averaged over the rounding of time stamps."""
+    """Returns the sampling period [s]: the mean of intervals near the median interval."""
     steps = np.diff(recording.time)
     if not len(steps):
         return 1.0
@@ -147,7 +147,7 @@ def _period(recording: Recording) -> float:
 
 
 def _is_uniform(time: Array, period: float) -> bool:
-    """Tests whether all intervals are multiples of a period and gaps are not too long in total."""
+    """Tests whether all intervals are multiples of a period, and not too many samples missing."""
     steps = np.diff(time) / period
     whole = np.maximum(np.round(steps), 1)
     few = whole.sum() <= _LONGEST_GAP + len(steps)
@@ -157,7 +157,7 @@ def _is_uniform(time: Array, period: float) -> bool:
 def _on_grid(
     name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
 ) -> dict[str, Array]:
-    """Returns columns on the recording's uniform time axis, NaN where samples are missing."""
+    """Returns columns of a uniformly sampled recording, with NaN for its missing samples."""
     steps = np.diff(recording.time)
     if not _is_uniform(recording.time, period):
         told = f"{name}: sampled every {steps.min():.4g} to {steps.max():.4g} s, one period is "
@@ -177,7 +177,7 @@ def _on_grid(
 def _resampled(
     name: str, recording: Recording, columns: Sequence[str], period: float, notes: list[str]
 ) -> dict[str, Array]:
-    """Interpolates columns linearly to a period."""
+    """Interpolates columns linearly to a uniform time axis of the given period."""
     time = recording.time
     axis = np.arange(time[0], time[-1] + 0.5 * period, period)
     axis = axis[axis <= time[-1]]
@@ -195,7 +195,7 @@ def _resampled(
             out[column] = np.full(len(axis), np.nan)
             continue
         out[column] = np.interp(axis, time[good], recording[column][good])
-        # Samples in a gap of the column, or between rows far apart, count as not measured.
+        # Values interpolated across NaN, or over more than two periods, count as not measured.
         gap = np.interp(axis, time, (~good).astype(float)) > 0.5
         out[column][gap | (between > 2 * usual)] = np.nan
     return out
@@ -204,7 +204,7 @@ def _resampled(
 def _sound(
     column: str, tables: Mapping[str, dict[str, Array]], notes: list[str], resting: bool
 ) -> bool:
-    """Tests whether a column holds a signal; sets its outliers (`_WILD`) to NaN."""
+    """Tests whether a column is a usable signal; sets its outliers (see `_WILD`) to NaN."""
     values = np.concatenate([table[column] for table in tables.values()])
     finite = values[np.isfinite(values)]
     if len(finite) < len(values) / 2:
@@ -233,10 +233,10 @@ def _sound(
 def _records(
     name: str, table: Mapping[str, Array], inputs: Sequence[str], output: str
 ) -> list[Record]:
-    """Splits one recording into records: the parts between gaps of its inputs.
+    """Splits one recording into records, at the samples where an input is missing.
 
-    The input in a gap is unknown, and so is the free run after it. The gaps are bridged by
-    straight lines only if too short parts would make up more than half of the samples.
+    Without an input the free run is unknown from that sample on. Missing inputs are interpolated
+    instead if records of sufficient length would contain less than half of the samples.
     """
     u = np.column_stack([table[column] for column in inputs])
     good = np.asarray(np.isfinite(u).all(axis=1))
@@ -249,7 +249,7 @@ def _records(
 
 
 def _parts(good: NDArray[np.bool_]) -> list[slice]:
-    """Returns runs of good samples that are long enough; none if they make up less than half."""
+    """Returns sequences of >= `SHORTEST` good samples; none if they hold less than half of all."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST]
     return runs if sum(r.stop - r.start for r in runs) >= len(good) / 2 else []

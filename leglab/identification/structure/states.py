@@ -1,10 +1,10 @@
 """State-space models with static curves, fitted to the free run; see `StateSpace`.
 
-First the best linear model of an order is fitted: high-order ARX, realisation of its impulse
-response, output-error fit. Then curves are added one by one: of many combinations of states and
-inputs the one whose curve is expected to explain most of the free-run error. All parameters are
-refitted after each. Schoukens and Toth (2020) initialise nonlinear LFR models from a linear one in
-this way, Paduart et al. (2010) polynomial models.
+First a linear model of the given order is fitted: a high-order ARX model is identified, its impulse
+response is realised as a state-space model, and an output-error fit refines the result. Then static
+curves are added one by one. The argument of a curve is a combination of states and inputs; of many
+combinations the one expected to reduce the free-run error most is taken, and all parameters are
+refitted. Schoukens and Toth (2020) and Paduart et al. (2010) also start from a linear model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,26 +28,26 @@ from leglab.identification.structure.fit import (
     solve,
 )
 
-_ARX = 20  # largest number of lags of the ARX model whose impulse response is realised
-_RESPONSE = 60  # samples of the response in either direction of the Hankel matrix
-_LINEAR = 0.01  # prior precision of A, B, C, D and initial states, relative to that of a curve
-_RANDOM = 8  # number of random combinations of states and inputs
-_TRIED = 2  # curves of largest expected gain that are fitted; the best of them is added
-_GLANCE, _STEPS = 5, 25  # iterations of their fits, and further iterations for the best
-_ANEW = 6  # iterations of a fit without a block, which starts from the fit with the block
-_WORTH = 0.997  # largest ratio of RMS errors, with to without a curve, at which it is added
-_SHORTEST = 500  # least samples of a segment if the records exceed the budget
-# Segments of a fit, whose initial states are fitted as well: samples of the budget per segment, and
-# largest number of segments.
+_ARX = 20  # maximum number of lags of the ARX model whose impulse response is realised
+_RESPONSE = 60  # number of rows, and of column blocks, of the Hankel matrix of impulse responses
+_LINEAR = 0.01  # prior precision of A, B, C, D and initial states; that of a curve's v, w, o is 1
+_RANDOM = 8  # number of random combinations of states and inputs that are tried for a new curve
+_TRIED = 2  # number of candidate curves that are fitted, by expected gain; the best one is added
+_GLANCE, _STEPS = 5, 25  # iterations of the fit of each candidate, and of the refit of the best
+_ANEW = 6  # iterations of a fit without the held-out block, started from the fit to all records
+_WORTH = 0.997  # a curve is added if it multiplies the RMS error by less than this ratio
+_SHORTEST = 500  # minimum samples per segment if the records exceed the budget of samples
+# Each segment of a fit adds unknown initial states, so the number of segments is limited: minimum
+# samples of the budget per segment, and maximum number of segments.
 _FOR_A_START, _MOST = 125, 200
-_NONE = np.zeros(0)  # no candidate curve
-_RIDGE = 1e-9  # lower bound of singular values and of the largest value of a state
+_NONE = np.zeros(0)  # argument of a candidate curve if there is no candidate
+_RIDGE = 1e-9  # lower bound of singular values and of peak state values, against division by zero
 
 
 class Sums(NamedTuple):
-    """Sums over segments, in scaled units; see csrc/identification/state_run.h.
+    """Scaled sums of a Gauss-Newton step over segments; see csrc/identification/state_run.h.
 
-    Order of rows: parameters, initial states of all segments, weights of a candidate curve.
+    Order of unknowns: parameters, initial states of all segments, weights of a candidate curve.
     """
 
     error: float
@@ -57,13 +57,13 @@ class Sums(NamedTuple):
 
 
 def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -> list[Stretch]:
-    """Returns segments outside of a held-out block, evenly spread if the records are too long."""
+    """Returns segments outside a held-out block, evenly spaced if records exceed `budget`."""
     whole: list[Stretch] = []
     for k, record in enumerate(problem.records):
         ends = [(0, len(record))]
         if without is not None and without.record == k:
             ends = [(0, without.start), (without.start + without.length, len(record))]
-        # A simulation needs no measured outputs, but segments with fewer than two have no use.
+        # Segments with fewer than two measured outputs are of no use in a fit.
         whole += [Stretch(k, a, b - a) for a, b in ends if np.isfinite(record.y[a:b]).sum() > 1]
     total, most = sum(s.length for s in whole), min(_MOST, budget // _FOR_A_START)
     if total <= budget and len(whole) <= most:
@@ -82,7 +82,7 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
 def runs_of(
     problem: Problem, structure: StateSpace, of: Sequence[Stretch], further: Array = _NONE
 ) -> StateRuns:
-    """Builds the core's simulations of segments, optionally with a candidate curve's argument."""
+    """Builds the core's simulations of segments; `further` weighs a candidate's z = v' [x; u]."""
     segments = []
     for s in of:
         record, first = problem.records[s.record], max(0, s.start - max(structure.delays))
@@ -104,14 +104,14 @@ class _Model:
 
 
 class StatePath:
-    """Forward selection of curves: adds the one expected to explain most of the free-run error.
+    """Forward selection of static curves by the free-run error that each is expected to explain.
 
     Args:
         problem: Records.
         structure: States and delays; curves only together with `start`.
         strength: Strength of the prior of the parameters.
-        budget: Samples that a fit simulates.
-        block: Block that is held out.
+        budget: Maximum number of samples that a fit simulates.
+        block: Held-out block, which the fits leave out.
         start: Initial parameters, (count,); by default those of the best linear model.
     """
 
@@ -126,7 +126,7 @@ class StatePath:
     ) -> None:
         self._problem, self._strength, self._budget = problem, strength, budget
         self._of = tuple(segments_of(problem, budget, block))
-        # The seed makes the random directions the same for all blocks.
+        # With a seed that depends on the order alone all held-out blocks try the same directions.
         self._rng = np.random.default_rng(structure.states)
         self.ended = False
         theta = realised(problem, structure, self._of) if start is None else start
@@ -140,7 +140,7 @@ class StatePath:
         self.fit = self._told(error)
 
     def grow(self) -> None:
-        """Adds one curve, or ends the path if none reduces the error enough."""
+        """Adds one curve; ends the selection if the RMS error falls too little (see `_WORTH`)."""
         if self.ended:
             return
         best: tuple[_Model, float] | None = None
@@ -157,11 +157,11 @@ class StatePath:
         self.fit = self._told(best[1])
 
     def without(self, block: Stretch) -> Fit:
-        """Fits the model to the samples outside of a block, from its current parameters on."""
+        """Refits the model, from its present parameters, to the samples outside a block."""
         return self._elsewhere(segments_of(self._problem, self._budget, block), _ANEW)
 
     def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
-        """Fits the model to other segments, initialised with the model's states at their starts."""
+        """Refits to other segments, whose initial states are initialised by simulation."""
         structure = self._model.structure
         x = self._runs(structure).states(self._model.theta)
         ends = np.cumsum([s.length for s in self._of])
@@ -219,7 +219,7 @@ class StatePath:
         ])  # fmt: skip
 
     def _promising(self) -> list[_Model]:
-        """Returns models with one more curve, sorted by the error it explains to first order."""
+        """Returns the `_TRIED` models with one more curve that explain most error to 1st order."""
         now = self._model.structure
         structure = replace(now, curves=now.curves + 1)
         at = self._model.theta
@@ -235,9 +235,9 @@ class StatePath:
         return [_Model(structure, theta) for _, theta in found[:_TRIED]]
 
     def _gains(self, sums: Sums, form: Array) -> Iterator[tuple[float, Array]]:
-        """Yields gain and spline weights of a curve for each target: next states, then output.
+        """Yields gain and spline weights of a curve that acts on state 1, 2, ..., n, or on y.
 
-        The gain is the share of the squared error explained to first order, as in `lags.promises`.
+        The gain is the share of squared error explained to first order; see `lags.promises`.
         """
         structure, width = self._model.structure, len(form)
         scale = max(sums.error, LEAST_SHARE)
@@ -253,9 +253,9 @@ class StatePath:
             yield float(left[own] @ splines), splines
 
     def _directions(self) -> list[Array]:
-        """Returns combinations of states and inputs as arguments of a curve.
+        """Returns weights v of states and inputs in the argument v' [x; u] of a new curve.
 
-        Each signal alone, the output, its rate, and random ones, each scaled to a peak of one.
+        Each state and input alone, the output, its rate, and random weights; all peak at |z| = 1.
         """
         structure = self._model.structure
         parts = structure.parts(self._model.parameters)
@@ -286,7 +286,7 @@ class StatePath:
 
 
 def prior_of(structure: StateSpace) -> Array:
-    """Returns the prior precision, (count, count), about 0 for splines, else about the start."""
+    """Returns the prior precision: spline weights about 0, other parameters about the start."""
     out = np.diag(np.full(structure.count, _LINEAR))
     curves = np.arange(structure.linear, structure.count)
     out[curves, curves] = 1.0
@@ -343,14 +343,14 @@ def _hankel(response: Array, first: int) -> Array:
 
 
 def refitted(problem: Problem, fit: Fit, strength: float, budget: int) -> Fit:
-    """Refits a model, from its parameters, to `budget` samples."""
+    """Refits a model to at most `budget` samples, starting from its present parameters."""
     return StatePath(problem, _structure(fit), strength, budget, start=fit.theta).fit
 
 
 def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
-    """Returns the information, sum of psi psi' over all records from rest plus that of the prior.
+    """Returns the information matrix of the parameters, times the variance of the output error.
 
-    The unit is the variance of the output's error, (count, count); psi = d y / d theta, scaled.
+    The sum of psi psi' over all records, run from rest, plus the prior's; psi = d y / d theta.
     """
     structure = _structure(fit)
     total = strength * fit.error**2 * problem.variance * prior_of(structure)

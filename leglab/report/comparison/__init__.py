@@ -1,1 +1,1 @@
-"""The page of a comparison: the table of the terminal, intervals as figures, every run."""
+"""Page of a comparison (table, confidence intervals, all runs) and table for the terminal."""

@@ -16,9 +16,9 @@ from leglab.report.run.page import PAGE
 from leglab.report.style import SERIES
 from leglab.runs.comparison import StoredRun, read_comparison, stored_runs
 
-# Above this ratio of the largest to the smallest value, the axis is logarithmic, to show both.
+# The axis is logarithmic if the ratio of the largest to the smallest value exceeds this.
 _LOG_RATIO = 8.0
-# Room beyond the outermost values, as a share of the axis.
+# Margin of the axis beyond the outermost values, as a share of their distance.
 _ROOM = 0.04
 _SHARED = ("severity", "element", "reference", "tolerance")
 
@@ -28,7 +28,7 @@ def write_comparison_page(folder: Path, path: Path | None = None) -> Path:
 
     Args:
         folder: Folder of the comparison.
-        path: Path of the page; None for report.html in the folder. An earlier one is replaced.
+        path: Path of the page; None for report.html in the folder. An earlier page is replaced.
 
     Raises:
         LeglabError: The folder holds no comparison, or the page cannot be written.
@@ -113,7 +113,7 @@ def _sections(summary: dict[str, Any]) -> list[Section]:
     ]
 
 
-# Name in the summary, title, factor to the shown unit, unit; "" for the unit of errors.
+# Quantities: name in the summary, title, factor to the shown unit, unit ("": the errors' unit).
 _QUANTITIES = (
     ("after_rad", "RMS error after the change; without one, of the whole run", 1e3, ""),
     ("end_rad", "RMS error at the end", 1e3, ""),
@@ -125,7 +125,7 @@ _QUANTITIES = (
 def _intervals(
     summary: dict[str, Any], name: str, title: str, factor: float, unit: str
 ) -> dict[str, Any] | None:
-    """Returns means and intervals of a quantity on an axis from 0 to 100; None without values."""
+    """Returns means and confidence intervals on an axis from 0 to 100; None without values."""
     unit = unit or summary["unit"]
     found = [
         (scenario, color, controller, factor * one["mean"], factor * (one["half_width"] or 0.0))
@@ -163,14 +163,14 @@ def _intervals(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Returns round values between the ends of an axis."""
+    """Returns round, evenly spaced values between the ends of a linear axis."""
     step = 10.0 ** math.floor(math.log10(high - low))
     step = next(step * f for f in (0.1, 0.2, 0.5, 1.0, 2.0) if (high - low) / (step * f) <= 7)
     return [step * i for i in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def _curves(summary: dict[str, Any], runs: Sequence[StoredRun]) -> list[dict[str, str]]:
-    """Draws the error over time by scenario; scenarios whose runs are missing have no picture."""
+    """Draws one picture of errors over time per scenario of which there are files of runs."""
     drawn = []
     many = summary["seeds"] > 1
     between = "; the shade is the range from the best to the worst seed" if many else ""
@@ -188,7 +188,7 @@ def _curves(summary: dict[str, Any], runs: Sequence[StoredRun]) -> list[dict[str
 
 
 def _runs(summary: dict[str, Any], runs: Sequence[StoredRun], base: Path) -> Table:
-    """Returns the table of all runs, with links to their files."""
+    """Returns the table of all runs, with links to the runs' files."""
     rows: list[list[str]] = []
     for run in runs:
         metrics = run.result["metrics"] if run.result else {}
@@ -215,7 +215,7 @@ def _runs(summary: dict[str, Any], runs: Sequence[StoredRun], base: Path) -> Tab
 
 
 def _commands(summary: dict[str, Any]) -> list[str]:
-    """Returns commands that make the runs of one seed with recordings, a film and a page."""
+    """Returns commands that repeat the runs of seed 0 with recordings, a film and a page."""
     if summary["ramp_duration"]:
         return []
     shared = "".join(

@@ -1,4 +1,4 @@
-"""A comparison in words and numbers, for the terminal and the page alike."""
+"""Texts and table cells of a comparison, for the terminal and for the page."""
 
 import math
 from collections import Counter
@@ -9,12 +9,12 @@ from leglab.report.page.wording import listed
 from leglab.runs.clock import NOTHING_CHANGES
 
 HEAD = ("before", "after", "ratio", "end", "undone, %", "90 % undone, s")
-# Most controllers that a sentence lists.
+# Maximum number of controllers that a sentence names.
 _MOST_TOLD = 3
 
 
 def title(summary: dict[str, Any]) -> str:
-    """Returns the title of the table: the meaning of its numbers."""
+    """Returns the title of the table, which explains the numbers of the table."""
     return (
         f"RMS tracking error of all joints in {summary['unit']}, mean and half of the 95 % "
         f"interval, {seeds(summary)}: {drawn(summary)}"
@@ -22,7 +22,7 @@ def title(summary: dict[str, Any]) -> str:
 
 
 def explained(summary: dict[str, Any]) -> str:
-    """Explains the columns of the table whose names are not clear."""
+    """Explains those columns of the table whose headings are too short to be clear."""
     return (
         f"ratio: error after the change, of {summary['controllers'][0]}'s; end: the last whole "
         "strides of a quarter of the run; undone: share of the damage at the end, and when 90 % "
@@ -48,7 +48,7 @@ def rows(summary: dict[str, Any]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
 
 
 def failures(summary: dict[str, Any]) -> list[str]:
-    """Returns why runs of a comparison failed, a line a reason."""
+    """Returns the reasons why runs of a comparison failed, one line per reason and controller."""
     lines = []
     for scenario, controllers in summary["results"].items():
         for controller, cell in controllers.items():
@@ -59,7 +59,7 @@ def failures(summary: dict[str, Any]) -> list[str]:
 
 
 def untold(summary: dict[str, Any]) -> list[str]:
-    """Returns why adaptation metrics are missing, a line for each scenario and reason."""
+    """Returns the reasons for missing adaptation metrics, one line per scenario and reason."""
     who: dict[tuple[str, str], list[str]] = {}
     for scenario, controllers in summary["results"].items():
         for controller, cell in controllers.items():
@@ -79,7 +79,7 @@ def seeds(summary: dict[str, Any]) -> str:
 
 
 def drawn(summary: dict[str, Any]) -> str:
-    """Describes the differences between seeds."""
+    """Describes in which random properties the seeds differ."""
     tolerance = summary["tolerance"]
     found = [f"machine (tolerance {tolerance:g})"] if tolerance else []
     found += ["time of the change and phase"] if summary["vary"] else []
@@ -92,8 +92,8 @@ def ranked(summary: dict[str, Any], scenario: str) -> tuple[list[str], list[str]
     """Ranks the controllers by their error after the change, the smallest first.
 
     Returns:
-        The best controller and those whose intervals overlap with its interval; and the others.
-        Controllers without a completed run are in neither list.
+        First the best controller, with all controllers whose intervals overlap with its interval;
+        second the other controllers. Controllers without a completed run are in neither list.
     """
     known = {
         name: (cell["after_rad"]["mean"], cell["after_rad"]["half_width"] or 0.0)
@@ -109,7 +109,7 @@ def ranked(summary: dict[str, Any], scenario: str) -> tuple[list[str], list[str]
 
 
 def closest(summary: dict[str, Any], scenario: str) -> str:
-    """Returns who has the least error after the change, and whose intervals overlap with it."""
+    """Names the controller of least error, and controllers whose intervals overlap with its."""
     alike, _ = ranked(summary, scenario)
     if not alike:
         return "no run came to the end"
@@ -118,7 +118,7 @@ def closest(summary: dict[str, Any], scenario: str) -> str:
 
 
 def farther(summary: dict[str, Any], scenario: str) -> str:
-    """Returns the other controllers, at most `_MOST_TOLD` by name; empty for none."""
+    """Names up to `_MOST_TOLD` controllers that are worse than the best; may be empty."""
     _, rest = ranked(summary, scenario)
     told = [_told(summary, scenario, name) for name in rest[:_MOST_TOLD]]
     told += [f"{len(rest) - _MOST_TOLD} more"] * (len(rest) > _MOST_TOLD)
@@ -131,7 +131,7 @@ def _told(summary: dict[str, Any], scenario: str, name: str) -> str:
 
 
 def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
-    """Formats the mean and the half width of its 95 % interval; "-" without a mean."""
+    """Formats a mean and the half width of its 95 % interval; "-" if there is no mean."""
     if estimate["mean"] is None:
         return "-"
     # Adding 0.0 removes the sign of -0.0.
@@ -142,7 +142,7 @@ def interval(estimate: dict[str, Any], unit: float, digits: int) -> str:
 
 
 def with_half(middle: float, half: float) -> str:
-    """Formats a mean and the half width of its interval, to four digits of the larger one."""
+    """Formats mean and half width of an interval, rounded to four digits of the larger value."""
     size = max(abs(middle), half)
     decimals = max(0, 3 - math.floor(math.log10(size))) if size else 0
     return f"{round(middle, decimals) + 0.0:.{decimals}f} ± {_half(half, decimals)}"

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: gaps, single effects, sets of effects, and remaining replay errors."""
+"""Figures of a diagnosis: replay errors, gains of single effects, and comparisons of sets."""
 
 import math
 import re
@@ -21,13 +21,13 @@ from leglab.report.figures import add_head
 from leglab.report.page.wording import number, printable, readable, shortened
 from leglab.report.style import BLACK, BLUE, DARK_GREY, GRID, LIGHT_GREY, ORANGE, VERMILION, style
 
-_WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
-_ROW = 0.24  # inch a line of text and marks
-_HEAD, _FOOT = 0.62, 0.5  # inch: title and legend; axis
+_WIDTH = 6.6  # width of figures [inch], readable on a page and, with scrolling, on a phone
+_ROW = 0.24  # height of a line of text and marks [inch]
+_HEAD, _FOOT = 0.62, 0.5  # heights [inch] of title with legend, and of the x axis with its labels
 _MOST_RECORDINGS = 30
 _MOST_RANKS = 12
-_LEAST_GAIN = 1e-2  # nats
-_LONGEST = 28  # characters of a label
+_LEAST_GAIN = 1e-2  # smallest gain in log probability that is drawn [nats]
+_LONGEST = 28  # maximum number of characters of a label
 _LEGEND: dict[str, Any] = {"columnspacing": 1.4, "handletextpad": 0.5}
 _VALUE: dict[str, Any] = {
     "textcoords": "offset points",
@@ -36,20 +36,20 @@ _VALUE: dict[str, Any] = {
     "color": DARK_GREY,
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
 }
-# Residuals: most channels, recordings of a channel, points of a scatter plot.
+# Residual figures: maximum numbers of channels, recordings per channel, points of a scatter plot.
 _MOST_CHANNELS, _MOST_ROWS = 6, 6
 _MOST_POINTS = 3000
-_INNER = 0.99  # share of the points within the axes of a scatter plot: outliers would set the scale
+_INNER = 0.99  # share of points within a scatter plot's axes; outliers are cut off
 _BAR = 1e-5  # bar/Pa
-# Replays that reach this value have diverged and are not drawn [SI].
+# Absolute value in SI units at which a replay has diverged and is not drawn.
 _DIVERGED = 1e11
-# About the most points of a curve over a whole recording.
+# Approximate maximum number of points of a curve over a whole recording.
 _MOST_SAMPLES = 3000
 _BEFORE_AFTER: tuple[dict[str, Any], ...] = (
     {"color": VERMILION, "linestyle": "--", "linewidth": 1.0},
     {"color": BLUE, "linewidth": 1.0},
 )
-# Both rows share their scale unless the errors shrink by more than this factor.
+# Ratio of error before to error after up to which both axes have the same scale.
 _ALIKE = 4.0
 
 
@@ -64,13 +64,13 @@ class CaptionedFigure:
 
 
 def short(name: str, most: int = _LONGEST) -> str:
-    """Shortens a name for an axis: removes the file type, and cuts it in the middle."""
+    """Shortens a name for an axis: removes the file suffix, and cuts out the middle."""
     name = re.sub(r"\.(parquet|csv|mcap)$", "", printable(" ".join(name.split())))
     return shortened(name, most)
 
 
 def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
-    """Draws all figures that the diagnosis has content for, in the order of the page."""
+    """Draws all figures for which the diagnosis has data, in the order of the page."""
     makers = (overlay_picture, whole_picture, gap_picture, ranking_picture, rivals_picture)
     found: list[CaptionedFigure] = []
     for make in (*makers, residual_pictures):
@@ -81,10 +81,10 @@ def pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
 
 
 def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws measured and simulated signals in the worst and median held-out window; None if none.
+    """Draws measured and simulated signals in the worst and median held-out window, if any.
 
-    Windows are ranked by the original model's error of the first channel at the end; the improved
-    model's worst window is shown as well if it is a different one.
+    Windows are ranked by the original model's error of the first channel at the window's end. The
+    worst window of the improved model is added if it is a different window.
     """
     channels = words.main_channels(result)
     held = set(result.gap.held_out) or {r.name for r in result.recordings}
@@ -133,7 +133,7 @@ def overlay_picture(result: Diagnosis) -> CaptionedFigure | None:
 def _windows(
     result: Diagnosis, channels: Sequence[str], held: set[str]
 ) -> list[dict[str, ResidualTrace]]:
-    """Returns the windows of the traces, by channel, in which all channels are finite."""
+    """Returns, per window in which all channels are finite, the trace of each channel."""
     found: dict[tuple[str, int], dict[str, ResidualTrace]] = {}
     for trace in result.traces:
         if trace.recording not in held or trace.channel not in channels:
@@ -149,7 +149,7 @@ def _windows(
 
 
 def _lay_out(figure: Figure, title: str, result: Diagnosis) -> None:
-    """Places title, legend and axes of a figure of measured and simulated signals."""
+    """Adds title and legend to a figure of measured and simulated signals; fits the axes."""
     lines = [
         Line2D([], [], color=LIGHT_GREY, linewidth=4.0, label="measured"),
         Line2D([], [], **_BEFORE_AFTER[0], label="simulated, model as it was"),
@@ -166,7 +166,7 @@ def _length(window: ResidualTrace) -> float:
 
 
 def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
-    """Draws a channel of a window; returns a description for the alternative text."""
+    """Draws one channel in one window; returns a description for the alternative text."""
     factor, unit = shown_unit(window.unit)
     measured = factor * window.measured
     errors = [factor * e for e in (window.before, window.after)]
@@ -193,7 +193,7 @@ def _draw_overlay(axes: Axes, window: ResidualTrace, *, first: bool) -> str:
 
 
 def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> None:
-    """Draws the errors of the simulations of a window, simulated less measured."""
+    """Draws simulated minus measured signals of a window, before and after."""
     factor, unit = shown_unit(window.unit)
     axes.axhline(0.0, color=LIGHT_GREY, linewidth=4.0)
     for look, error in zip(_BEFORE_AFTER, (window.before, window.after), strict=True):
@@ -204,14 +204,14 @@ def _draw_window_error(axes: Axes, window: ResidualTrace, *, first: bool) -> Non
 
 
 def _tick(axes: Axes, across: int | None, up: int) -> None:
-    """Sets the approximate number of round ticks in x, unless None, and in y."""
+    """Sets the approximate number of ticks in x (`across`; None: unchanged) and y (`up`)."""
     for axis, most in ((axes.xaxis, across), (axes.yaxis, up)):
         if most is not None:
             axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
 
 
 def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws a held-out recording over its simulations in closed loop; None without one."""
+    """Draws a held-out recording with its closed-loop simulations; None if there are none."""
     whole = result.whole
     if whole is None or not np.isfinite(whole.after).all():
         return None
@@ -260,7 +260,7 @@ def whole_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws the replay error of each recording before, recalibrated and after; None without any."""
+    """Draws each recording's replay error before, recalibrated and after; None if unknown."""
     rows = [r for r in words.in_order(result) if math.isfinite(r.before) and math.isfinite(r.after)]
     rows = rows[:_MOST_RECORDINGS]
     if not rows:
@@ -298,8 +298,8 @@ def gap_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws the gain in log probability by each effect alone; None if no effect has a gain."""
-    # Gains as small as rounding errors would stretch the axis over ten decades.
+    """Draws the gain in log probability by each single effect; None if no effect has a gain."""
+    # Without a limit, gains as small as rounding errors would stretch the axis to ten decades.
     useful = [r for r in result.ranking if math.isfinite(r.gain) and r.gain > _LEAST_GAIN]
     ranks = sorted(useful, key=lambda r: -r.gain)[:_MOST_RANKS]
     if not ranks:
@@ -331,7 +331,7 @@ def ranking_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
-    """Draws the probability of each set of effects against each other; None for a single set."""
+    """Draws the probability of each set of effects versus each other set; None for one set."""
     rivals = next((r for r in result.rivals if len(r.names) > 1), None)
     if rivals is None:
         return None
@@ -375,7 +375,7 @@ def rivals_picture(result: Diagnosis) -> CaptionedFigure | None:
 
 
 def _rows(labels: Sequence[str]) -> tuple[Figure, Axes]:
-    """Makes a figure with one labelled line per row."""
+    """Makes a figure with one labelled y position per row, top to bottom."""
     left = max(1.5, 0.075 * max(len(label) for label in labels) + 0.2)
     height = _ROW * 1.35 * len(labels) + 0.2
     figure = Figure(figsize=(_WIDTH, _HEAD + height + _FOOT))
@@ -387,7 +387,7 @@ def _rows(labels: Sequence[str]) -> tuple[Figure, Axes]:
 
 
 def _axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Adds axes at left, bottom, width and height [inch]."""
+    """Adds axes to a figure; `place` is left, bottom, width and height [inch]."""
     width, height = figure.get_size_inches()
     left, bottom, across, up = place
     return figure.add_axes((left / width, bottom / height, across / width, up / height))
@@ -397,7 +397,7 @@ def _log(axes: Axes, values: Sequence[float]) -> None:
     """Makes the x axis logarithmic, with plain numbers and room for all values and labels."""
     held = [v for v in values if math.isfinite(v) and v > 0.0] or [1.0]
     axes.set_xscale("log")
-    # An eighth of the axis on both sides, of half a decade at least.
+    # Margins on both sides: a sixth of the decades of the data, at least 0.08 decades.
     pad = 10.0 ** max(math.log10(max(held) / min(held)) / 6.0, 0.08)
     axes.set_xlim(min(held) / pad, max(held) * pad)
     decades = math.log10(max(held) / min(held) * pad * pad)
@@ -414,7 +414,7 @@ def _mark(label: str, color: str, marker: str = "o") -> Line2D:
 
 
 def residual_pictures(result: Diagnosis) -> tuple[CaptionedFigure, ...]:
-    """Draws two figures a channel, over state and over time; the most improved channels first."""
+    """Draws two error figures per channel, over state and over time; most improved ones first."""
     grouped: dict[str, list[ResidualTrace]] = {}
     for trace in result.traces:
         if np.isfinite(trace.before).any() and np.isfinite(trace.after).any():
@@ -442,7 +442,7 @@ def _errors(traces: Sequence[ResidualTrace]) -> tuple[list[np.ndarray], list[np.
 
 
 def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> CaptionedFigure:
-    """Draws the errors of all recordings over position, velocity and, if measured, pressure."""
+    """Draws a channel's errors over position, velocity and, if measured, pressure difference."""
     factor, unit = shown_unit(traces[0].unit)
     before, after = (factor * np.concatenate(errors) for errors in _errors(traces))
     states = [
@@ -480,7 +480,7 @@ def _over_state(traces: Sequence[ResidualTrace], name: str, length: str) -> Capt
 def _over_time(
     traces: Sequence[ResidualTrace], name: str, held: dict[str, bool]
 ) -> CaptionedFigure:
-    """Draws errors over time, a row a recording, in the order of `held`: whether held out."""
+    """Draws errors over time, one row per recording; `held`: whether a recording is held out."""
     factor, unit = shown_unit(traces[0].unit)
     worst = sorted(traces, key=lambda t: (not held.get(t.recording), -words.finite_rms([t.before])))
     places = {name: i for i, name in enumerate(held)}
@@ -497,7 +497,7 @@ def _over_time(
                 axes.set_ylim(-limit, limit)
                 _tick(axes, 6, 3)
             star = " *" * held.get(trace.recording, False)
-            # On the right, where no tick labels are.
+            # The recording's name is on the right, where there are no tick labels.
             row[1].yaxis.set_label_position("right")
             row[1].set_ylabel(short(trace.recording, 16) + star, rotation=0, ha="left", va="center")
             row[0].set_ylabel(f"[{unit}]")
@@ -515,7 +515,7 @@ def _over_time(
 
 
 def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float, float]:
-    """Returns half heights of axes that show a share of the points; equal for similar errors."""
+    """Returns half the y range of both axes, from a quantile; equal unless errors differ much."""
     low, high = (
         1.1 * float(np.quantile(np.abs(values[np.isfinite(values)]), share)) or 1.0
         for values in (before, after)
@@ -525,13 +525,13 @@ def _limits(before: np.ndarray, after: np.ndarray, share: float) -> tuple[float,
 
 
 def _by_window(trace: ResidualTrace, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns time and values with a NaN after each window, since windows may overlap."""
+    """Returns time and values with NaN after each window, so that no line connects windows."""
     ends = np.arange(trace.bins, trace.time.size, trace.bins)
     return np.insert(trace.time, ends, np.nan), np.insert(values, ends, np.nan)
 
 
 def _cloud(axes: Axes, state: np.ndarray, values: np.ndarray, color: str) -> None:
-    """Draws points, thinned evenly, and their medians in equally filled bins of the state."""
+    """Draws a subset of the points, and the medians of all in equally filled bins of the state."""
     finite = np.isfinite(state) & np.isfinite(values)
     state, values = state[finite], values[finite]
     step = max(1, math.ceil(state.size / _MOST_POINTS))
@@ -555,7 +555,7 @@ def _finish(
     errors: tuple[np.ndarray, np.ndarray],
     unit: str,
 ) -> str:
-    """Writes the titles of the figure and of the axes before and after; returns its alt text."""
+    """Writes titles of figure and axes (`pair`: before, after); returns the alternative text."""
     before, after = (f"{number(words.finite_rms([values]))} {unit}" for values in errors)
     (_, high), (_, low) = (axes.get_ylim() for axes in pair)
     finer = f", scale {number(high / low, 2)} times finer" if high > low else ""

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: verdict in words, numbers, figures; one file, no network."""
+"""The HTML page of a diagnosis with verdict, numbers and figures, in one self-contained file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,7 +49,7 @@ def write_page(result: Diagnosis, folder: Path, *, model: str) -> Path:
 
 
 def _drawn(picture: CaptionedFigure, place: Path) -> dict[str, str]:
-    """Writes a figure into a folder; returns its content for the page."""
+    """Writes a figure to a folder; returns its name, texts and image data for the page."""
     image = png(picture.figure)
     write_atomically(place / f"{picture.name}.png", lambda file: file.write(image))
     told = {"name": picture.name, "alt": picture.alt, "caption": picture.caption}
@@ -57,7 +57,7 @@ def _drawn(picture: CaptionedFigure, place: Path) -> dict[str, str]:
 
 
 def _page(result: Diagnosis, figures: Sequence[dict[str, str]], model: str) -> str:
-    """Returns the page as well-formed XHTML that is HTML 5 as well; figures hold base64 data."""
+    """Returns the page as well-formed XHTML that is also HTML 5, with figures as base64 data."""
     return render(
         "diagnosis.html",
         kind="diagnosis",
@@ -115,7 +115,7 @@ def _effects_table(result: Diagnosis) -> Table:
     head = (*names, result.nominal_words, *told)
     changed = "What changed" if result.calibration else "Missing effects"
     changed = "Fitted parameters" if result.verdict == "fitted" else changed
-    # A further parameter of an effect has an empty first cell, which heads no row.
+    # No row headers: the first cell is empty for all but the first parameter of an effect.
     return Table(caption=changed, head=head, rows=rows, words=4, heads=False)
 
 

@@ -1,4 +1,4 @@
-"""Explanations of why an effect is named or not, from the record of the search."""
+"""Explanations of why an effect is reported or not, from the record of the search."""
 
 from collections.abc import Collection, Sequence
 
@@ -8,12 +8,12 @@ from leglab.report.page.wording import number, readable
 
 
 def why(result: Diagnosis, name: str, effects: Collection[str] = ()) -> tuple[str, ...]:
-    """Returns lines on an effect, for every element at which the search considered it.
+    """Returns lines of text on an effect, for each element at which the search considered it.
 
     Args:
         result: The diagnosis.
         name: Name of the effect.
-        effects: Effects to which the user confined the search; none for all.
+        effects: Effects to which the user confined the search; empty if not confined.
     """
     ranks = [one for one in result.ranking if one.name == name]
     if not ranks:
@@ -24,7 +24,7 @@ def why(result: Diagnosis, name: str, effects: Collection[str] = ()) -> tuple[st
 
 
 def _of(result: Diagnosis, one: Rank) -> list[str]:
-    """Returns lines on an effect at one element."""
+    """Returns lines of text on an effect at one element."""
     own, first = (one.name, one.element), result.ranking[0]
     lines = [f"{readable(one.name)} at {one.element}"]
     for hidden in result.not_testable:
@@ -47,7 +47,7 @@ def _of(result: Diagnosis, one: Rank) -> list[str]:
 
 
 def _verdict(result: Diagnosis, one: Rank) -> list[str]:
-    """Returns the verdict on an effect of the most probable set."""
+    """Returns the verdict on an effect that belongs to the most probable set of effects."""
     for effect, _ in result.all_effects:
         if effect.element == one.element and effect.name == one.name:
             return [f"  reported with a confidence of {confidence(result, effect)}"]
@@ -55,7 +55,7 @@ def _verdict(result: Diagnosis, one: Rank) -> list[str]:
 
 
 def _fitted(one: Tried) -> str:
-    """Describes a fitted set with reason, error and evidence."""
+    """Describes a fitted set of effects: why it was fitted, its error and its evidence."""
     behind = f", {number(one.behind)} nats behind the most probable set" * (one.behind > 0.0)
     return f"{_set(one.names)} ({one.reason}): {number(one.level)} noise levels{behind}"
 
@@ -65,6 +65,6 @@ def _set(names: Sequence[tuple[str, str]]) -> str:
 
 
 def tried_rows(result: Diagnosis) -> list[list[str]]:
-    """Returns rows of the fitted sets, most probable first: set, reason, noise levels, nats."""
+    """Returns table rows of fitted sets of effects: set, reason, noise levels, nats behind best."""
     rows = sorted(result.tried, key=lambda t: t.behind)
     return [[_set(t.names), t.reason, number(t.level), number(t.behind)] for t in rows]

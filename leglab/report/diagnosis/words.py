@@ -1,6 +1,6 @@
-"""A diagnosis in words: what a reader learns in one minute, before any number or figure.
+"""Texts of a diagnosis that a reader reads in one minute, before tables and figures.
 
-All texts are plain: the page escapes them.
+Texts contain no markup; the page escapes them.
 """
 
 import math
@@ -23,17 +23,17 @@ from leglab.diagnosis.result import (
 from leglab.report.page.shell import Section
 from leglab.report.page.wording import capital, listed, number, readable
 
-# Closed share of the gap up to which texts say that the gap hardly closes.
+# Explained share of the replay error beyond noise up to which texts say "hardly closes".
 _HARDLY = 0.05
-# Most channels that a sentence lists.
+# Maximum number of channels that a sentence lists.
 _CHANNELS = 6
-# Most recalibrated parameters that are listed.
+# Maximum number of recalibrated parameters that a sentence lists.
 _RECALIBRATED = 5
-# Noise below this [mrad, mm or bar] is reported as "under" it.
+# Noise below this value [mrad, mm or bar] is reported as "under" the value.
 _UNRESOLVED = 0.001
-# Up to this number, effects that the recordings hardly show have a line each.
+# Maximum number of hardly visible effects that have a line of their own.
 _UNTOLD = 4
-# Most sets of effects that are listed as closest without being named.
+# Maximum number of sets of effects that are listed as having come closest.
 _CLOSEST = 3
 _CONFIDENCE = (
     "Confidence is the probability of the name among all sets of effects that were fitted: the "
@@ -52,7 +52,7 @@ _OIL = {
 
 
 def percent(share: float) -> str:
-    """Formats a confidence, from "under 1 %" to "over 99 %": no method gives certainty."""
+    """Formats a confidence from "under 1 %" to "over 99 %", because no method gives certainty."""
     if not math.isfinite(share):
         return "unknown"
     if share < 0.01:
@@ -61,7 +61,7 @@ def percent(share: float) -> str:
 
 
 def finite_rms(arrays: Sequence[np.ndarray]) -> float:
-    """Returns the root mean square of all finite values; NaN without any."""
+    """Returns the root mean square of all finite values; NaN if there are none."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     return float(rms(values[np.isfinite(values)]))
 
@@ -89,7 +89,7 @@ def headline(result: Diagnosis) -> str:
 
 
 def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
-    """Returns the verdict where some effects are indistinguishable from others."""
+    """Returns the verdict in one sentence if some effects are indistinguishable from others."""
     sure = listed(tuple(_at(effect) for effect in effects if not effect.indistinguishable_from))
     sets: dict[tuple[str, ...], list[str]] = {}
     for effect in effects:
@@ -100,7 +100,7 @@ def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
         f"{listed(names, 'or')} at {listed(tuple(elements))}" for names, elements in sets.items()
     )
     start = "Something has changed" if since else "Something is missing"
-    if not sets:  # possible and not probable
+    if not sets:  # effects are possible but not probable
         told = f"perhaps {sure}"
     elif since:
         also = f": {sure}, and one of these" if sure else ", one of these"
@@ -111,7 +111,7 @@ def _confused(effects: Sequence[NamedEffect], *, since: bool) -> str:
 
 
 def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
-    """Names the effects indistinguishable from one, some of them only combined with friction."""
+    """Names the effects that are indistinguishable from one, some only together with friction."""
     tied = effect.indistinguishable_from
     friction = tuple(n for n in tied if n in ("coulomb_friction", "viscous_friction"))
     beside = {"asymmetric_friction": "force_offset", "actuator_gain": "armature"}.get(effect.name)
@@ -124,14 +124,14 @@ def _alternatives(effect: NamedEffect) -> tuple[str, ...]:
 
 
 def _tied(name: str, effect: NamedEffect) -> str:
-    """Names an effect indistinguishable from another: maybe the same effect at another element."""
+    """Returns an effect's name in words, or that it is the same effect at another element."""
     return "the same at another place" if name == effect.name else readable(name)
 
 
 def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
-    """Returns missing effect, confidence, explained share and remaining gap, as terms and texts.
+    """Returns terms with texts: missing effects, confidence, explained share, remaining error.
 
-    Several effects have a line each.
+    Each of several effects has a line.
     """
     changed = "Changed" if result.calibration else "Missing"
     changed = "Fitted" if result.verdict == "fitted" else changed
@@ -164,7 +164,7 @@ def facts(result: Diagnosis) -> tuple[tuple[str, str], ...]:
 
 
 def _mostly(result: Diagnosis) -> str:
-    """Returns in words where most of an unexplained error is; empty if unknown."""
+    """Returns in words at which element an unexplained error is largest; empty if unknown."""
     if not result.where:
         return ""
     worst = result.where[0]
@@ -174,7 +174,7 @@ def _mostly(result: Diagnosis) -> str:
 
 
 def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
-    """Returns the sections on the diagnosis of a model, in the order in which readers ask."""
+    """Returns the sections of the page, in the order in which readers ask their questions."""
     before, unexplained = result.calibration, result.verdict == "unexplained"
     if result.verdict == "fitted":
         answers = {
@@ -199,14 +199,14 @@ def sections(result: Diagnosis, model: str) -> tuple[Section, ...]:
 
 
 def _answered(answers: Mapping[str, tuple[str, ...]]) -> tuple[Section, ...]:
-    """Returns the sections that have an answer."""
+    """Returns one section per question with a non-empty answer."""
     return tuple(Section(title=title, lines=lines) for title, lines in answers.items() if lines)
 
 
 def parameter_words(p: Estimate) -> tuple[str, str, str]:
-    """Returns value, 95 % interval and nominal value with units; oil quantities in SI as well.
+    """Returns value, 95 % interval and nominal value with units; oil values also in SI units.
 
-    The number of digits follows the interval's width, so that its ends differ as text.
+    The number of digits is such that the ends of the interval differ as text.
     """
     value, ends, nominal, unit = parameter_numbers(p)
     beside = f" ({number(p.value)} {p.unit})" if p.unit in _OIL else ""
@@ -215,7 +215,7 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
 
 
 def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
-    """Returns value, 95 % interval, nominal value, and their unit, empty for none."""
+    """Returns value, 95 % interval, nominal value and unit (empty if dimensionless) as texts."""
     factor, unit = _parameter_unit(p)
     low, high = (factor * end for end in p.interval)
     half, size = (high - low) / 2.0, max(abs(low), abs(high))
@@ -228,7 +228,7 @@ def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
 
 
 def uncertain(p: Estimate) -> bool:
-    """Tests whether the interval contains the nominal value or is wider than the value's size."""
+    """Tests whether the interval contains the nominal value or is wider than the value itself."""
     low, high = p.interval
     if not (math.isfinite(low) and math.isfinite(high)):
         return True
@@ -236,7 +236,7 @@ def uncertain(p: Estimate) -> bool:
 
 
 def improved_words(result: Diagnosis) -> str:
-    """Describes content and reliability of the improved model; follows its name on the page."""
+    """Describes content and reliability of the improved model, after its name on the page."""
     effects = () if result.verdict == "unexplained" else result.effects
     holds = ["parameters recalibrated within their tolerance"] if result.moved else []
     if effects:
@@ -260,7 +260,7 @@ def improved_words(result: Diagnosis) -> str:
 
 
 def main_channels(result: Diagnosis) -> tuple[str, ...]:
-    """Returns position and pressures of the main joint: one with an effect, else largest error."""
+    """Returns channels of the joint with the largest error, joints with a named effect first."""
     remaining = {one.channel: one for one in result.remaining}
     channels = list(dict.fromkeys([*remaining, *(t.channel for t in result.traces)]))
     elements = [e.element for e in result.effects]
@@ -284,19 +284,19 @@ def in_order(result: Diagnosis) -> tuple[RecordingGap, ...]:
 
 
 def start(result: Diagnosis) -> str:
-    """Returns in words the measured part of the state from which replays start."""
+    """Returns in words which measured quantities determine the start of replays."""
     units = {one.unit for one in result.remaining} | {one.unit for one in result.traces}
     return "the measured motion" + " and pressures" * ("Pa" in units)
 
 
 def after_start(result: Diagnosis) -> str:
-    """Returns in words the time in a replay at which errors are reported."""
+    """Returns in words how long after the start of a replay errors are reported."""
     horizon = f"{result.remaining[0].horizon:.3g} s " if result.remaining else ""
     return f"{horizon}after a start from {start(result)}"
 
 
 def joint_of(channel: str) -> str:
-    """Returns the joint of a column."""
+    """Returns the joint's name in a column's name."""
     return re.sub(r"_(position|pressure_[ab]|velocity)$", "", channel)
 
 
@@ -328,14 +328,14 @@ def _at(effect: NamedEffect) -> str:
 
 
 def _named(effect: NamedEffect) -> str:
-    """Returns effect and element, with the names of the scenarios of the same cause."""
+    """Returns effect and element, with the names that live scenarios give the same cause."""
     live = live_of(effect.name)
     also = f" [{listed(tuple(readable(name) for name in live), 'or')}]" if live else ""
     return f"{readable(effect.name)}{also} at {effect.element}"
 
 
 def _values(effect: NamedEffect, nominal: str) -> list[str]:
-    """Describes an effect's fitted parameters; `nominal` is "in the model" or "before"."""
+    """Describes an effect's fitted parameters; `nominal` is the word "in the model" or "before"."""
     told = []
     for p in effect.estimates:
         value, interval, other = parameter_words(p)
@@ -345,7 +345,7 @@ def _values(effect: NamedEffect, nominal: str) -> list[str]:
 
 
 def _gap_of(result: Diagnosis) -> str:
-    """Returns in words the gap that named effects may close."""
+    """Returns in words the error of which the effects explain a share."""
     held = result.gap.held_out
     place = f" on {listed(held)}" if held else ""
     if result.calibration is not None:
@@ -354,7 +354,7 @@ def _gap_of(result: Diagnosis) -> str:
 
 
 def _left(result: Diagnosis) -> str:
-    """Returns the errors at the end of a replay in customary units, with the sensor noise."""
+    """Returns in words the errors at the end of a replay, in customary units, and sensor noise."""
     wanted = main_channels(result)
     rows = [one for one in result.remaining if one.channel in wanted]
     if not rows:
@@ -374,7 +374,7 @@ def _error_words(one: Remaining) -> str:
 
 
 def noise_words(one: Remaining) -> str:
-    """Formats sensor noise with its unit; noise that no rig resolves as "under" a limit."""
+    """Formats sensor noise with its unit; noise that no test rig resolves as "under" a limit."""
     factor, unit = shown_unit(one.unit)
     if factor * one.noise < _UNRESOLVED:
         return f"under {_UNRESOLVED:g} {unit}"
@@ -439,7 +439,7 @@ def _missing(result: Diagnosis) -> tuple[str, ...]:
 
 
 def smaller_words(result: Diagnosis) -> tuple[str, ...]:
-    """Describes the smaller differences, which are not the cause; empty for none."""
+    """Describes smaller differences, which are not the cause; empty if there are none."""
     if not result.smaller:
         return ()
     told = []
@@ -455,7 +455,7 @@ def smaller_words(result: Diagnosis) -> tuple[str, ...]:
 
 
 def confidence(result: Diagnosis, effect: NamedEffect) -> str:
-    """Returns the confidence of an effect's name, or of its confusion set as a whole."""
+    """Returns the confidence of an effect, or of all effects indistinguishable from it."""
     return percent(effect.confidence if result.among is None else result.among)
 
 
@@ -481,7 +481,7 @@ def _sure(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _tried(result: Diagnosis) -> tuple[str, ...]:
-    """Describes the attempts to explain an error that no effect explains."""
+    """Describes the attempts to explain an error that remains unexplained."""
     sets = (name for rivals in result.rivals for name in rivals.names if name != "nothing")
     closest = listed(tuple(dict.fromkeys(map(readable, sets)))[:_CLOSEST])
     gap = result.gap
@@ -543,7 +543,7 @@ _RESIDUALS = {
 
 
 def _where(result: Diagnosis) -> tuple[str, ...]:
-    """Returns where simulation and data disagree, a line an element."""
+    """Returns where simulation and data disagree, one line per element."""
     lines = []
     for w in result.where:
         place = w.region or "everywhere alike"

@@ -1,4 +1,4 @@
-"""Films from raw frames, smaller films, and stills, all made by ffmpeg."""
+"""Encoding of films by ffmpeg: from raw frames, to fewer bytes, and to stills."""
 
 import os
 import re
@@ -14,33 +14,33 @@ from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes
 from leglab.base.output import cannot_write, new_file, regular_file
 
-# Parts of ffmpeg's messages, the most informative first; "" matches any. It prints only errors.
+# The error line of ffmpeg with the earliest of these texts is reported; "" is in every line.
 _TELLING = ("No space left", "Unknown encoder", "")
-# Longest time for which ffmpeg may accept no data, or may take to finish [s].
+# Maximum time for which ffmpeg may accept no data, or may take to finish a new film [s].
 _PATIENCE = 120.0
-# Longest time that it may take to re-encode a film, or to extract a picture [s].
+# Maximum time that ffmpeg may take to re-encode a film, or to extract a picture [s].
 _PATIENCE_OF_A_FILM = 600.0
-# Target as a share of the wanted size: a single pass meets a bit rate only roughly.
+# Share of the allowed size that is aimed at, because a single pass meets a bit rate only roughly.
 _AIM = 0.85
 _ATTEMPTS = 3
 _CODING = ("-an", "-c:v", "libx264", "-preset", "fast", "-pix_fmt", "yuv420p")
-_STILL_WIDTH = 960  # at most [px]: as wide as a page shows a film on most screens
+_STILL_WIDTH = 960  # maximum width of a still [px], with which most screens show a film on a page
 
 
 @contextmanager
 def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[bytes], None]]:
     """Writes a film to a temporary file and moves it into place when it is complete.
 
-    H.264 in yuv420p with the index at the front, so that browsers play it at once. One thread
-    encodes, so that the same frames give the same file.
+    The film is H.264 in yuv420p with the index at the front, so that browsers can play it before
+    they have loaded it. A single thread encodes, so that equal frames give equal files.
 
     Args:
         out: Path of the film; its folder is made.
         size: Width and height [px].
-        rate: Frames a second.
+        rate: Frames per second.
 
     Yields:
-        A function that adds a frame, RGB, row by row from the top.
+        A function that adds a frame: RGB bytes, row by row from the top.
 
     Raises:
         LeglabError: There is no ffmpeg, it cannot encode H.264 or takes no more frames, the file
@@ -119,7 +119,7 @@ def _failure(out: Path, log: BinaryIO) -> LeglabError:
 
 
 def check_film(path: Path) -> None:
-    """Refuses a path where a film would replace another kind of file, before any work is done.
+    """Raises an error if a film at this path would replace a file that is no film.
 
     Raises:
         LeglabError: The name does not end with .mp4, or the path holds a file that is no film.
@@ -153,10 +153,10 @@ def _ffmpeg() -> str:
 
 
 def film_bytes(film: Path, most: int) -> bytes:
-    """Returns the film, re-encoded with fewer bits if it has more than `most` bytes.
+    """Returns the bytes of a film, re-encoded if the film has more than `most` bytes.
 
     Raises:
-        LeglabError: It cannot be read or encoded.
+        LeglabError: The film cannot be read or encoded.
     """
     content = read_bytes(film)
     if len(content) <= most:
@@ -174,10 +174,10 @@ def film_bytes(film: Path, most: int) -> bytes:
 
 
 def still_bytes(film: Path) -> bytes:
-    """Returns a JPEG picture from soon after the film's middle, shown until the film is played.
+    """Returns a JPEG picture from 60 % of the film, which a page shows until the film is played.
 
     Raises:
-        LeglabError: It cannot be read.
+        LeglabError: The film cannot be read.
     """
     before = ("-ss", f"{0.6 * _seconds(film):.3f}")
     after = ("-frames:v", "1", "-vf", f"scale='min({_STILL_WIDTH},iw)':-2", "-q:v", "4")
@@ -185,7 +185,7 @@ def still_bytes(film: Path) -> bytes:
 
 
 def _made(film: Path, name: str, *, before: Sequence[str] = (), after: Sequence[str]) -> bytes:
-    """Converts a film by ffmpeg, with options for input and output; returns the new file."""
+    """Returns the bytes that ffmpeg makes from a film, with options for input and output."""
     made = film.with_name(name)
     try:
         _ask(film, before=before, after=(*after, str(made)))

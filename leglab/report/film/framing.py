@@ -1,4 +1,4 @@
-"""Camera positions from which the moving parts fill their region of the picture."""
+"""Camera positions from which the moving geoms fill a given region of the picture."""
 
 import math
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ import numpy as np
 from leglab.base.errors import SettingsError
 from leglab.report.film.look import Rect
 
-FIELD_OF_VIEW = 24.0  # vertical [degrees]; narrow, so that neighbouring panels look alike
+FIELD_OF_VIEW = 24.0  # vertical [degrees]; small, so that perspective hardly differs between panels
 DEFAULT_CAMERA = "three_quarter"
-_MARGIN = 10  # px
+_MARGIN = 10  # margin around the points of `crop` [px]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def direction(model: mujoco.MjModel, data: mujoco.MjData, camera: str) -> Direct
     """Returns a camera's direction; the free camera's if the model has no `DEFAULT_CAMERA`.
 
     Raises:
-        LeglabError: The model has no camera of this name; lists those it has.
+        LeglabError: The model has no camera of this name; the message lists the model's cameras.
     """
     names = [model.camera(i).name for i in range(model.ncam)]
     if camera not in names:
@@ -76,11 +76,11 @@ def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np
 
 
 def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) -> Rect:
-    """Returns the part of a camera's picture in which points appear, with a margin.
+    """Returns the rectangle of a camera's picture that contains points, with a margin.
 
     Args:
-        points: [m], (n, 3), all in front of the camera.
-        camera: Made by `frame`.
+        points: Points in front of the camera [m], (n, 3).
+        camera: Camera that `frame` returned.
         size: Width and height of the picture [px].
     """
     axes = Direction(camera.azimuth, camera.elevation).axes()
@@ -88,7 +88,7 @@ def crop(points: np.ndarray, camera: mujoco.MjvCamera, size: tuple[int, int]) ->
     width, height = size
     scale = 0.5 * height / math.tan(math.radians(FIELD_OF_VIEW) / 2)
     columns, rows = 0.5 * width + scale * x / z, 0.5 * height - scale * y / z
-    # Even edges, so that the supersampled picture, 1.5 times as large, has whole pixels as well.
+    # Edges are even numbers, so that the picture rendered 1.5 times as large has whole pixels.
     return Rect(
         left=max(2 * (math.floor(columns.min() - _MARGIN) // 2), 0),
         top=max(2 * (math.floor(rows.min() - _MARGIN) // 2), 0),
@@ -102,9 +102,9 @@ def frame(
 ) -> mujoco.MjvCamera:
     """Returns the nearest camera that sees all points inside a region of its picture.
 
-    A camera at c sees a point p inside x0 <= x <= x1 where p_x - x1 k p_z <= c_x - x1 k c_z and
-    p_x - x0 k p_z >= c_x - x0 k c_z in camera axes, k being half the width at unit distance. That
-    is linear in c, so the largest c_z follows in closed form, in each direction of the picture.
+    A camera at c sees a point p between x0 and x1 if p_x - x1 k p_z <= c_x - x1 k c_z and
+    p_x - x0 k p_z >= c_x - x0 k c_z in camera axes, with half the picture's width k at distance 1.
+    The two conditions are linear in c and together bound c_z; so do the two for the height.
 
     Args:
         points: Points to be visible [m], (n, 3).

@@ -10,11 +10,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from leglab.report.style import BLUE, SERIES, VERMILION
 
-SIZE = (1280, 720)
+SIZE = (1280, 720)  # width and height of a frame; all lengths in px
 HEAD = 52  # height of the title above the panels
 HEADING = 36  # height of the heading of a panel, above its picture
 TRACES = 232  # height of the traces below the panels
-GAP = 4  # between panels
+GAP = 4  # distance between panels
 GAUGES = 132  # width of the gauges at the left of a panel
 PRESSURES = 168  # width of the pressures at the right of a wide panel
 MAX_RUNS = 4
@@ -22,7 +22,7 @@ MAX_RUNS = 4
 
 @dataclass(frozen=True)
 class Rect:
-    """A part of the picture, right and bottom not included [px]."""
+    """A rectangle of the picture [px]; the edges right and bottom are not included."""
 
     left: int
     top: int
@@ -88,12 +88,12 @@ INK, SOFT, FAINT, PAPER = (24, 28, 34), (92, 100, 110), (222, 226, 231), (255, 2
 ALARM = rgb(VERMILION)
 NAMED = rgb(BLUE)  # changes named by a controller
 TIMES = "\N{MULTIPLICATION SIGN}"
-RUNS = tuple(rgb(color) for color in SERIES)  # one a run
+RUNS = tuple(rgb(color) for color in SERIES)  # one colour per run
 GHOST = (0.02, 0.62, 0.80, 0.42)
 UNKNOWN = (0.55, 0.57, 0.60)
 
-# Blue, pink, yellow: visible on light and dark ground; their lightness increases steadily, so that
-# colour-blind readers see the order.
+# Colours of pressures: blue, pink, yellow. They are visible on light and on dark ground, and their
+# lightness increases with the pressure, so that colour-blind readers see the order.
 _STOPS = np.array([0.0, 0.5, 1.0])
 _COLORS = np.array([[0.09, 0.27, 0.86], [0.88, 0.28, 0.55], [1.0, 0.85, 0.10]])
 
@@ -113,7 +113,7 @@ def pressure_color(level: float | np.ndarray) -> np.ndarray:
 
 @functools.cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Returns Matplotlib's font, which is installed with leglab."""
+    """Returns the font of Matplotlib, on which leglab depends, in a size [px]."""
     # The package is located, not imported: importing it takes longer than rendering some films.
     spec = importlib.util.find_spec("matplotlib")
     assert spec is not None
@@ -144,7 +144,7 @@ def write(
     bold: bool = False,
     anchor: str = "lt",
 ) -> None:
-    """Writes a line of text; `anchor` as in Pillow. Shapes of texts are cached: most recur."""
+    """Writes a line of text; see Pillow for `anchor`. Rendered texts are cached for reuse."""
     shape, left, top = _shape(text, size, bold, anchor)
     draw.bitmap((int(place[0]) + left, int(place[1]) + top), shape, fill=fill)
 

@@ -11,28 +11,28 @@ from leglab.report.film import framing
 from leglab.report.film.look import GHOST, UNKNOWN, Rect, pressure_color
 from leglab.report.film.track import Track
 
-# Rendered 1.5 times as large and averaged; a factor of 2 takes an eighth longer and looks alike.
+# Factor by which pictures are rendered larger, then averaged; 2 takes 1/8 longer, looks the same.
 _SUPERSAMPLING = 1.5
-# Parts of a ghost that are smaller than this are left out [m].
+# Geoms of a ghost whose bounding radius is smaller than this are left out [m].
 _SMALL_PART = 0.05
-# A ghost is moved away from the camera by this share of its distance, so that it does not flicker
-# on the surface of a leg that is at its reference.
+# A ghost is moved away from the camera by this share of its distance from the camera. Otherwise its
+# surface and the leg's would flicker where they coincide.
 _GHOST_SHIFT = 0.003
 _SPRING = (0.88, 0.33, 0.06, 1.0)
 _MAX_GEOMS = 4000
 _HIDDEN_GROUP = 5
 _FLIP, _AVERAGE = Image.Transpose.FLIP_TOP_BOTTOM, Image.Resampling.HAMMING
-# Cylinders are drawn wider than they are, for their colours to be seen in a small picture.
+# Cylinders are drawn wider by this factor, so that small pictures show their colours.
 _WIDER = 1.5
 _WALL = 0.0035  # m
-# Emitted and lit share of a colour: cylinders match the colour bar and still look round.
+# Shares of a cylinder's colour that are emitted, to match the colour bar, and lit, to look round.
 _GLOW, _LIT = 0.9, 0.55
 _CAP, _CHROME = (0.14, 0.15, 0.17), (0.92, 0.93, 0.95)
 _ORIGIN, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 _BASE, _END = 0.012, 0.012  # length of the ends of a barrel [m]
-# For models without light or sky: direction of the light, colours of the sky above and below.
+# Added to models without light or sky: direction of the light, colours of the sky, top and bottom.
 _LIGHT, _SKY = (-0.35, 0.5, -0.8), ((0.93, 0.94, 0.96), (0.75, 0.77, 0.8))
-# Discs of the soft patch below the foot, and their colour.
+# Number and colour of the stacked discs that look like a soft shadow below the foot.
 _DISCS = 6
 _SHADOW = (0.10, 0.11, 0.13, 0.07)
 
@@ -40,9 +40,9 @@ _SHADOW = (0.10, 0.11, 0.13, 0.07)
 class DrawnMachine:
     """Renderer of a model, shared by all runs of the model.
 
-    Fixed parts are drawn once. Each frame renders only the part of the picture that contains the
-    machine: the time of software rendering grows with the pixels, and a leg is narrow. `timestep`
-    is that of the runs [s], None for the model's; `size` is width and height of the picture [px].
+    Fixed geoms are drawn once. A frame renders only the region that contains the machine, because
+    the time of software rendering grows with the pixels, and a leg is narrow. `timestep` is the
+    time step of the runs [s], None for the model's; `size` is width and height of the picture [px].
     """
 
     def __init__(self, model: str, timestep: float | None, size: tuple[int, int]) -> None:
@@ -64,7 +64,7 @@ class DrawnMachine:
         _make_ghost(self._ghost)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         fixed = self.model.light_mode == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-        # With moving lights, fixed parts may look different in later frames.
+        # If a light moves, fixed geoms may look different in each frame, which then is drawn whole.
         still = self.model.body_weldid[self.model.light_bodyid] == 0
         self._fixed_lights = bool(np.all(fixed & still))
         self._moving = framing.moving_geoms(self.model)
@@ -77,7 +77,7 @@ class DrawnMachine:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
 
     def look(self, camera: mujoco.MjvCamera) -> None:
-        """Sets the camera, and draws the fixed parts."""
+        """Sets the camera, and draws the geoms that do not move."""
         self._camera = camera
         self._whole = Rect(0, 0, *self._size)
         data = self.simulation.data
@@ -101,10 +101,10 @@ class DrawnMachine:
         """Returns the picture of the machine and its ghost.
 
         Args:
-            data: The true pose, as set by `DrawnRun.place`.
-            reference: The pose of the ghost.
-            pressures: Pressures of both sides of each cylinder, divided by the end of the colour
-                bar; NaN where unknown, (actuators, 2).
+            data: State with the true pose, set by `DrawnRun.place`.
+            reference: State with the pose of the ghost.
+            pressures: Pressures of both sides of each cylinder, divided by the pressure at the end
+                of the colour bar, (actuators, 2); NaN if unknown.
         """
         crop = self._whole
         if self._fixed_lights:
@@ -157,7 +157,7 @@ def _larger(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _light(spec: mujoco.MjSpec) -> None:
-    """Adds a light and a sky to models without them: the machine or the sky would be black."""
+    """Adds a light and a sky to models without them, where machine or sky would be black."""
     if not spec.lights:
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=_LIGHT, diffuse=[0.6] * 3
@@ -176,7 +176,7 @@ def _light(spec: mujoco.MjSpec) -> None:
 
 
 def _make_ghost(model: mujoco.MjModel) -> None:
-    """Hides all but the large moving parts, and makes these transparent, in one colour."""
+    """Hides all geoms except large moving ones, which become transparent and of one colour."""
     kept = np.zeros(model.ngeom, dtype=bool)
     kept[framing.moving_geoms(model)] = True
     kept &= model.geom_rbound > _SMALL_PART
@@ -187,7 +187,7 @@ def _make_ghost(model: mujoco.MjModel) -> None:
 
 
 class DrawnRun:
-    """One run on its machine; `scale` is the pressure at the end of the colour bar [Pa]."""
+    """Drawings of one run; `scale` is the pressure at the end of the colour bar [Pa]."""
 
     def __init__(self, machine: DrawnMachine, track: Track, scale: float) -> None:
         self._machine, self._track = machine, track
@@ -195,7 +195,7 @@ class DrawnRun:
         self._data, self._reference = mujoco.MjData(model), mujoco.MjData(model)
         for data in (self._data, self._reference):
             mujoco.mj_copyData(data, model, machine.simulation.data)
-        # Joints without a reference, such as a rail, have their true position in the ghost as well.
+        # The ghost shows joints without a reference, such as a rail, in their true position.
         self._truth = self._columns("truth", "position")
         self._wanted = self._columns("reference", "truth", "position")
         joints, unknown = machine.simulation.joints, np.full(len(track.recording), np.nan)
@@ -214,7 +214,7 @@ class DrawnRun:
             mujoco.mj_tendon(self._machine.model, data)
 
     def extent(self, times: np.ndarray) -> np.ndarray:
-        """Returns points around machine and ghost at these times [s], (n, 3) [m]."""
+        """Returns points around machine and ghost at all `times` [s], (n, 3) [m]."""
         found = []
         for time in times:
             self.place(float(time))
@@ -232,7 +232,7 @@ class DrawnRun:
         return self._machine.draw(self._data, self._reference, levels)
 
     def _columns(self, *suffixes: str) -> list[tuple[int, np.ndarray]]:
-        """Returns the index in qpos and the samples of every recorded joint."""
+        """Returns each recorded joint's index in qpos and samples of its first recorded suffix."""
         model, found = self._machine.model, []
         for i in range(model.njnt):
             name = model.joint(i).name
@@ -246,7 +246,7 @@ class _CylinderShapes:
     """Cylinders split at the piston: cap side and rod side in the colours of their pressures.
 
     Cylinders that act on a joint directly have no position in space and are not drawn. `tendons`
-    holds the names of the tendons that actuators pull or push; the others are springs.
+    holds the names of the tendons that actuators pull or push; all other tendons are springs.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -259,14 +259,14 @@ class _CylinderShapes:
         self.tendons = {model.tendon(i).name for i in tendons[on_tendon].tolist()}
 
     def pins(self, data: mujoco.MjData) -> np.ndarray:
-        """Returns the ends of all tendons, cylinders and springs [m], (n, 3)."""
+        """Returns the ends of all tendons, which are cylinders and springs [m], (n, 3)."""
         used = data.ten_wrapnum > 0
         first = data.ten_wrapadr[used]
         last = first + data.ten_wrapnum[used] - 1
         return data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
 
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
-        """Adds the cylinders to a scene; `levels` as the pressures of `DrawnMachine.draw`."""
+        """Adds the cylinders to a scene; `levels` are the `pressures` of `DrawnMachine.draw`."""
         known = ~np.isnan(levels)[..., None]
         colours = _LIT * np.where(known, pressure_color(np.nan_to_num(levels)), UNKNOWN)
         points = data.wrap_xpos.reshape(-1, 3)
@@ -316,9 +316,9 @@ def _segment(
 
 
 class _FloorShadow:
-    """Flat discs below the largest part of the last body; none if the model has no floor.
+    """Shadow of flat discs below the largest geom of the last body, if the model has a floor.
 
-    Rendered shadows would take half the time of a frame.
+    Shadows rendered by MuJoCo would take half the time of a frame.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -332,7 +332,7 @@ class _FloorShadow:
             self._floor = float(model.geom_pos[planes[0], 2])
 
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData) -> None:
-        """Adds the discs to a scene; the higher the part, the wider they are."""
+        """Adds the discs to a scene; they are wider if the geom is higher above the floor."""
         if self._floor is None:
             return
         point, turn, radii = self._place(data)
@@ -356,10 +356,10 @@ class _FloorShadow:
         return point + (turn.reshape(3, 3)[:, :2] @ spread).T
 
     def _place(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the centre of the part, rotation of the discs and their half axes [m]."""
+        """Returns the geom's centre [m], the discs' rotation (row-major) and half axes [m]."""
         turn = data.geom_xmat[self._part].reshape(3, 3)
         point = data.geom_xpos[self._part] + turn @ self._box[:3]
-        # Longest horizontal axis of the part's box, and the extent of the box along and across it.
+        # Longest axis of the geom's box in the horizontal plane; half extents along it and across.
         reach = turn[:2] * self._box[3:]
         longest = reach[:, int(np.argmax(np.hypot(*reach)))]
         angle = float(np.arctan2(longest[1], longest[0]))

@@ -1,4 +1,4 @@
-"""A whole frame: panels with headings, gauges and changes, and traces below."""
+"""Frames of a film: one panel per run with heading, gauges and changes, and traces below."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,21 +14,21 @@ from leglab.report.film.track import Track, details, load_track
 from leglab.report.page.wording import readable
 
 _BAR = 1e5  # Pa
-_POSES = 24  # that the camera's view must contain
+_POSES = 24  # number of times of the film at which the machine must lie within the camera's view
 _BAR_STEP = 20e5  # the colour bar ends at a multiple of this [Pa]
-_VEIL = (255, 255, 255, 200)  # over a run that has ended
-_TAG_CARD, _GAUGE_CARD = (255, 255, 255, 205), (255, 255, 255, 195)
-_FLASH = 1.2  # s
-_MOST_CHANGES = 3
-_MOST_LEAKAGE = 100.0
-_HOTTEST = 100.0  # degC
-_STEP = 46  # from one gauge to the next [px]
-_ROW = 44  # from one cylinder to the next [px]
-_LEVEL_LENGTH = 104  # of the bar of a pressure [px]
+_VEIL = (255, 255, 255, 200)  # colour laid over the panel of a run that has ended
+_TAG_CARD, _GAUGE_CARD = (255, 255, 255, 205), (255, 255, 255, 195)  # backgrounds of texts
+_FLASH = 1.2  # time after a change during which the panel's border is thicker [s]
+_MOST_CHANGES = 3  # maximum number of changes named in a panel: the latest ones
+_MOST_LEAKAGE = 100.0  # leakage at the end of the gauge's bar, relative to new seals
+_HOTTEST = 100.0  # oil temperature at the end of the gauge's bar [degC]
+_STEP = 46  # vertical distance between gauges [px]
+_ROW = 44  # vertical distance between the pressures of two cylinders [px]
+_LEVEL_LENGTH = 104  # length of a pressure's bar [px]
 
 
 class Picture:
-    """Draws the frames of a film. Needs an OpenGL context; close it after use.
+    """Draws the frames of a film. It holds OpenGL contexts: call `close` after use.
 
     Args:
         folders: Folders of the runs, shown side by side.
@@ -84,7 +84,7 @@ class Picture:
     def _frame(
         self, machines: list[DrawnMachine], times: np.ndarray, camera: str, size: tuple[int, int]
     ) -> None:
-        """Gives runs of one model the same camera, so that they can be compared."""
+        """Sets one camera for all runs of a model, so that their pictures can be compared."""
         for machine in self._machines.values():
             stages = [s for s, m in zip(self._stages, machines, strict=True) if m is machine]
             points = np.concatenate([stage.extent(times) for stage in stages])
@@ -96,7 +96,7 @@ class Picture:
 def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float | None) -> None:
     """Draws title, legend of the ghost, and the colour bar of pressures up to `scale` [Pa].
 
-    Without pressures `scale` is None, and there is no bar.
+    If no pressures were recorded, `scale` is None and no bar is drawn.
     """
     draw = ImageDraw.Draw(image)
     text = fitted(title, 22, 390, bold=True)
@@ -120,10 +120,10 @@ def _draw_title(image: Image.Image, title: str, subtitle: str, scale: float | No
 
 
 class _PanelWriter:
-    """Writer of heading, changes, gauges and end of one run into its panel.
+    """Writer of one run's panel: heading, changes, gauges, and a text after the end of the run.
 
-    `detail` distinguishes runs with the same controller, `color` is that of the run's traces,
-    `error` its moving error [mrad or mm], `scale` the pressure at the end of the colour bar [Pa].
+    `detail` distinguishes runs with the same controller, `color` is the colour of the run's traces,
+    `error` its moving RMS error [mrad or mm], `scale` the pressure at the colour bar's end [Pa].
     """
 
     def __init__(
@@ -217,7 +217,7 @@ def _title_of(tracks: Sequence[Track]) -> tuple[str, str]:
 
 
 def _wrapped(text: str, width: float) -> list[str]:
-    """Wraps a text into at most four lines of `width` [px]; a longer word has a wider line."""
+    """Wraps a text into at most four lines of `width` [px]; words that are wider are not split."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else ""
@@ -229,7 +229,7 @@ def _wrapped(text: str, width: float) -> list[str]:
 
 
 class _Gauges:
-    """Gauges of supply, oil, seals and cylinder pressures, whose bars end at `scale` [Pa]."""
+    """Gauges of supply, oil, seals and cylinders; the bars of pressures end at `scale` [Pa]."""
 
     def __init__(self, track: Track, panel: Rect, scale: float) -> None:
         self._panel, self._scale = panel, scale
@@ -244,7 +244,7 @@ class _Gauges:
         del self._pressures[(panel.height - 60) // _ROW :]
 
     def draw(self, draw: ImageDraw.ImageDraw, row: int) -> None:
-        """Draws the values of a row of the recording."""
+        """Draws the gauges with the values of sample `row` of the recording."""
         readings = self._readings(row)
         left, width = self._panel.left + 14, look.GAUGES - 14
         top = self._panel.bottom - 12 - _STEP * len(readings)
@@ -263,7 +263,7 @@ class _Gauges:
             self._draw_pressures(draw, row)
 
     def _readings(self, row: int) -> list[tuple[str, str, float, bool]]:
-        """Returns name, value, filled share of the bar and alarm of each gauge."""
+        """Returns each gauge's name, value as text, filled share of its bar, and alarm."""
         found = []
         if self._supply is not None:
             value = float(self._supply[row])

@@ -29,19 +29,19 @@ def render_film(
     camera: str = DEFAULT_CAMERA,
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Renders runs side by side to an MP4 file: H.264, 1280 x 720, 30 frames a second.
+    """Renders runs side by side to an MP4 file: H.264, 1280 x 720, 30 frames per second.
 
     MuJoCo chooses its OpenGL library when it is imported, so rendering runs in separate processes:
-    with EGL, or with OSMesa if EGL is missing; the variable `MUJOCO_GL` can select one of them. The
-    same folders give the same frames.
+    with EGL, or with OSMesa if EGL is missing; the variable `MUJOCO_GL` can select one of the two.
+    Equal folders give equal frames.
 
     Args:
         folders: Folders of one to four runs; models, scenarios and lengths may differ.
         out: Path of the film; an earlier film is replaced when the new one is complete.
-        start: First second shown; None for the beginning.
-        duration: Seconds shown; None up to the end of the runs.
+        start: Time at which the film starts [s]; None for the beginning of the runs.
+        duration: Duration of the film [s]; None for up to the end of the runs.
         camera: Name of a camera of the models.
-        progress: Called with the share that is done.
+        progress: Function called with the share of frames that are done.
 
     Returns:
         `out`.
@@ -67,7 +67,7 @@ def render_film(
         "camera": camera,
     }
     frames = _frames(job)
-    # The first frame is drawn before any file is touched: if it fails, nothing is written.
+    # The first frame is drawn before any file is written: if it fails, an old film stays.
     head = next(frames)
     with contextlib.closing(frames), encoding(out, SIZE, FRAME_RATE) as write:
         write(head)
@@ -98,7 +98,7 @@ def _span(
     """Returns first and last time of the film [s], up to 2 s beyond a run that stopped early."""
     earliest = min(track.start for track in tracks)
     latest = max(track.end for track in tracks)
-    # Longer if a run stopped early, so that the picture can say so.
+    # The film is longer if a run stopped early, for viewers to read the text that reports it.
     if any(track.stopped and track.end > latest - 1.0 for track in tracks):
         latest = min(latest + 2.0, max(track.planned_end for track in tracks))
     first = earliest if start is None else start

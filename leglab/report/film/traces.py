@@ -1,4 +1,4 @@
-"""Traces that run along with the motion: tracking error and feed-forward command."""
+"""Traces below the panels of a film: tracking error and feed-forward command over time."""
 
 import functools
 import math
@@ -13,15 +13,15 @@ from leglab.report.film.track import Track
 from leglab.report.page.wording import readable
 
 _MILLI = 1e3
-_TILE = 512  # px
+_TILE = 512  # width of the cached pictures of which the command trace is composed [px]
 _ALARM_LIGHT = tuple(round(255 - 0.35 * (255 - c)) for c in ALARM)
-_SMOOTH = 3  # lines are drawn this many times larger
-_LABEL = 14
-_LINE_WIDTH = 2.2
+_SMOOTH = 3  # factor by which lines are drawn larger and then averaged, for smooth edges
+_LABEL = 14  # font size of labels [px]
+_LINE_WIDTH = 2.2  # px
 
 
 class ErrorTrace:
-    """The moving RMS error of all runs over the whole film, on one logarithmic scale.
+    """Trace of the moving RMS error of all runs over the whole film, on a logarithmic axis.
 
     The axes are at `rect`; `span` is the first and last time of the film [s].
     """
@@ -38,7 +38,7 @@ class ErrorTrace:
         values = np.concatenate(shown)
         values = values[np.isfinite(values) & (values > 0)]
         low, high = (values.min(), values.max()) if values.size else (1.0, 10.0)
-        # Exponents of the axis, with a margin, over at least a decade.
+        # Decimal exponents at the ends of the axis, with a margin, at least a decade apart.
         low, high = np.log10(float(low)) - 0.08, np.log10(float(high)) + 0.08
         missing = max(1.0 - (high - low), 0.0)
         self._low, self._high = low - 0.5 * missing, high + 0.5 * missing
@@ -48,25 +48,25 @@ class ErrorTrace:
         self._lines = _smooth_lines((rect.width + 6, rect.height + 6), self._paint)
 
     def x(self, time: float | np.ndarray) -> np.ndarray:
-        """Returns the position of a time [px], from the left of the axes."""
+        """Returns the distance of a time from the left edge of the axes [px]."""
         first, last = self._span
         return self._rect.width * (np.asarray(time) - first) / (last - first)
 
     def y(self, error: float | np.ndarray) -> np.ndarray:
-        """Returns the position of an error [mrad or mm], in px from the top of the axes."""
+        """Returns the distance of an error [mrad or mm] from the top of the axes [px]."""
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (np.log10(error) - self._low) / (self._high - self._low)
         return self._rect.height * (1.0 - np.clip(share, -0.02, 1.02))
 
     def draw_static(self, image: Image.Image) -> None:
-        """Draws the axes, and faint marks at the changes."""
+        """Draws the axes, and faint vertical lines at the changes of the machine."""
         rect, draw = self._rect, ImageDraw.Draw(image)
         ticks = []
         for exponent in range(int(np.floor(self._low)), int(np.ceil(self._high)) + 1):
             for factor in (1, 2, 5):
                 value = factor * 10.0**exponent
                 if self._low - 1e-9 <= np.log10(value) <= self._high + 1e-9:
-                    # Below two decades all ticks have labels: there may be one power of ten only.
+                    # An axis below two decades may have one power of ten only: label all ticks.
                     wide = factor == 1 or self._high - self._low < 2.0
                     ticks.append((rect.top + float(self.y(value)), f"{value:g}" if wide else ""))
         _draw_frame(draw, rect, "tracking error", ticks, self._note)
@@ -101,9 +101,9 @@ class ErrorTrace:
 
 
 class CommandTrace:
-    """The feed-forward command of one joint in the last seconds, as a moving trace.
+    """Trace of the feed-forward command of one joint in the last seconds, which moves with time.
 
-    If no run has a feed-forward, the valve command is shown. `rect` and `span` are those of
+    If no run has a feed-forward, the trace shows the command. For `rect` and `span` see
     `ErrorTrace`.
     """
 
@@ -142,7 +142,7 @@ class CommandTrace:
         _draw_frame(ImageDraw.Draw(image), rect, self._title, ticks, self._note)
 
     def draw(self, image: Image.Image, time: float) -> None:
-        """Draws the last seconds before a time [s], which is at the right end."""
+        """Draws the last seconds before a time [s], which is at the right end of the axes."""
         rect = self._rect
         per_second = rect.width / self._window
         shift = round((time - self._window - self._origin) * per_second)
@@ -175,7 +175,7 @@ class CommandTrace:
         return self._rect.height * 0.5 * (1.0 - share)
 
     def _drawn_tile(self, index: int) -> Image.Image:
-        """Draws the tile from pixel `index * _TILE` on; pixel 0 is one window before the film."""
+        """Draws tile `index`; tile 0 begins at the film's start minus the trace's duration."""
         return _smooth_lines((_TILE, self._rect.height), functools.partial(self._paint, index))
 
     def _paint(self, index: int, draw: ImageDraw.ImageDraw, scale: int) -> None:
@@ -189,7 +189,7 @@ class CommandTrace:
 
 
 def _change_starts(tracks: Sequence[Track], span: tuple[float, float]) -> list[float]:
-    """Returns the start times [s] of all changes during the runs that overlap a span."""
+    """Returns start times [s] of changes that begin during a run and overlap a time span [s]."""
     changes = (change for track in tracks for change in track.changes if change.start > 0)
     return sorted({c.start for c in changes if c.end >= span[0] and c.start <= span[1]})
 
@@ -260,11 +260,11 @@ def _draw_time(draw: ImageDraw.ImageDraw, rect: Rect, x: float, time: float) -> 
 def _smooth_lines(
     size: tuple[int, int], paint: Callable[[ImageDraw.ImageDraw, int], None]
 ) -> Image.Image:
-    """Returns a smooth layer of `size` [px]; `paint` draws it enlarged, by its second argument."""
+    """Returns an antialiased layer of `size` [px]; `paint` takes a drawing and its enlargement."""
     width, height = size
     layer = Image.new("RGBA", (width * _SMOOTH, height * _SMOOTH), (255, 255, 255, 0))
     paint(ImageDraw.Draw(layer), _SMOOTH)
-    # Premultiplied, so that the white of the empty layer does not show at the edges.
+    # Averaged with premultiplied alpha: otherwise the layer's white would show at edges of lines.
     return layer.convert("RGBa").reduce(_SMOOTH).convert("RGBA")
 
 
@@ -273,7 +273,7 @@ def _polyline(
 ) -> None:
     """Draws a line through points [px], broken where y is not finite.
 
-    Points that share a column are thinned to its first, lowest, highest and last one.
+    Of the points in one column of pixels only the first, lowest, highest and last are drawn.
     """
     finite = np.isfinite(y)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.view(np.int8), [0]])))

@@ -17,16 +17,16 @@ from leglab.report.page.wording import readable, readable_unit
 from leglab.runs import metrics, record
 from leglab.runs.folder import model_of
 
-# A run counts as stopped early if it ends more than this before its planned end [s].
+# A run that ends more than this time before its planned end counts as stopped early [s].
 _TOLERANCE = 0.05
 
-# Columns of a joint that follow slow wear: the fault's number, its size and remaining life [s].
+# Suffixes of a joint's columns about slow wear: number of the fault, magnitude, remaining life [s].
 _FOLLOWED = ("fault", "size", "remaining")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShownChange:
-    """A change of the machine from start to end [s], with a text: "internal leakage x 10"."""
+    """A text shown from start to end [s], about a change: "internal leakage x 10"."""
 
     start: float
     end: float
@@ -38,20 +38,20 @@ class Track:
     """One run of a film."""
 
     folder: Path
-    settings: Mapping[str, Any]  #: As in `run.json`
-    model: str  #: Name of the model, or path of the copy in the folder
-    machine: tuple[str, float | None]  #: Key of a renderer: the model's digest or name, time step
+    settings: Mapping[str, Any]  #: Settings of the run, from `run.json`
+    model: str  #: Name of the model, or path of its copy in the run's folder
+    machine: tuple[str, float | None]  #: Digest or name of the model, and time step [s]
     recording: Recording
     joints: tuple[str, ...]  #: Driven joints with a reference
-    actuators: tuple[str, ...]  #: The actuator of each of them
-    changes: tuple[ShownChange, ...]  #: In the order of their start
+    actuators: tuple[str, ...]  #: Actuator of each joint
+    changes: tuple[ShownChange, ...]  #: Changes of the machine, in the order of their start
     elements: Mapping[str, Mapping[str, float]]  #: Parameters of each actuator at the start
-    window: float  #: Of the moving error [s]
-    failure: str  #: Why the run stopped early; empty if it did not, or if unknown
-    #: Time from which the film reports that 90 % of the damage are undone [s], and the text; None
-    #: if they never are.
+    window: float  #: Window of the moving RMS error [s]
+    failure: str  #: Reason why the run stopped early; empty if it did not, or if unknown
+    #: Time from which the film reports that 90 % of the damage are undone [s], and its text; None
+    #: if the run never undoes 90 %.
     undone: tuple[float, str] | None = None
-    #: Changes named by the controller, from the naming until the withdrawal [s].
+    #: Faults named by the controller, each from its naming until it is withdrawn or undone [s].
     named: tuple[ShownChange, ...] = ()
 
     @property
@@ -75,19 +75,19 @@ class Track:
         return bool(self.failure) or self.end < self.planned_end - _TOLERANCE
 
     def row(self, time: float) -> int:
-        """Returns the row of the last sample up to a time [s], clipped to the recording."""
+        """Returns the index of the last sample up to a time [s], clipped to the recording."""
         rows = self.recording.time
         return int(np.clip(np.searchsorted(rows, time + 1e-9, side="right") - 1, 0, len(rows) - 1))
 
     def column(self, *names: str) -> np.ndarray | None:
-        """Returns the first of these columns that exists, gaps filled with the last value, (n,)."""
+        """Returns the first recorded column of `names`, (n,); the last value fills its gaps."""
         for name in names:
             if name in self.recording:
                 return _filled(self.recording[name])
         return None
 
     def command(self, joint: str) -> np.ndarray | None:
-        """Returns a joint's commands in [-1, 1], (n,), gaps filled as in `column`; None if none."""
+        """Returns a joint's commands in [-1, 1], (n,), filled like `column`; None if missing."""
         found = self.recording.command_of(joint)
         return None if found is None else _filled(found)
 
@@ -166,7 +166,7 @@ def load_track(folder: Path) -> Track:
 
 
 def _named(events: Sequence[FaultEvent]) -> Iterator[ShownChange]:
-    """Yields named faults, as "named: knee seal wear 11.4, 100 %", until undone or withdrawn."""
+    """Yields texts "named: knee seal wear 11.4, 100 %", until a fault is undone or withdrawn."""
     back = {name.undoes: name.time for event in events for name in event.names[-1:]}
     for event in events:
         name = event.names[-1]
@@ -175,16 +175,16 @@ def _named(events: Sequence[FaultEvent]) -> Iterator[ShownChange]:
 
 
 def _slowly(trends: Sequence[FaultTrend], recording: Recording) -> Iterator[ShownChange]:
-    """Yields slow wear from its first report on, with the size and remaining life of each time.
+    """Yields texts on slow wear, from its first report on, with magnitude and life at each time.
 
-    Conditions, and wear that the recording does not follow, have their final values throughout.
+    Conditions, and wear without columns in the recording, are shown with their final values.
     """
     for trend in trends:
         elements = recording.tracked if trend.element == "all" else trend.element.split(",")
         names = [[f"{element}_health_{what}" for what in _FOLLOWED] for element in elements]
         there = [columns for columns in names if all(name in recording for name in columns)]
         said = [np.array([recording[name] for name in columns]) for columns in there]
-        # Only joints with a fault after this trend's first report: earlier faults are other trends.
+        # A joint without a fault after this trend's first report belongs to another trend.
         said = [values for values in said if values[0, recording.time >= trend.time].any()]
         if trend.condition or not said:
             text = f"slowly until {trend.seen:.0f} s: {trend.short()}"
@@ -194,7 +194,7 @@ def _slowly(trends: Sequence[FaultTrend], recording: Recording) -> Iterator[Show
 
 
 def _looks(trend: FaultTrend, time: np.ndarray, said: np.ndarray) -> Iterator[ShownChange]:
-    """Yields a trend's text at each change of `said`, which has a row for each of `_FOLLOWED`."""
+    """Yields a trend's text at each change of `said`, the columns of `_FOLLOWED`, (3, n)."""
     before, after = said[:, :-1], said[:, 1:]
     new = np.any((before != after) & ~(np.isnan(before) & np.isnan(after)), axis=0)
     starts = np.union1d(np.flatnonzero(new) + 1, np.searchsorted(time, trend.time))
@@ -217,12 +217,12 @@ def _undone(
     over = min(change.start for change in changes) + found.t90_s + found.stride_s
     if found.t90_s == 0.0:
         return over, t90(found)
-    # The window of the trace ends at each time; the stride of `t90_s` begins at that time.
+    # `t90_s` is the start of a stride; the trace shows a stride at its end, one stride later.
     return over, f"strides from {found.t90_s:.2f} s after the change on: 90 % undone"
 
 
 def details(tracks: list[Track]) -> list[str]:
-    """Returns the settings in which runs differ, a text a run; empty if only controllers differ."""
+    """Returns one text per run with the settings in which runs differ besides the controller."""
     shown: list[list[str]] = [[] for _ in tracks]
     names = [str(track.settings["controller"]) for track in tracks]
     scenarios = {track.settings["scenario"] for track in tracks}

@@ -18,12 +18,12 @@ from leglab.base import plugins
 from leglab.base.errors import LeglabError
 from leglab.report.film.look import SIZE
 
-_FRAME_SIZE = 3 * SIZE[0] * SIZE[1]  # bytes
-_PIPE = 1 << 20  # bytes
-_LEAST_FRAMES = 20  # below this, another process takes longer to start than it saves
-_ERROR_MARK = "leglab-error: "  # begins the line on standard error that is meant for the user
+_FRAME_SIZE = 3 * SIZE[0] * SIZE[1]  # bytes of a frame
+_PIPE = 1 << 20  # size of the pipe from a process [bytes]
+_LEAST_FRAMES = 20  # minimum frames per process: for fewer, starting it takes longer than it saves
+_ERROR_MARK = "leglab-error: "  # prefix of the line on standard error with the message for the user
 _NO_OPENGL = "no OpenGL library"
-# Not `-m`, which would load this module twice.
+# Code that a process runs. `python -m` would load this module twice.
 _CODE = "from leglab.report.film.workers import work; work()"
 
 
@@ -32,7 +32,7 @@ class NoOpenGLError(LeglabError):
 
 
 def worker_count(frames: int) -> int:
-    """Returns the number of processes for a film: one per core, at most 16, fewer if short."""
+    """Returns the number of processes: one per core, at most 16, fewer for short films."""
     return max(1, min(len(os.sched_getaffinity(0)), frames // _LEAST_FRAMES, 16))
 
 
@@ -52,7 +52,7 @@ def draw_frames(job: dict[str, Any], *, backend: str, count: int) -> Iterator[by
         NoOpenGLError: The library is missing or does not work.
         LeglabError: A run cannot be shown, or a process failed.
     """
-    # One thread per process: the processes already use all cores, and would slow each other down.
+    # One thread per process, because the processes together already use all cores.
     quiet = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0", **os.environ, "MUJOCO_GL": backend}
     job = {**job, "plugins": plugins.carried(), "step": count}
     workers = [_Worker({**job, "first": i}, quiet) for i in range(count)]
@@ -68,7 +68,7 @@ class _Worker:
     def __init__(self, job: dict[str, Any], env: dict[str, str]) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
-            # Modules come from where they are installed, not from the working folder.
+            # -P: modules are imported from where they are installed, not from the working folder.
             [sys.executable, "-P", "-c", _CODE, json.dumps(job)],
             env=env,
             stdin=subprocess.DEVNULL,
@@ -105,7 +105,7 @@ class _Worker:
 
 
 def work() -> NoReturn:
-    """Runs a process: draws every `step`-th frame of the job in the first argument, then ends."""
+    """Draws every `step`-th frame of the job in the first argument, then ends the process."""
     status = 0
     try:
         _draw(json.loads(sys.argv[1]))
@@ -119,7 +119,7 @@ def work() -> NoReturn:
 
 
 def _draw(job: dict[str, Any]) -> None:
-    # Whatever a library prints must not end up between the frames.
+    # Standard output goes to standard error, so that no library prints between the frames.
     frames = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     _open_gl()
@@ -135,7 +135,7 @@ def _draw(job: dict[str, Any]) -> None:
 
 
 def _open_gl() -> None:
-    """Opens a context first, so that a missing library fails before any rendering."""
+    """Opens and closes an OpenGL context, so that a missing library fails before any rendering."""
     try:
         import mujoco
 

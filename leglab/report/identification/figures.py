@@ -11,14 +11,14 @@ from leglab.identification.structure.residuals import ResidualTest
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
-_MOST_SAMPLES = 1500  # of a curve; longer records show their beginning
-_MOST_PARAMETERS = 6  # each in its colour
-_POINTS = 800  # of a parameter's curve
-_REST = 101  # points of a static curve
+_MOST_SAMPLES = 1500  # maximum samples of a curve; of longer records the beginning is drawn
+_MOST_PARAMETERS = 6  # maximum number of drawn parameters, one colour each
+_POINTS = 800  # approximate number of points of a parameter's curve
+_REST = 101  # number of points of a static curve
 
 
 def free_run_figure(found: Identified, errors: Errors) -> Figure:
-    """Draws measured output and free run, and the error below."""
+    """Draws measured output and free run, with the free-run error below."""
     shown = slice(0, min(len(errors.measured), _MOST_SAMPLES))
     time = np.arange(len(errors.measured))[shown] * found.period
     with style():
@@ -62,7 +62,7 @@ def residual_figure(tests: tuple[ResidualTest, ...]) -> Figure:
 
 
 def parameter_figure(found: Identified) -> Figure | None:
-    """Draws the parameters in one online pass over the first record; None without parameters."""
+    """Draws the parameters that change most in `Identified.online`; None without samples."""
     _, trajectory = found.online
     if not len(trajectory):
         return None
@@ -87,7 +87,7 @@ def parameter_figure(found: Identified) -> Figure | None:
 
 
 def bent_signals(found: Identified) -> list[str]:
-    """Returns the signals with a nonlinear feature; all inputs of a nonlinear state-space model."""
+    """Returns signals in nonlinear features; for a nonlinear state-space model, all inputs."""
     (first, *_) = features = found.chosen.fit.features
     if isinstance(first, StateSpace):
         return list(found.inputs) if first.curves else []
@@ -95,7 +95,7 @@ def bent_signals(found: Identified) -> list[str]:
 
 
 def curve_figure(found: Identified) -> Figure | None:
-    """Draws the output over each of `bent_signals`, others at their means; None if linear."""
+    """Draws the output over each of `bent_signals`, other signals at means; None if linear."""
     bent = bent_signals(found)
     if not bent:
         return None
@@ -117,7 +117,7 @@ def curve_figure(found: Identified) -> Figure | None:
 
 
 def inner_figure(found: Identified) -> Figure | None:
-    """Draws the curves of a state-space model over their arguments; None without curves."""
+    """Draws the static curves of a state-space model over z; None if it has no curves."""
     model = found.model
     if not isinstance(model, SplineStateSpace) or not model.parts().curves:
         return None

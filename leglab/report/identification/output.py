@@ -1,4 +1,4 @@
-"""Files of `leglab identify`: identify.json, the model, its C header, the page."""
+"""Files that `leglab identify` writes: identify.json, models, C headers of models, the page."""
 
 import json
 import re
@@ -32,8 +32,8 @@ from leglab.report.page.wording import number
 VERSION = 1
 RESULT, PAGE = "identify.json", "identify.html"
 _TABLE_POINTS = 41
-_ROUNDING = 1e-9  # share of the output's deviation
-_MOST_TRIED = 10  # linear structures, and as many nonlinear ones
+_ROUNDING = 1e-9  # errors up to this count as rounding, in standard deviations of the output
+_MOST_TRIED = 10  # maximum number of linear structures in the table, and of nonlinear ones
 
 
 def stem(found: Identified, models: Mapping[str, Identified]) -> str:
@@ -47,7 +47,7 @@ def stem_of(output: str) -> str:
 
 
 def write_all(models: Mapping[str, Identified], folder: Path) -> dict[str, str]:
-    """Writes all files; returns, by file, why one could not be written."""
+    """Writes all files; returns, by name of the file, reasons why files could not be written."""
     missing: dict[str, str] = {}
     for found in models.values():
         name = stem(found, models)
@@ -139,7 +139,7 @@ def transfer_functions(found: Identified) -> list[dict[str, Any]]:
 
 
 def curves(found: Identified) -> list[dict[str, Any]]:
-    """Returns the static curves, in physical units; those of a state-space model are scaled."""
+    """Returns the static curves in physical units, for a state-space model in scaled units."""
     out: list[dict[str, Any]] = []
     model = found.model
     if isinstance(model, SplineStateSpace):
@@ -159,7 +159,7 @@ def curves(found: Identified) -> list[dict[str, Any]]:
 
 
 def at_rest(found: Identified) -> list[dict[str, Any]]:
-    """Returns static output over each signal, others at their means; see `Identified.at_rest`."""
+    """Returns `Identified.at_rest` over the range of each signal, the others at their means."""
     out = []
     for name, samples in found.problem.samples.items():
         if name == found.output and isinstance(found.model, SplineStateSpace):
@@ -177,7 +177,7 @@ def _errors(errors: Errors) -> dict[str, Any]:
 
 
 def tests_of(found: Identified) -> tuple[ResidualTest, ...]:
-    """Returns the residual tests on the longest test record, or training record without tests."""
+    """Returns residual tests on the longest test record or, if there is none, training record."""
     pool = found.tested or found.trained
     errors = max(pool, key=lambda e: len(e.measured))
     records = found.tests or found.problem.records
@@ -266,7 +266,7 @@ def headline(found: Identified) -> str:
 
 
 def sections(found: Identified) -> tuple[Section, ...]:
-    """Returns the result in words."""
+    """Returns the sections of the page with the result in words."""
     deviation = found.problem.deviation
     score, linear = found.chosen.score * deviation, found.linear.score * deviation
     constant = found.constant.score * deviation
@@ -318,7 +318,7 @@ def sections(found: Identified) -> tuple[Section, ...]:
 
 
 def _begun(found: Identified) -> str:
-    """Returns in words the initial model of an online pass."""
+    """Returns a phrase on the model from which the online pass starts."""
     return "from straight curves" if isinstance(found.model, SplineStateSpace) else "from nothing"
 
 

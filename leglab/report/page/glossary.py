@@ -6,7 +6,7 @@ from markupsafe import Markup, escape
 
 from leglab.report.page.wording import printable
 
-# Meaning by term; texts are matched in any case, and with a plural s.
+# Meanings by term. Terms are recognised in texts regardless of case, and with a plural s.
 MEANINGS = {
     "90 % undone": "Time from the change of the machine until the error, stride by stride, stays "
     "below a level at which nine tenths of the damage are gone. Never: not within the run.",

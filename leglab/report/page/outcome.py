@@ -1,16 +1,16 @@
-"""Effect of a change on a run in one sentence: for terminals, lists of runs and pages."""
+"""Sentences about the damage by a change and its recovery, for terminals, lists and pages."""
 
 from leglab.report.page.wording import number
 from leglab.runs.clock import TWIN
 from leglab.runs.record import AdaptationMetrics
 
-# Shares of the damage below which nothing, and from which everything, counts as undone.
+# An undone share of the damage below _LEAST counts as nothing, a share of at least _MOST as all.
 _LEAST, _MOST = 0.05, 0.995
 NOTHING = "nothing"
 
 
 def outcome(found: AdaptationMetrics, unit: str) -> str:
-    """Returns the adaptation metrics in one line, errors in `unit`; without any, the reason."""
+    """Returns the adaptation metrics in one line, errors in `unit`, or why they are missing."""
     if found.recovered is None or found.damage_rad is None:
         return found.reason or ""
     damage = f"damage {milli(found.damage_rad, unit)} ({found.damage_of})"
@@ -18,7 +18,7 @@ def outcome(found: AdaptationMetrics, unit: str) -> str:
 
 
 def sentence(found: AdaptationMetrics, unit: str) -> str:
-    """Returns the adaptation metrics as a sentence; without any, the reason."""
+    """Returns the adaptation metrics as a sentence, or why they are missing."""
     if found.recovered is None or found.damage_rad is None:
         return f"What was undone cannot be told: {(found.reason or 'no reason').rstrip('.')}."
     if found.damage_of == TWIN:
@@ -41,7 +41,7 @@ def sentence(found: AdaptationMetrics, unit: str) -> str:
 
 
 def milli(value: float, unit: str) -> str:
-    """Formats an error in rad or m in thousandths: `unit` is "mrad", "mm" or "mrad or mm"."""
+    """Formats an error [rad or m], times 1000, with `unit`: "mrad", "mm" or "mrad or mm"."""
     return f"{number(1e3 * value)} {unit}"
 
 
@@ -54,7 +54,7 @@ def share(found: AdaptationMetrics) -> str:
 
 
 def t90(found: AdaptationMetrics) -> str:
-    """Returns in words how long after the change 90 % of the damage were undone."""
+    """Returns a phrase on the time from the change until 90 % of the damage were undone."""
     if found.t90_s is None:
         return "90 % never undone"
     if found.t90_s == 0.0:

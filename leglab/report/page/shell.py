@@ -1,4 +1,4 @@
-"""HTML pages from templates, with tables and sections: all inlined and escaped, nothing loaded."""
+"""HTML pages from templates. Pages load no other file; all texts in them are escaped."""
 
 import base64
 import functools
@@ -25,8 +25,8 @@ _PACKAGE = "leglab.report.page"
 # The colours of SERIES for a dark background, bright enough to be visible on it.
 _SERIES_IN_THE_DARK = ("#F2F2F2", "#4DA6E0", ORANGE, "#1DBF91", "#D98DB7", "#A5D8F5")
 
-# Directives of the content security policy that forbid everything. Those of bases and forms have no
-# default; the others are listed so that they stay forbidden if `default-src` is loosened.
+# Directives of the content security policy that are set to 'none'. `base-uri` and `form-action` do
+# not default to `default-src`; the others stay forbidden if `default-src` is loosened later.
 _FORBIDDEN = (
     *("default-src", "connect-src", "form-action", "base-uri", "frame-src", "child-src"),
     *("worker-src", "object-src", "font-src", "manifest-src"),
@@ -46,7 +46,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One question and its answer."""
+    """A section of a page: a question and its answer."""
 
     title: str  #: The question
     lines: tuple[str, ...]  #: Answers, a sentence or two each
@@ -58,8 +58,8 @@ def render(template: str, *, scripts: Sequence[str] = (), **content: Any) -> str
 
     Args:
         template: File name in `templates`.
-        scripts: JavaScript to inline, in this order, after a guard against leaving the page; no
-            other script can run.
+        scripts: JavaScript to inline, in this order, after `guard.js`, which keeps the reader on
+            the page; browsers run no other script.
         content: Variables of the template; all text is escaped.
     """
     page = _environment().get_template(template)
@@ -93,10 +93,10 @@ def link(text: str, path: Path, base: Path) -> Markup:
 
 
 def write_page(text: str, path: Path) -> Path:
-    """Writes a page, also over an earlier one, and returns its path.
+    """Writes a page, possibly over an earlier page, and returns its path.
 
     Raises:
-        LeglabError: It cannot be written.
+        LeglabError: The page cannot be written.
     """
     write_atomically(path, lambda stream: stream.write(text.encode(errors="replace")))
     return path

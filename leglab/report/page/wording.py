@@ -49,7 +49,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def figure(value: float | None, factor: float = 1.0, *, missing: str = "") -> str:
-    """Formats a value times a factor for a table; `missing` for None or a value not finite."""
+    """Formats `value * factor` for a table; returns `missing` for None and non-finite values."""
     return missing if value is None or not math.isfinite(value) else number(factor * value)
 
 

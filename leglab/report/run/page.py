@@ -19,11 +19,11 @@ from leglab.runs.folder import ReportedRun
 
 PAGE, FILM = "report.html", "report.mp4"
 
-# Size limit of a page, met by encoding its film with fewer bits, and the least size that remains
-# for the film [byte].
+# Maximum size of a page, for which its film is re-encoded with fewer bits, and minimum size that is
+# left to the film even if the page becomes larger [bytes].
 _LARGEST, _FILM_LEAST = 14_500_000, 2_000_000
 
-# Writes a film to the given path, and returns the path.
+# Function that writes a film to the given path and returns the path of the film.
 Filmer = Callable[[Path], Path]
 
 
@@ -32,15 +32,15 @@ class Report:
     """Files of a report."""
 
     page: Path
-    film: Path | None  #: None without a film
+    film: Path | None  #: None if there is no film
     why_no_film: str = ""  #: Why a requested film is missing; else empty
 
 
 def check_out(folder: Path, *, overwrite: bool) -> None:
-    """Refuses a folder that holds a report already, before any work is done.
+    """Raises an error if a report cannot be written to a folder, before any work is done.
 
     Raises:
-        LeglabError: There is a report and it may not be replaced, or the path is no folder.
+        LeglabError: The folder has a report that must not be replaced, or the path is no folder.
     """
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{str(folder)!r} is not a folder", given=folder)
@@ -61,8 +61,8 @@ def write_report(
     Args:
         runs: Runs from `read_runs`.
         folder: Folder to write to, made if missing. An earlier report is replaced.
-        filmer: Draws the film; None for a page without one. If it fails with `LeglabError`, the
-            page says why. Without a new film, an earlier one is deleted.
+        filmer: Draws the film; None for a page without film. If it fails with `LeglabError`, the
+            page gives the reason. Without a new film, an earlier film is deleted.
         workplace: Result of `claimed_folder`, if the caller has already claimed the folder.
 
     Raises:
@@ -128,7 +128,7 @@ def page(runs: Sequence[ReportedRun], *, film: Path | None = None, no_film: str 
 
 
 def _description(runs: Sequence[ReportedRun]) -> str:
-    """Describes the film for those who do not see it."""
+    """Describes the film for readers who cannot see it."""
     run = runs[0]
     places = listed(tuple(run.label for run in runs)) + ", side by side" * (len(runs) > 1)
     changes = listed(tuple(words.change_words(c) for c in run.configuration.changes))

@@ -1,4 +1,4 @@
-"""Curves of a report as data for the plotting library, thinned so that a page stays small."""
+"""Curves of a report as data for the plotting library, with few points to keep a page small."""
 
 import base64
 import html
@@ -17,16 +17,16 @@ from leglab.runs.folder import ReportedRun
 from leglab.runs.metrics import sliding_rms
 
 _MILLI, _BAR = 1e3, 1e5
-# Points of a plot over all runs, least and most per run: finer than a screen, and a small page.
+# Number of points of a plot for all runs together, and minimum and maximum number per run.
 _POINTS, _LEAST, _MOST = 5400, 900, 3000
 _DASHES = ("solid", "dash", "dot")
-# Most characters of a name in a legend.
+# Maximum number of characters of a name in a legend.
 _LONGEST = 40
-# Strides before and after the change in its close-up.
+# Number of strides that the close-up of a change shows before and after the change.
 _CLOSE_UP = 2.0
 # Temperatures with a smaller range count as constant and are not plotted [degC].
 _STEADY = 0.1
-# Above this ratio of the largest to the smallest error, the axis is logarithmic, to show both.
+# The axis is logarithmic if the ratio of the largest to the smallest error exceeds this.
 _LOG_RATIO = 8.0
 _PLAIN = {"by_joint": True, "labelled": False, "scale": "linear", "ticks": None, "range": None}
 
@@ -37,9 +37,9 @@ class _Quantity:
 
     heading: tuple[str, str, str, str]  # name, title, label of the axis, unit
     caption: str
-    curves: tuple[tuple[str, str], ...]  # endings of columns, with names; all but the first dashed
-    factor: float = 1.0  # to the shown unit
-    shared: str = ""  # ending of a column that is drawn once, from the longest run
+    curves: tuple[tuple[str, str], ...]  # (suffix of columns, name); the first is drawn solid
+    factor: float = 1.0  # from the recording's unit to the shown unit
+    shared: str = ""  # suffix of a column that is drawn once for all runs, from the longest run
 
 
 def plot_data(runs: Sequence[ReportedRun], joints: Sequence[str], first: int) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def _joint_traces(
 
 
 def _samples(run: ReportedRun, joint: str, ending: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns times and finite samples of a joint's or its actuator's column, empty if missing."""
+    """Returns times and finite values of a joint's column with suffix `ending`; may be empty."""
     recording = run.recording
     if ending.endswith(" error"):
         position = recording[f"{joint}_{ending.removesuffix(' error')}"]
@@ -247,13 +247,13 @@ def _text(text: str) -> str:
 
 
 def _position_name(run: ReportedRun) -> str:
-    """Returns the suffix of position columns: "truth" if recorded for all joints."""
+    """Returns the suffix of position columns: "truth" if it is recorded for all joints."""
     whole = all(f"{joint}_truth" in run.recording for joint in run.joints)
     return "truth" if whole else "position"
 
 
 def _moving_error(run: ReportedRun) -> tuple[np.ndarray, np.ndarray]:
-    """Returns times [s], and the RMS error [rad] of all joints over the full stride before each."""
+    """Returns times [s] and RMS errors [rad] of all joints over the stride that ends at a time."""
     positions = run.recording.stack(run.joints, _position_name(run))
     error = positions - run.recording.stack(run.joints, "reference")
     whole = np.isfinite(error).all(axis=1)

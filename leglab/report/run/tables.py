@@ -1,4 +1,4 @@
-"""Tables and bars of a report."""
+"""Tables of a report, and bars of errors."""
 
 import json
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ from leglab.report.style import SERIES
 from leglab.runs.folder import ReportedRun
 
 _NONE = "-"
-# Settings too long for a table with one line per setting.
+# Settings whose values are too long for a table with one row per setting.
 _HIDDEN = ("elements",)
 
 
 def error_bars(runs: Sequence[ReportedRun]) -> dict[str, Any] | None:
-    """Returns bars of the errors that rank the runs, relative to the first; None for a single run.
+    """Returns bars of the errors by which runs are ranked; None for a single run.
 
-    A bar has a name, its share of the longest [%], the value as text and the index of its colour.
+    A bar has a name, a length [% of the longest bar], the error as text and an index of its colour.
     """
     if len(runs) < 2:
         return None
@@ -41,7 +41,7 @@ def error_bars(runs: Sequence[ReportedRun]) -> dict[str, Any] | None:
 
 
 def run_table(runs: Sequence[ReportedRun]) -> Table:
-    """Returns the table of errors and costs, a line a run."""
+    """Returns the table of errors and costs, one row per run."""
     changed = any(run.before for run in runs)
     spans = {run.metrics.adaptation.span_s for run in runs}
     span = f"{spans.pop():g} s" if len(spans) == 1 and None not in spans else "strides"
@@ -50,7 +50,7 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
     head = ["run", *[f"before, {span} [{unit}]"] * changed]
     head += [f"{last} [{unit}]", f"last {span} [{unit}]"]
     head += [f"peak [{unit}]", *[f"damage [{unit}]", "undone [%]", "90 % undone [s]"] * changed]
-    # All three are over the same phase.
+    # RMS command, energy and power are of the same phase of the run.
     head += [f"RMS command, {last}", f"energy, {last} [J]", f"power, {last} [W]", "came to [s]"]
     rows = []
     for run in runs:
@@ -71,7 +71,7 @@ def run_table(runs: Sequence[ReportedRun]) -> Table:
 
 
 def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
-    """Returns the tracking errors of the joints, a table a run."""
+    """Returns the tracking errors of the joints, one table per run."""
     tables = []
     for run in runs:
         found, last = run.metrics.adaptation, run.last
@@ -88,7 +88,7 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
         for joint in run.joints:
             cells = (figure(v.get(joint), 1e3, missing=_NONE) for v in shown.values())
             own = run.metrics.error_unit(joint)
-            # A joint's unit is shown if it differs from the run's.
+            # The unit of a joint is shown if it differs from the unit of the run.
             rows.append([joint if own == run.unit else f"{joint} [{own}]", *cells])
         caption = f"{run.label}: tracking error [{run.unit}]"
         tables.append(Table(caption=caption, head=["joint", *shown], rows=rows))
@@ -96,7 +96,7 @@ def joint_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
 
 
 def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
-    """Returns tables of settings, changes of the machine and versions, a column a run."""
+    """Returns tables of settings, changes of the machine and versions, one column per run."""
     labels = [run.label for run in runs]
     settings = [_flat(run.configuration.settings, _units(run)) for run in runs]
     for run, found in zip(runs, settings, strict=True):
@@ -127,7 +127,7 @@ def setting_tables(runs: Sequence[ReportedRun]) -> tuple[Table, ...]:
 
 
 def _units(run: ReportedRun) -> dict[str, str]:
-    """Returns units by setting; names in a part have its name as prefix, as in "sensors: "."""
+    """Returns units of settings by name; a nested setting has a prefix such as "sensors: "."""
     import leglab.controllers
     import leglab.scenarios  # noqa: F401  registers the scenarios
     from leglab.base.scenario import scenario_names, scenario_severity

@@ -1,4 +1,4 @@
-"""Runs in words: what was tested, what happened, what it shows and what not."""
+"""Texts about runs: what was tested, what happened, what it shows and what it does not."""
 
 import math
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ _DECISIVE = (
 # Errors whose relative difference is at most this count as equal.
 _ALIKE = 0.05
 _TIMES = "\u00d7"
-# With more rivals than this, the headline names one of them.
+# If the best run has more rivals than this, the headline names one rival only.
 _MOST_TOLD = 3
-# From this ratio of errors on, texts give the ratio, below it the difference in percent.
+# Texts give the ratio of two errors if it is at least this; otherwise the difference in percent.
 _CLEARLY = 1.5
 # Controllers that know the changed machine, as no real controller can.
 _BOUNDS = ("oracle", "exact_inverse")
-# A command of at least this magnitude is at its limit; shares of a range may be rounded.
+# A command of at least this magnitude is at its limit, 1; rounding may make it slightly smaller.
 _LIMIT = 1.0 - 1e-9
 
 # Below this share of the time, a fallback or a saturated valve is not worth a sentence.
@@ -68,7 +68,7 @@ def headline(runs: Sequence[ReportedRun]) -> str:
 
 
 def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
-    """Returns the sections of the page, in the order in which readers ask."""
+    """Returns the sections of the page, in the order of readers' questions."""
     names = tuple(f"{run.label}:" for run in runs) if len(runs) > 1 else ()
     happened = tuple(_happened(run) for run in runs)
     parts = (
@@ -83,7 +83,7 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
 
 
 def _noticed(runs: Sequence[ReportedRun]) -> Section:
-    """Returns the changes that controllers named during the runs; without any, no lines."""
+    """Returns a section on the changes that controllers named in the runs; it may be empty."""
     told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
     told += [(run.label, trend.told()) for run in runs for trend in run.metrics.health]
     names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()
@@ -192,7 +192,7 @@ def _happened(run: ReportedRun) -> str:
 
 
 def _fallback(run: ReportedRun) -> list[str]:
-    """Returns in words how long, by phase, the calibrated valve map replaced the adapted one."""
+    """Describes in each phase how long the calibrated valve map replaced the adapted map."""
     if not all(f"{joint}_fallback" in run.recording for joint in run.joints):
         return []
     values = run.recording.stack(run.joints, "fallback")
@@ -229,7 +229,7 @@ def _verdict(runs: Sequence[ReportedRun]) -> tuple[str, ...]:
 
 
 def _against(run: ReportedRun, first: ReportedRun) -> str:
-    """Compares a run's tracking error with that of the first run."""
+    """Compares the tracking errors of a run and of the first run."""
     ratio = first.error / run.error if run.error > 0 else math.inf
     if abs(ratio - 1.0) < _ALIKE:
         how = "about as closely as"
@@ -245,7 +245,7 @@ def _against(run: ReportedRun, first: ReportedRun) -> str:
 
 
 def _won_back(runs: Sequence[ReportedRun]) -> list[str]:
-    """Returns the share of the damage that each run undoes; equal shares are in one phrase."""
+    """Describes the share of the damage that each run undoes; runs of equal share are together."""
     told: dict[str, list[str]] = {}
     judged = [run for run in runs if run.metrics.adaptation.recovered is not None]
     for run in sorted(judged, key=lambda run: -(run.metrics.adaptation.recovered or 0.0)):

@@ -1,6 +1,6 @@
-"""Heat maps, curves over settings that were varied, and distributions of a sweep.
+"""Heat maps, curves over varied settings, and histograms of a sweep.
 
-Charts are dicts of texts and of positions along axes from 0 to 100, which the template draws.
+Charts are dicts for the template of the page: texts, and positions along axes from 0 to 100.
 """
 
 import math
@@ -13,24 +13,24 @@ from leglab.report.style import SERIES
 from leglab.report.sweep.facts import NEVER, Facts, Quantity, axis_words, value_words
 from leglab.runs.sweeps.rows import column
 
-# Most rows and columns of a heat map; bars of a distribution.
+# Maximum number of rows and columns of a heat map, and number of bars of a histogram.
 _MOST_ROWS, _MOST_COLUMNS, _BARS = 120, 20, 24
-# Quantile classes of sizes and settings with many values; most values that are shown singly.
+# Settings with many values are grouped into _CLASSES quantile classes; up to LISTED are listed.
 _CLASSES, LISTED = 6, 8
-# Shade of the worst finite value in a table that also has "never", whose shade is 1.
+# Shade of the worst finite value in a heat map that also has cells "never", whose shade is 1.
 _REACHED = 0.6
-# Tables whose values differ by at most this share have no shades.
+# A heat map has no shades if its values differ by at most this share of the largest one.
 _ALIKE = 0.02
-# Width of a letter below a curve, in hundredths of the axis on a wide screen.
+# Width of a letter of a tick label, in hundredths of the axis on a wide screen.
 _LETTER = 1.8
-# Text for a missing value; another part of the page gives the reason.
+# Text for a missing value; a section of the page gives the reason.
 NONE = "\u2013"
-# Axes that the heat maps show.
+# Varied settings that the heat maps show.
 _MAPPED = ("scenario", "controller", "severity", "seed")
 
 
 def heat_maps(facts: Facts) -> list[dict[str, Any]]:
-    """Returns heat maps of medians by scenario and size: by controller and, folded, by specimen."""
+    """Returns heat maps of medians: rows are scenario and severity, columns controller or seed."""
     sized = (
         "SELECT *, median(severity) OVER (PARTITION BY scenario, class) AS size FROM (SELECT *,"
         f" ntile({_CLASSES}) OVER (PARTITION BY scenario ORDER BY severity) AS class FROM runs)"
@@ -48,7 +48,7 @@ def heat_maps(facts: Facts) -> list[dict[str, Any]]:
 
 
 def _by_size(facts: Facts, quantity: Quantity, source: str, controller: str) -> dict[str, Any]:
-    """Returns a heat map of medians by controller, or of one controller by specimen."""
+    """Returns medians over controllers or, for a `controller`, over its specimens (seeds)."""
     across, named = ("seed", "specimen (seed)") if controller else ("controller", "controller")
     own = "AND controller = '{}'".format(controller.replace("'", "''")) if controller else ""
     found = facts.rows(
@@ -76,24 +76,24 @@ def _heat_map(
     medians: Iterable[tuple[Any, Any, float]],
     told: Callable[[Any], str],
 ) -> dict[str, Any]:
-    """Returns a table of medians, the worse the darker.
+    """Returns a heat map of medians, in which worse values have darker shades.
 
     Args:
         quantity: Quantity of the medians.
-        caption: Caption of the table.
-        corner: Head of the first column.
-        medians: Row, column and value of each field; rows in their order.
-        told: Returns the name of a row.
+        caption: Caption of the heat map.
+        corner: Heading of the first column.
+        medians: Row, column and value of each cell; the order of the rows is kept.
+        told: Function that returns the name of a row.
 
     Returns:
-        Caption, head, and rows with their names; a field has a text and a shade, 0 to 1 or None.
+        Caption, headings, and named rows of cells (text, shade); a shade is in [0, 1] or None.
     """
     values = {(row, column): value for row, column, value in medians}
     columns = sorted({column for _, column in values})[:_MOST_COLUMNS]
     rows = list(dict.fromkeys(row for row, _ in values))[:_MOST_ROWS]
     known = [value for value in values.values() if value < NEVER]
     low, high = (min(known), max(known)) if known else (0.0, 0.0)
-    # A time that was reached, however late, is better than "never".
+    # A finite time, however long, is better than "never", so its shade is at most _REACHED.
     most = _REACHED if len(known) < len(values) else 1.0
 
     def field(value: float | None) -> tuple[str, float | None]:
@@ -115,7 +115,7 @@ def _heat_map(
 
 
 def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Returns name and charts of every varied setting that the heat maps do not show."""
+    """Returns the name and the charts of each varied setting that heat maps do not show."""
     found = []
     for axis in facts.record.axes:
         if axis not in _MAPPED and column(axis) in facts.columns:
@@ -125,7 +125,7 @@ def effects(facts: Facts) -> list[tuple[str, list[dict[str, Any]]]]:
 
 
 def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | None:
-    """Returns table and curves of a setting by scenario and controller; None for a constant."""
+    """Returns table and curves of medians over a setting; None if it has a single value."""
     name = f'"{column(axis)}"'
     ((kind, count),) = facts.rows(
         f"SELECT any_value(typeof({name})), count(DISTINCT {name}) FROM runs"
@@ -180,7 +180,7 @@ def _effect(facts: Facts, axis: str, quantity: Quantity) -> dict[str, Any] | Non
 
 
 def _places(values: Sequence[float]) -> list[float]:
-    """Returns positions from 0 to 100, on a logarithmic axis if values span over a decade."""
+    """Returns positions, 0 to 100, of values on an axis; logarithmic beyond one decade."""
     low, high = min(values), max(values)
     scale = math.log if low > 0 and high / low > 10.0 else float
     ends = scale(low), scale(high)
@@ -188,7 +188,7 @@ def _places(values: Sequence[float]) -> list[float]:
 
 
 def _ticks(places: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Returns positions and texts of ticks, without those that would overlap the previous one."""
+    """Returns positions and labels of ticks, without labels that overlap the previous label."""
     kept: list[tuple[float, str]] = []
     for x, text in places:
         if not kept or x - kept[-1][0] > _LETTER * (len(text) + len(kept[-1][1]) + 2) / 2:
@@ -197,12 +197,12 @@ def _ticks(places: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def distributions(facts: Facts) -> list[dict[str, Any]]:
-    """Returns histograms of the runs by controller; the tallest bar of each has height 1."""
+    """Returns a histogram per quantity and controller, scaled to a tallest bar of height 1."""
     found = []
     for quantity in facts.quantities:
         name = quantity.name
         known = f"FROM runs WHERE status = 'ok' AND {name} IS NOT NULL"
-        # Quantiles bound the axis: a few outliers would press all others into the first bar.
+        # Quantiles end the axis: with the outliers on it most runs would be in the first bar.
         ((low, high),) = facts.rows(
             f"SELECT quantile_cont({name}, 0.01), quantile_cont({name}, 0.99) {known}"
         )

@@ -1,4 +1,4 @@
-"""Queries of a sweep's page to the dataset: counts, quantities, worst runs."""
+"""Results that the page of a sweep queries from the dataset: counts, quantities, worst runs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from leglab.report.page.wording import number, readable, readable_unit
 from leglab.runs.sweeps.query import Answer
 from leglab.runs.sweeps.store import SweepRecord
 
-# Length of the list of worst runs.
+# Maximum length of the list of worst runs.
 MOST_FILMS = 12
-# Value, in medians, of a time that a run never reaches [s].
+# Value of `t90_s`, in medians, for runs that never undo 90 % of the damage [s].
 NEVER = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Quantity shown by a heat map or a distribution."""
+    """A quantity that heat maps and histograms show."""
 
     name: str  #: Column of the dataset
     title: str  #: Title on the page, with the unit
-    factor: float  #: From the dataset's unit to that of the title
-    bad: int  #: +1 where more is worse, -1 where less is
+    factor: float  #: Factor from the dataset's unit to the title's unit
+    bad: int  #: +1 if larger values are worse, -1 if smaller values are worse
 
     @property
     def median(self) -> str:
-        """Median in SQL; of `T90`, `NEVER` if at least half of the runs never reach it."""
+        """SQL of the median; for `T90` it yields `NEVER` if half of the runs never undo 90 %."""
         if self is not T90:
             return f"median({self.name})"
         value = f"CASE WHEN recovered IS NOT NULL THEN coalesce({self.name}, {NEVER}) END"
-        # For an even number of runs the median is the mean of the middle two, one maybe NEVER.
+        # With an even number of runs the median is the mean of two values; one may be NEVER.
         middle = f"median({value})"
         return f"CASE WHEN {middle} >= {NEVER / 2} THEN {NEVER} ELSE {middle} END"
 
@@ -48,13 +48,13 @@ class Facts:
 
     Attributes:
         folder: Folder of the sweep.
-        record: Content of its `sweep.json`.
+        record: Content of the folder's `sweep.json`.
         columns: Names of the columns of the dataset.
         done: Number of finished runs, failed ones included.
         failed: Number of failed runs.
         judged: Number of runs whose damage and recovery are known.
-        error: Error that ranks runs: at the end, or of the whole run if all are too short.
-        quantities: Quantities of heat maps and distributions.
+        error: Error by which runs are ranked: at the end or, if no run has it, of the whole run.
+        quantities: Quantities of heat maps and histograms.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Facts:
 
     @cached_property
     def worst_runs(self) -> tuple[tuple[Any, ...], ...]:
-        """Worst runs: number, scenario, controller, element, size, seed, error, t90, recovered."""
+        """Worst runs: run, scenario, controller, element, severity, seed, error, t90, recovered."""
         value, order = ("recovered", "") if self.judged else (self.error.name, " DESC")
         return self.rows(
             f"SELECT run, scenario, controller, element, severity, seed, {self.error.name}, t90_s,"
@@ -85,7 +85,7 @@ class Facts:
 
 
 def axis_words(axis: str) -> str:
-    """Returns a setting in words: "internal leakage", "memory of the controller"."""
+    """Returns the name of a setting in words: "internal leakage", "memory of the controller"."""
     if axis == "severity":
         return "size"
     table, _, name = axis.rpartition(".")

@@ -28,13 +28,13 @@ def film_runs(
         folder: Folder of the sweep; recordings go to its folder `recordings`.
         numbers: Numbers of the runs.
         place: Folder for the films, each `run-NUMBER.mp4`.
-        start: First second shown; None for two seconds before the change.
-        duration: Seconds shown; None for `LENGTH`.
+        start: Time at which the films start [s]; None for two seconds before the change.
+        duration: Duration of a film [s]; None for `LENGTH`.
         camera: Name of a camera of the models.
-        progress: Called with the share that is done.
+        progress: Function called with the share of the work that is done.
 
     Returns:
-        The films by the numbers of their runs.
+        Paths of the films, by the number of the run.
 
     Raises:
         LeglabError: A run fails without a recording, or `leglab.report.film.render_film` fails.

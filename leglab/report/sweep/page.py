@@ -21,13 +21,13 @@ from leglab.runs.sweeps.rows import column
 from leglab.runs.sweeps.store import SWEEP, SweepRecord, read_record
 from leglab.runs.sweeps.tuning import tuned
 
-# Most lines of a table.
+# Maximum number of rows of a table.
 _MOST_ROWS = 120
-# Largest size of a film on the page [byte].
+# Maximum size of a film in the page [bytes].
 _FILM = 3_000_000
-# Most controllers in the headline.
+# Maximum number of controllers in the headline.
 _TOLD = 4
-# Columns of the table of scenarios and controllers: head, SQL, factor to the unit; 0 for counts.
+# Columns of the table of medians: heading, SQL expression, factor to the shown unit (0: a count).
 _COLUMNS = (
     ("runs", "count(*)", 0),
     ("failed", "count(*) FILTER (status = 'failed')", 0),
@@ -49,11 +49,11 @@ _COLUMNS = (
 def write_sweep_page(
     folder: Path, path: Path | None = None, *, films: Mapping[int, Path] | None = None
 ) -> Path:
-    """Writes the page of a sweep, finished or not.
+    """Writes the page of a sweep, which may be unfinished.
 
     Args:
         folder: Folder of the sweep.
-        path: The page; None for report.html in the folder. An earlier one is replaced.
+        path: Path of the page; None for report.html in the folder. An earlier page is replaced.
         films: Films by the numbers of the runs.
 
     Raises:
@@ -68,7 +68,7 @@ def worst_runs(folder: Path, most: int) -> tuple[int, ...]:
 
     Args:
         folder: Folder of the sweep.
-        most: Largest number of runs, at most `MOST_FILMS`.
+        most: Maximum number of runs; never more than `MOST_FILMS`.
 
     Raises:
         LeglabError: The folder holds no sweep, or one of its files is damaged.
@@ -181,7 +181,7 @@ def _sections(facts: Facts) -> list[Section]:
 
 
 def _untold(facts: Facts) -> Section:
-    """Returns why runs have no damage and recovery, a line a reason; no lines if all have both."""
+    """Returns the reasons, one per line, why runs have no values of damage and recovery."""
     found: tuple[tuple[Any, ...], ...] = ()
     if "not_told" in facts.columns:
         found = facts.rows(
@@ -195,7 +195,7 @@ def _untold(facts: Facts) -> Section:
 
 
 def _tuned(facts: Facts) -> Section:
-    """Returns the results of tuned blocks, from the dataset's columns of metrics and settings."""
+    """Returns the results of the plan's blocks that tune settings, from columns of the dataset."""
     plan = SweepPlan(facts.record.plan, SWEEP)
     names = ["run", "status", *dict.fromkeys(points.tune.metric for points in plan.tuned)]
     names += dict.fromkeys(column(name) for points in plan.tuned for name in points.ranges)
@@ -206,7 +206,7 @@ def _tuned(facts: Facts) -> Section:
 
 
 def _groups(facts: Facts) -> Table:
-    """Returns the table of medians, a line for each scenario and controller."""
+    """Returns the table of medians, one row per scenario and controller."""
     columns = ", ".join(sql for _, sql, _ in _COLUMNS)
     found = facts.rows(
         f"SELECT scenario, controller, {columns}"
@@ -231,7 +231,7 @@ def _groups(facts: Facts) -> Table:
 
 
 def _filled(table: Table) -> Table:
-    """Removes empty columns of numbers from a table, and names them in its caption."""
+    """Removes columns without any number from a table, and names these columns in its caption."""
     places = range(len(table.head))
     kept = [i for i in places if i < table.words or any(row[i] for row in table.rows)]
     names = [table.head[i].partition(",")[0] for i in places if i not in kept]
@@ -265,7 +265,7 @@ def _worst(facts: Facts) -> Table:
 
 
 def _films(facts: Facts, films: Mapping[int, Path]) -> list[dict[str, str]]:
-    """Returns data, still, name and text of each film, in the order of the worst runs."""
+    """Returns data, still, file name and text of each film, in the order of the worst runs."""
     return [
         {
             "data": inlined(film_bytes(films[run], _FILM)),

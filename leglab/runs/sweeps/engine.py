@@ -34,7 +34,7 @@ _HEAD = (
     "undone [%]", "90 % undone [s], where it was",
 )  # fmt: skip
 
-# Error messages if an entry of the stored record differs from that of the new sweep.
+# Error messages by entry of the stored record that differs from the new sweep's record.
 _OTHER = {
     "digest": "holds another sweep",
     "code": "was begun with other code of leglab or of a plug-in",
@@ -109,7 +109,7 @@ class SweepResult:
         return store.read_rows(self.folder).to_table().sort_by("run")
 
     def tuned(self) -> list[tuning.Tuned]:
-        """Returns the best point of each tuned block."""
+        """Returns the best point (values of the tuned settings) of each tuned block."""
         return tuning.tuned(self.plan, _tuning_rows(self.folder, self.plan))
 
     def to_pandas(self) -> Any:
@@ -269,7 +269,7 @@ def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
 
 
 def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
-    """Proposes the points that are due; returns the missing runs whose settings are known."""
+    """Proposes points whose earlier runs are done; returns missing runs with known settings."""
     rows = _tuning_rows(folder, plan) if plan.tuned else []
     for points in plan.tuned:
         batch = tuning.due(points)
@@ -284,7 +284,7 @@ def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
 
 
 def _recall(plan: SweepPlan, folder: Path) -> None:
-    """Restores the stored proposals of each tuned block into the plan, up to the first gap."""
+    """Restores the stored proposals of tuned blocks into the plan, up to the first missing one."""
     kept = store.read_proposals(folder) if plan.tuned else {}
     for points in plan.tuned:
         points.proposals.clear()

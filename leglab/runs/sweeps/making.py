@@ -14,7 +14,7 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
     """Makes a run and returns its figures.
 
     Args:
-        given: `settings` of the run, the `model_digest`, the optional parts to `keep`, and the
+        given: Dict with the run's `settings`, `model_digest`, the optional parts to `keep`, and the
             `folder` of its recording or None.
 
     Returns:
@@ -34,7 +34,7 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def made(settings: dict[str, Any], model_digest: str) -> Run:
-    """Makes a run; the preparation that runs of one machine share is made once per process.
+    """Makes a run; each process makes the preparation that runs of one machine share only once.
 
     Args:
         settings: Fields of `RunSettings`.

@@ -25,9 +25,9 @@ from leglab.runs.preparation import Preparation, RunSettings, reference_config, 
 from leglab.runs.run_settings import NAMES, check_type, read_toml
 from leglab.runs.sweeps.outcome import FIGURES
 
-# Upper limit on the runs of a sweep: the process that stores the rows tracks all in memory.
+# Maximum number of runs of a sweep; the process that stores the rows tracks all of them in memory.
 MOST_RUNS = 10_000_000
-_MOST_FILE = 10_000_000  # bytes
+_MOST_FILE = 10_000_000  # maximum size of the file of a sweep [bytes]
 # Settings that are a table of names and values.
 MAPPINGS: tuple[str, ...] = ("controller_config", "reference_config", "sensors", "parameters")
 _COUNT, _RANGE = {"first", "count"}, {"low", "high", "log"}
@@ -127,7 +127,7 @@ class Runs:
     block: Block  #: The block
     number: int  #: Number of the block, from 0
     first: int  #: Number of its first run
-    settings: Mapping[str, Any]  #: Shared settings by dotted name, as grid and ranges
+    settings: Mapping[str, Any]  #: Settings of all runs of the block, by dotted name
     grid: Mapping[str, Sequence[Any]]  #: Values of each setting, which are combined
     ranges: Mapping[str, Range]  #: Ranges from which points are drawn or proposed
     #: Proposed points of a tuned block: values of the ranges by number of the point, from 1.
@@ -135,7 +135,7 @@ class Runs:
 
     @property
     def points(self) -> int:
-        """Number of points."""
+        """Number of points, each a value for every range."""
         return self.block.points or 1
 
     @property
@@ -322,7 +322,7 @@ class SweepPlan:
 
         Names, magnitudes and settings of every run are checked; a closed loop without controller
         is set up for each kind of run (model, scenario, element, reference). Errors that depend on
-        the numbers of a run, such as a specimen that cannot hold its joint, show when it runs.
+        the numbers of a run, such as a specimen that cannot hold its joint, are raised later.
 
         Args:
             progress: Called periodically with 0, the number of runs, and a status text.
@@ -388,7 +388,7 @@ class _Checks:
         self._once(
             ("reference", reference, _key(config)), lambda: REFERENCES.configured(reference, config)
         )
-        # Other parameters do not change the model's parts; `placed_parameters` checks their values.
+        # The key omits `parameters`: they change no part, and `placed_parameters` checks values.
         machine = (settings.model, settings.timestep, _key(settings.sensors))
         if machine not in self._preparations:
             plain = replace(settings, parameters={}, tolerance=0.0)
@@ -485,7 +485,7 @@ def _checked(table: Mapping[str, Any], where: str) -> dict[str, Any]:
 def _flat(
     table: Mapping[str, Any], where: str, *, leaf: set[str] | None = None, prefix: str = ""
 ) -> dict[str, Any]:
-    """Flattens settings to dotted names; those of tables become `controller_config.NAME`."""
+    """Flattens settings to dotted names; entries of tables become TABLE.NAME."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         full = f"{prefix}{name}"

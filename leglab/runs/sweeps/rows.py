@@ -57,7 +57,7 @@ _KEPT = {
 
 
 def schema(plan: SweepPlan) -> pa.Schema:
-    """Returns the columns of a plan's dataset: those of every sweep, and one per varied setting.
+    """Returns the columns of a plan's dataset: fixed columns, and one column per varied setting.
 
     The column of a varied setting in a table has its dotted name with `_` in place of dots.
     """

@@ -40,7 +40,7 @@ from leglab.runs.sweeps.rows import FAILED, PARTITION, row_of, schema
 
 SWEEP, DATASET, ROWS = "sweep.json", "dataset.json", "rows.sqlite"
 _RUNS, _PART = "runs", "part-0.parquet"
-# Folder of the sweep that is being replaced, and its name while files are being moved there.
+# Folder of the sweep that is being replaced, and the folder's name while files are moved into it.
 _EARLIER, _MOVING = ".earlier", ".earlier.partial"
 # Number of rows that are converted to columns at a time.
 _BATCH = 5000
@@ -122,7 +122,7 @@ def read_rows(folder: Path, names: Sequence[str] | None = None) -> Any:
             f"{journal}: an earlier leglab has not made this sweep to its end; leglab sweep "
             "--overwrite makes it anew"
         )
-    made = (folder / ROWS).exists()  # Asked first: removed only after `dataset.json` is written.
+    made = (folder / ROWS).exists()  # Tested first, since `finish` removes it last.
     if (folder / DATASET).exists():
         parts = read(Dataset, folder / DATASET).parts
         for part in parts:
@@ -241,7 +241,7 @@ class Store:
         plan: Plan of the sweep.
 
     Attributes:
-        damaged: Messages on damaged files, whose runs are missing now.
+        damaged: Messages on damaged files, whose runs count as missing.
 
     Raises:
         LeglabError: The folder cannot be read or written.
@@ -317,7 +317,7 @@ class Store:
             database.execute("REPLACE INTO proposals VALUES (?, ?)", (run, json.dumps(values)))
 
     def forget_failed(self) -> None:
-        """Deletes the rows of failed runs, so that these runs are missing."""
+        """Deletes the rows of failed runs, so that the runs count as missing."""
         if (self._folder / DATASET).exists():
             dataset = read(Dataset, self._folder / DATASET)
             self._reopen(dataset, dataset.parts)
@@ -480,6 +480,6 @@ def own(folder: Path) -> list[Path]:
 
 
 def is_own(name: str) -> bool:
-    """Tests whether a name is that of a file or folder of a sweep, also of earlier versions."""
+    """Tests whether a file of this name belongs to a sweep, also one of an earlier version."""
     own = (SWEEP, DATASET, _RUNS, "recordings", "proposals.jsonl")
     return name in own or name.startswith((ROWS, "journal-"))

@@ -1,7 +1,7 @@
 """Tuning of a sweep's block by Optuna, which proposes each point from the figures of earlier ones.
 
-A point is a trial: its runs are those of the block's grid, its value is the mean or the worst of
-one figure over them. Point 0, the baseline, is the block without values of the ranges. Each
+A point is a trial: it has one run per combination of the block's grid, and its value is the mean or
+the worst of one figure over these runs. Point 0, the baseline, is without values of ranges. Each
 proposal uses a new sampler with its own seed and depends only on earlier proposals and figures, so
 a sweep that continues after a kill proposes the same points as an uninterrupted one.
 """

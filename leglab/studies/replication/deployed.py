@@ -1,4 +1,4 @@
-"""The deployed identifier on the paper's plant: free run against its floor, re-adaptation."""
+"""The deployed identifier on the paper's plant: free run and its lower bound, re-adaptation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -94,7 +94,7 @@ def free_runs(seeds: range) -> tuple[float, list[tuple[str, int, float, float, f
         seeds: Noise realisations.
 
     Returns:
-        The floor (RMS of the exact plant fed the sampled input, linearly interpolated) and rows
+        The lower bound or floor (RMS of the exact plant with linearly interpolated input) and rows
         (model, parameters, one step, free run, worst free run, free run / floor); RMS are means
         over the realisations.
     """

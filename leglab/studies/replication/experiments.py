@@ -37,7 +37,7 @@ from leglab.studies.replication.plant import simulate
 class ModelComparison:
     """Scores of all models and an exemplary validation prediction of each."""
 
-    scores: Scores  #: By set, then by model
+    scores: Scores  #: Scores by set (training, validation), then by model
     online: OnlineRuns  #: Predictions of the online models
     #: First instance of each model on the validation set, shape (n_validation,): one step ahead for
     #: BSNN, ARX and BSNN-ARX, free run for NNARX and NNOE.
@@ -155,7 +155,7 @@ DIVERGED = 1.0
 
 
 def readings(u: Array, y: Array, instances: int, seed: int) -> list[Errors]:
-    """Computes validation RMS (one step) of the online models under other readings of the paper.
+    """Computes validation RMS (one step) of the online models by other readings of the paper.
 
     Args:
         u: Input of the paper-mode realisation, shape (n,).
@@ -249,7 +249,7 @@ class Order(NamedTuple):
 
 
 def orders(u: Array, y: Array, instances: int, seed: int) -> list[Order]:
-    """Compares BSNN-ARX with ARX over `INITIAL_GAINS`, for paper mode's and the printed constant.
+    """Compares BSNN-ARX with ARX over `INITIAL_GAINS`, for both learning constants.
 
     Arguments as `initial_gain`.
     """

@@ -32,7 +32,7 @@ N_PARAMETERS = HIDDEN * (2 * LAGS + 1) + HIDDEN + 1
 class Network:
     """A trained network with its scaling."""
 
-    weights: Array  #: Hidden synapses and biases, row by row, then those of the output, shape (17,)
+    weights: Array  #: Synapses and bias of each hidden unit, then of the output unit, shape (17,)
     u_scale: tuple[float, float]  #: Middle and half width of the range of the training input
     y_scale: tuple[float, float]  #: Middle and half width of the range of the training output
 

@@ -88,7 +88,7 @@ def run_online(
 
 
 def online_models(instances: int, seed: int, settings: OnlineSettings) -> dict[str, BsnnArx]:
-    """Builds BSNN, ARX and BSNN-ARX with random parameters; BSNN starts as that of BSNN-ARX."""
+    """Builds BSNN, ARX and BSNN-ARX with random parameters; BSNN gets the network of BSNN-ARX."""
     rng = np.random.default_rng(seed)
     combined = BsnnArx(settings.bsnn_arx(), joints=instances)
     combined.randomise(rng)

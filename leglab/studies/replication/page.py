@@ -218,7 +218,7 @@ def costs(page: Page, rows: list[tuple[int, int, int, float]], seconds: float) -
 def deployed(
     page: Page, floor: float, rows: list[tuple[str, int, float, float, float, float]], count: int
 ) -> None:
-    """Adds the free run of the deployed identifier against the floor."""
+    """Adds the free run of the deployed identifier, compared with its lower bound `floor`."""
     page.text("## The deployed identifier on the same plant")
     page.text(
         f"One online pass over 1500 samples, then the validation part; mean over {count} noise "
@@ -341,7 +341,7 @@ def _boxes(title: str, scores: Mapping[str, ModelScore], quantity: str) -> Figur
 
 
 def _view(values: Sequence[Array]) -> tuple[float, float]:
-    """Returns the range of all values within three interquartile ranges of the boxes, widened."""
+    """Returns the range of values within 3 interquartile ranges of the boxes, widened by 6 %."""
     ends = []
     for value in values:
         first, third = np.percentile(value, (25, 75))

@@ -104,7 +104,7 @@ def table_1(scores: Scores) -> str:
 
 
 def worst_deviation(scores: Scores) -> float:
-    """Returns the largest relative deviation of a validation mean, RMS or R^2, from the printed."""
+    """Returns the largest relative deviation of a validation mean, RMS or R^2, from the paper's."""
     worst = 0.0
     for model, got in scores["validation"].items():
         printed = TABLE_1["validation"][model]

@@ -88,8 +88,8 @@ def simulate(
 def exact_free_run(u: Array) -> Array:
     """Simulates the exact plant with the sampled input, linearly interpolated.
 
-    Its error comes only from the unknown input between the samples: it is the floor of every model
-    that uses the samples alone.
+    The error of this simulation comes only from the unknown input between the samples. It is the
+    lower bound (floor) for every model that uses the samples alone.
 
     Args:
         u: Sampled inputs, shape (n_realisations, n_samples); the plant starts from rest.
@@ -122,7 +122,7 @@ def _acceleration(*plants: Plant) -> Acceleration:
 def _runge_kutta(
     acceleration: Acceleration, y: Array, v: Array, forces: Sequence[Array], step: float
 ) -> tuple[Array, Array]:
-    """Does one classical fourth-order step; `forces` are those at its start, middle and end."""
+    """Makes one classical fourth-order step with the inputs `forces` at start, middle and end."""
     start, middle, end = forces
     a_1 = acceleration(y, v, start)
     v_2 = v + step / 2.0 * a_1

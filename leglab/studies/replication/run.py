@@ -26,7 +26,7 @@ class Replication:
     orders: list[experiments.Order]
     #: Mean, standard deviation, least and largest RMS of each model over realisations.
     spread: list[experiments.Errors]
-    online_seconds: float  #: For the three online models of Table 1, 100 instances, on one core
+    online_seconds: float  #: Run time of Table 1's three online models, 100 instances, one core
     page: Path  #: The page written
     figures: tuple[Path, ...]  #: Figures written
 

@@ -37,7 +37,7 @@ BULK_MODULUS = 1.4e9  # Pa
 LEAKAGE = 1.7e-13  # m^3/s/Pa at 40 degC
 GAIN = 1.25e-4 / math.sqrt(7e6 / 2)  # m^3/s/sqrt(Pa): K = Q_n / sqrt(dp_n/2) per edge
 DEAD_VOLUME_A, DEAD_VOLUME_B = 2.903e-6, 1.676e-6  # m^3
-ROUNDING = 0.0216  # of the edges of a real valve, of full spool travel
+ROUNDING = 0.0216  # rounding of a real valve's metering edges, as a share of full spool travel
 _ATMOSPHERE = 101325.0  # Pa
 _LPM = 60e3  # l/min per m^3/s
 
@@ -68,7 +68,7 @@ class Check:
 
 
 class CheckRow(NamedTuple):
-    """Fields of a `Check` that differ within a case; `tolerance` None takes the case's."""
+    """Fields of a `Check` that differ within a case; `tolerance` None stands for the case's."""
 
     quantity: str
     unit: str
@@ -147,12 +147,12 @@ def steady_speed(spool: float, load: float = 0.0, tank: float = 0.0) -> tuple[fl
 
 
 def _settled(values: np.ndarray) -> float:
-    """Returns the mean over the last tenth."""
+    """Returns the mean over the last tenth of the values."""
     return float(values[-max(len(values) // 10, 1) :].mean())
 
 
 def _power(trace: Trace, energy: str) -> float:
-    """Returns the mean rate of one of the energies over the last fifth [W]."""
+    """Returns the mean power of the column `energy` over the last fifth of the run [W]."""
     return _rate(trace[energy], trace.time, max(len(trace.time) // 5, 2))
 
 
@@ -237,7 +237,7 @@ def _resonance(solver: Solver) -> Iterator[CheckRow]:
 
 
 def _linearised(position: float, leakage: float) -> np.ndarray:
-    """Returns the system matrix of (v, pA, pB), closed ports and a leaking seal, shape (3, 3)."""
+    """Returns the system matrix of (v, pA, pB) with closed ports and a leaking seal, (3, 3)."""
     va, vb = volumes(position)
     return np.array(
         [
@@ -249,9 +249,9 @@ def _linearised(position: float, leakage: float) -> np.ndarray:
 
 
 def _shown_pole(rates: np.ndarray, solver: Solver) -> complex:
-    """Returns the oscillating eigenvalue [1/s] of the linear model, or of MuJoCo's step of it.
+    """Returns the oscillating eigenvalue [1/s] of the linear model or, for `Engine`, of its step.
 
-    The step updates v by the old pressures, then integrates the pressures exactly at the new v.
+    A step updates v by the old pressures, then integrates the pressures exactly at the new v.
     """
     if not isinstance(solver, Engine):
         return complex(max(np.linalg.eigvals(rates), key=lambda z: z.imag))
@@ -320,7 +320,7 @@ _LEAKING = {**IDEAL, "internal_leakage": LEAKAGE, "viscous": 700.0}  # N s/m
 
 
 def _late_speed(trace: Trace) -> float:
-    """Returns the mean speed over the last quarter [m/s]."""
+    """Returns the mean speed over the last quarter of the run [m/s]."""
     return _rate(trace["position"], trace.time, len(trace.time) // 4)
 
 
@@ -376,7 +376,7 @@ def _blocked_drift(solver: Solver) -> Iterator[CheckRow]:
 
 
 def null_creep(load: float) -> tuple[float, float]:
-    """Returns speed [m/s] and pressure A [Pa] under a load [N], centred valve, rounded edges."""
+    """Returns speed [m/s] and pressure A [Pa] under a load [N]; centred valve, rounded edges."""
     k = GAIN * 0.5 * ROUNDING
 
     def edge(pressure: float) -> float:
@@ -495,7 +495,7 @@ def _stribeck(solver: Solver) -> Iterator[CheckRow]:
 
 @_case("g pre-sliding", 0.01)
 def _presliding(solver: Solver) -> Iterator[CheckRow]:
-    """Compares displacement under a slowly raised 0.4 F_s: -(F_s/sigma_0) ln(1 - F/F_s)."""
+    """Compares displacement as F rises slowly to 0.4 F_s: -(F_s/sigma_0) ln(1 - F/F_s)."""
     force, static = 60.0, _DRAINED["static"]
     experiment = Experiment(
         parameters=_DRAINED, pressures=(0.0, 0.0), load=lambda t: -force * min(t, 1.0), duration=1.1
@@ -528,8 +528,8 @@ def _load_work(trace: Trace) -> float:
 def _balance(solver: Solver) -> Iterator[CheckRow]:
     """Compares E_in = valve + leakage + friction + load work + kinetic + integral of p V/beta dp.
 
-    The continuous balance closes to 1e-6. The fixed-step plugin sums each energy by quadrature, and
-    load work by its own forces and travel; its drift is reported, and bounded by 1 %.
+    The balance of the continuous model closes to 1e-6. The fixed-step plugin integrates each energy
+    by quadrature, the load work from its forces and travel; its drift, at most 1 %, is reported.
     """
     exact = isinstance(solver, Continuous)
     trace = solver.run(_WORKING)

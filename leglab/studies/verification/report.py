@@ -46,7 +46,7 @@ def _row_table(rows: Iterable[Check]) -> Table:
 
 
 def _summary(rows: Iterable[Check]) -> Table:
-    """Builds a table by case and solver: how many rows pass, and the one closest to its limit."""
+    """Builds a table by case and solver: number of passed rows, and row closest to its limit."""
     groups: dict[tuple[str, str], list[Check]] = defaultdict(list)
     for row in rows:
         groups[row.case, row.solver].append(row)
@@ -76,7 +76,7 @@ def _replay_table(results: Iterable[ReplayCheck]) -> Table:
 
 
 def _run() -> tuple[list[Check], list[ReplayCheck], str | None]:
-    """Runs all cases and replays; returns their results, and why there are no replays or None."""
+    """Runs all cases and replays; returns the results, and the reason if replays are left out."""
     rows = list(chain.from_iterable(case() for case in CASES.values()))
     try:
         folder = shared_data("knee_bench/nominal")

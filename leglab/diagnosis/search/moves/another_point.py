@@ -8,7 +8,7 @@ from leglab.diagnosis.thresholds import NEAR, RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Proposes each good set once from every fit at which its evidence is larger."""
+    """Proposes to refit good sets from fits at which their evidence is larger, each once."""
     points = {id(f.columns): f for f in pool.fits}
     for r in pool.near:
         point = points[id(r.evidence.columns)]

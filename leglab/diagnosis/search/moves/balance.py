@@ -9,7 +9,7 @@ from leglab.diagnosis.search.settle import Candidate
 
 
 def candidates(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candidate]:
-    """Returns the best sets of a single joint, and of all joints together, promise unknown."""
+    """Returns unions of the joints' best sets; if only one joint is balanced, all good sets."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
     for sets in found.values():

@@ -11,7 +11,7 @@ from leglab.diagnosis.thresholds import BEHIND, NEAR
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Proposes the symmetric effect in good sets whose parameters of both directions agree."""
+    """Proposes good sets with the symmetric effect in place of a direction-dependent one."""
     if pool.exhausted:
         return
     u = pool.scene.fitter.at.unknowns

@@ -8,10 +8,10 @@ from leglab.diagnosis.thresholds import HOPELESS, RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Proposes unfinished fits of good sets, each once.
+    """Proposes to continue the unfinished fits of good sets, each once.
 
-    A fit continues from its parameters or from those of the fit with the smallest error, whichever
-    start has the smaller error.
+    A fit continues from its own parameters, or from the parameters of the fit with the smallest
+    error if these give a smaller error.
     """
     most = HOPELESS * pool.least.level
     for fit in [r.fit for r in pool.near if not r.fit.finished and r.fit.level < most]:
@@ -24,7 +24,7 @@ def propose(pool: Pool) -> Iterator[Proposal]:
 
 
 def _from(pool: Pool, fit: Fit, point: Fit) -> Candidate:
-    """Starts a set at its optimum by the tangents of another fit."""
+    """Starts the set of `fit` at the optimum that the tangents of the fit `point` predict."""
     start: dict[int, float] = {}
     if fit is not point:
         evidence = pool.scene.fitter.evidence(point.columns, point.spread, point.weight, pool.kappa)

@@ -13,7 +13,7 @@ from leglab.diagnosis.thresholds import BEHIND, BEST_SETS, LARGEST_SET, NEAR, SC
 
 @dataclass(frozen=True, eq=False)
 class Neighbour:
-    """A set with one change to a fitted one, scored by the tangents of that fit."""
+    """A set that differs from a fitted set by one effect, scored by the tangents of the fit."""
 
     score: Score
     fit: Fit
