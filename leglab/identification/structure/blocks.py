@@ -9,12 +9,17 @@ from leglab.identification.structure.fit import Fit, Problem, Stretch, startable
 
 BLOCKS = (8, 3)
 _LEAD_IN = 10_000  # samples that a free run simulates before the block in which it is scored
+_MOST = 2  # blocks, relative to their number in a single record
 _OVERLAP = 4  # number of overlapping stretches that contain the same sample
 Table = tuple[tuple[float, ...], ...]
 
 
 def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
-    """Splits the records into about `count` blocks, each of which is held out once."""
+    """Returns about `count` blocks of the records, each of which is held out once.
+
+    A record is one block at least. Of many records the blocks are some, evenly chosen: each block
+    costs a fit.
+    """
     out = []
     total = sum(map(len, problem.records))
     for k, record in enumerate(problem.records):
@@ -25,7 +30,8 @@ def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
         edges = usable[np.linspace(0, len(usable) - 1, pieces + 1).astype(int)]
         edges[-1] = len(record)
         out += [Stretch(k, int(a), int(b - a)) for a, b in pairwise(edges)]
-    return out
+    kept = min(_MOST * count, len(out))
+    return [out[i] for i in np.linspace(0, len(out) - 1, kept).round().astype(int)] if kept else out
 
 
 def lead_in(problem: Problem, block: Stretch, depth: int) -> int:

@@ -102,12 +102,12 @@ class Simulator:
     def sums(self, theta: Array, stretches: Sequence[Stretch], *, sensitivities: bool) -> Sums:
         """Returns the sums over the stretches; without `sensitivities` their sums are zero."""
         total: tuple | None = None
-        for number, runs in enumerate(self._runs):
-            own = [(s.start, s.length) for s in stretches if s.record == number]
-            if not own:
-                continue
+        by_record: dict[int, list[tuple[int, int]]] = {}
+        for record, start, length in stretches:
+            by_record.setdefault(record, []).append((start, length))
+        for record, own in sorted(by_record.items()):
             starts, lengths = np.array(own, dtype=np.int64).T.copy()
-            found = runs.sums(theta, starts, lengths, sensitivities)
+            found = self._runs[record].sums(theta, starts, lengths, sensitivities)
             total = (
                 found if total is None else tuple(a + b for a, b in zip(total, found, strict=True))
             )
