@@ -73,7 +73,7 @@ class Sums(NamedTuple):
 
 
 class Further:
-    """Candidate features of the next selection step, with their `ParameterBlock`s for the core."""
+    """Candidate features of the next selection step, with their parameter blocks for the core."""
 
     def __init__(self, template: SplineNarxSettings, features: Sequence[Feature]) -> None:
         self.features = tuple(features)
