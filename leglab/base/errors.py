@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-_MOST_LISTED = 60  # maximum number of names in a message
-
 
 class LeglabError(ValueError):
     """Bad input: the message names what is wrong, where, and what is allowed.
@@ -39,24 +37,19 @@ class LeglabError(ValueError):
         self.allowed = listed
 
     @classmethod
-    def unknown(cls, kind: str, name: object, known: Iterable[str]) -> Self:
+    def unknown(cls, kind: str, name: object, known: Iterable[str], listed: str = "") -> Self:
         """Builds the error for a name that is not among the known ones.
 
         Args:
             kind: Kind of object that the name refers to, for instance "scenario".
             name: The unknown name.
-            known: Existing names; the message suggests the closest one and lists all names, or
-                only similar ones if there are more than 60.
+            known: Existing names; the message lists them and suggests the closest one.
+            listed: Text in place of the list, where the names are too many for a line.
         """
         choices = sorted(set(known))
         close = difflib.get_close_matches(str(name), choices, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
-        listed = f"choose one of {', '.join(choices)}"
-        if len(choices) > _MOST_LISTED:
-            near = difflib.get_close_matches(str(name), choices, n=5, cutoff=0.3)
-            listed = f"none of {len(choices)} names" + (
-                f", near are {', '.join(near)}" * bool(near)
-            )
+        listed = listed or f"choose one of {', '.join(choices)}"
         message = f"unknown {kind} {name!r}: {listed}{hint}"
         return cls(message, given=name, allowed=choices)
 
@@ -90,16 +83,15 @@ class FileError(LeglabError):
 
 
 @contextmanager
-def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None) -> Iterator[None]:
+def plugged_in(what: str, code: object) -> Iterator[None]:
     """Converts an exception in a controller's or reference's code to an error that names the line.
 
     Args:
         what: Kind and name of what runs, for instance "controller 'pd'".
         code: Class or function whose source file the reported line shall be in.
-        kind: Class of the error; None for `SettingsError`.
 
     Raises:
-        LeglabError: The code raised an exception or called `sys.exit`.
+        SettingsError: The code raised an exception or called `sys.exit`.
     """
     try:
         yield
@@ -107,7 +99,7 @@ def plugged_in(what: str, code: object, kind: type["LeglabError"] | None = None)
         raise
     except (Exception, SystemExit) as error:
         told = f"{what} failed: {type(error).__name__}: {error} ({origin(error, code)})"
-        raise (kind or SettingsError)(told) from error
+        raise SettingsError(told) from error
 
 
 def origin(error: BaseException, code: object = None) -> str:

@@ -40,7 +40,7 @@ def show_details(name: str, model: str, *, as_json: bool) -> None:
     if name == _SENSORS:
         found["settings"] = _sensors()
     if not found:
-        raise SettingsError.unknown("name", name, known)
+        raise SettingsError.unknown("name", name, known, "`leglab list` prints all")
     if as_json:
         print_json(found)
         return

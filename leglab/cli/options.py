@@ -149,7 +149,7 @@ _LISTED = {
         "walking_stride",
     ),
     "formats": ("parquet", "csv", "mcap", "matlab", "sysid"),
-}  # fmt: skip
+}
 
 
 def given_for(kind: type, context: typer.Context) -> dict[str, Any]:

@@ -85,7 +85,8 @@ class Reference:
             SettingsError: A joint's velocity is not the derivative; the message names the joint.
         """
         times = np.linspace(0.0, 2.0 * self.period, _TRIED)
-        before, now, after = (self.motion(times + shift) for shift in (-_NEAR, 0.0, _NEAR))
+        with plugged_in(f"reference {self.name!r}", self.motion):
+            before, now, after = (self.motion(times + shift) for shift in (-_NEAR, 0.0, _NEAR))
         moves = (after.position - before.position) / (2.0 * _NEAR)
         slack = _SLACK * np.abs(now.velocity).max(axis=0, initial=_SLOW)
         wrong = np.mean(np.abs(moves - now.velocity) > slack, axis=0)  # a step may jump
@@ -134,7 +135,7 @@ class Reference:
 # Test of velocities by central differences: number of times; half step [s]; tolerance as a share of
 # the joint's peak speed, and maximum share of times at which it may be exceeded; least peak speed
 # that the tolerance refers to [rad/s].
-_TRIED, _NEAR, _SLACK, _SLOW = 500, 1e-5, 0.1, 1e-3
+_TRIED, _NEAR, _SLACK, _SLOW = 100, 1e-5, 0.1, 1e-3
 
 # Builds the motion of joints from settings; returns the motion and its period [s].
 Builder = Callable[[tuple[Joint, ...], Any], tuple[Motion, float]]
@@ -181,9 +182,8 @@ def make_reference(
     with plugged_in(f"reference {name!r}", build):
         motion, period = build(tuple(joints), settings)
     made = Reference(name=name, joints=tuple(joints), period=period, motion=motion)
-    with plugged_in(f"reference {name!r}", motion):
-        made.sample(np.zeros(2))
-        made.check_velocity()
+    made.sample(np.zeros(2))
+    made.check_velocity()
     return made
 
 

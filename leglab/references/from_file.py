@@ -12,7 +12,7 @@ from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.input import read_bytes
 from leglab.base.recording import Recording
 from leglab.base.settings import Configuration
-from leglab.data import read
+from leglab.data import SUFFIXES, read
 from leglab.data.units_in_names import NamedUnit, split
 from leglab.references.base import Joint, Motion, Samples, register_reference
 from leglab.references.blending import scaled, smooth_step
@@ -46,6 +46,11 @@ class FromFile(Configuration):
     smooth: bool = False
 
 
+def is_file(reference: str | None) -> bool:
+    """Tests whether the text given for a reference is a file instead of a name, by its suffix."""
+    return Path(reference or "").suffix.lower() in SUFFIXES
+
+
 def digest_of(file: str | Path) -> str:
     """Returns the SHA-256 of a file.
 
@@ -70,7 +75,8 @@ def from_file(joints: tuple[Joint, ...], config: FromFile) -> tuple[Motion, floa
         told = "reference 'file' needs the setting "
         raise SettingsError(told, allowed=("file", "or --reference FILE"))
     if config.digest not in (None, digest_of(config.file)):
-        raise SettingsError(f"{config.file} has changed since these settings were made")
+        told = f"{config.file} has changed since these settings were made; to play it as it is: "
+        raise SettingsError(told, given=config.file, allowed=f"--reference {config.file}")
     times, positions = _positions(joints, config)
     if config.repeat:
         positions = _closed(joints, positions, config.file)
@@ -169,9 +175,7 @@ def _closed(joints: tuple[Joint, ...], positions: np.ndarray, file: str) -> np.n
     away = np.abs(positions[-1] - positions[0])
     for joint, missed, most in zip(joints, away, step, strict=True):
         if missed > most:
-            told = (
-                f"{file}: {joint.name} ends {missed:.3g} rad from where it begins; repeat allows "
-            )
+            told = f"{file}: {joint.name} ends {missed:.3g} rad off its begin; repeat allows "
             raise SettingsError(told, given=missed, allowed=f"at most {most:.3g} rad, its step")
     return np.concatenate([positions[:-1], positions[:1]])
 

@@ -344,8 +344,8 @@ def compare(comparison: Comparison, results: Iterable[dict[str, Any]]) -> Compar
         `t90_s` (of runs that removed 90 % of the damage), all as defined in `leglab.runs.clock`;
         `excess_error_area_rad_s`; and `ratio`, the error after the change divided by the first
         controller's error with the same seed. `never_undone` counts the runs that never removed
-        90 % of their damage; `failures` lists the reasons of runs that ended early, which are left
-        out of all estimates.
+        90 % of their damage, `runs` all runs; `failures` lists the reasons of runs that ended
+        early, which are left out of all estimates, `untold` why figures of other runs are missing.
     """
     cells: defaultdict[tuple[str, str], dict[int, dict[str, Any]]] = defaultdict(dict)
     results = list(results)

@@ -20,7 +20,6 @@ from leglab.base.settings import validate_configuration
 from leglab.commissioning.calibration import settle, speed_limits
 from leglab.commissioning.setup import controller_setup
 from leglab.control.contract import CONTROLLERS
-from leglab.data import SUFFIXES
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.changes import (
     NATIVE_FIELDS,
@@ -43,7 +42,7 @@ from leglab.references import (
 )
 from leglab.references.base import REFERENCES
 from leglab.references.from_file import NAME as FILE
-from leglab.references.from_file import digest_of
+from leglab.references.from_file import digest_of, is_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +93,8 @@ class RunSettings:
     vary: bool = False
 
     def __post_init__(self) -> None:
-        name = self.reference or ""
-        if Path(name).suffix.lower() in SUFFIXES:
+        name = self.reference
+        if name is not None and is_file(name):
             found = {"file": os.path.abspath(name), "digest": digest_of(name)}
             object.__setattr__(self, "reference", FILE)
             object.__setattr__(self, "reference_config", {**self.reference_config, **found})

@@ -13,8 +13,9 @@ from leglab.base.errors import SettingsError
 from leglab.base.input import parse_toml, read_bytes
 from leglab.base.settings import first_problem
 from leglab.control.contract import CONTROLLERS
-from leglab.data import SUFFIXES as DATA_FILES
 from leglab.references.base import REFERENCES
+from leglab.references.from_file import NAME as FILE
+from leglab.references.from_file import is_file
 from leglab.runs.folder import model_of
 from leglab.runs.preparation import RunSettings
 from leglab.runs.record import RunConfiguration, read
@@ -66,9 +67,10 @@ def replace_names(values: dict[str, Any], given: Mapping[str, Any]) -> list[str]
     lines = []
     for section, registry in (("controller", CONTROLLERS), ("reference", REFERENCES)):
         before, after = values.get(section), given.get(section)
-        if after in (None, before) or Path(str(after)).suffix in DATA_FILES:
+        if after in (None, before):
             continue
-        known = registry.get(str(after)).configuration.model_fields
+        name = FILE if section == "reference" and is_file(after) else str(after)
+        known = registry.get(name).configuration.model_fields
         config = values.get(SECTIONS[section], {})
         lines += [
             f"the setting {name!r} of {section} {before!r} is left out, {after!r} has none"

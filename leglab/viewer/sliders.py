@@ -17,7 +17,7 @@ class Slider:
     """A slider of the control panel."""
 
     name: str  #: Name of the slider in the session
-    label: str  #: Name of its actuator in the viewer's model, which the panel cuts at 14 letters
+    label: str  #: Name of its actuator in the viewer's model, which the panel shortens
     unit: str  #: Unit of its value
     lowest: float  #: Smallest value
     highest: float  #: Largest value

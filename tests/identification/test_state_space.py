@@ -256,6 +256,17 @@ def test_segments_are_outside_of_a_block_and_within_a_budget(inner):
     assert len(segments_of(short, 3000)) == 20
     many = Problem([Record(np.zeros((120, 1)), np.ones(120))] * 30, inner.template)
     assert sum(s.length for s in segments_of(many, 3000)) > 2500
+    assert len(segments_of(many, 100_000)) == 30  # the last fit takes all
+
+
+def test_many_records_are_held_out_in_part(inner):
+    def held_out(count):
+        records = [Record(np.zeros((120, 1)), np.ones(120))] * count
+        return [b.record for b in blocks.blocks(Problem(records, inner.template), 10, 8)]
+
+    assert held_out(12) == list(range(12))
+    assert len(set(held_out(100))) == 16
+    assert (held_out(100)[0], held_out(100)[-1]) == (0, 99)
 
 
 def test_learning_by_one_step_is_chosen_by_the_disturbance():

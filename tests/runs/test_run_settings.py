@@ -122,6 +122,19 @@ def test_another_controller_takes_those_settings_of_the_file_that_it_has(tmp_pat
     assert "the setting 'memory' of controller 'bsnn_arx' is left out" in capsys.readouterr().err
 
 
+def test_a_trajectory_over_the_file_keeps_none_of_the_reference_that_it_replaces(tmp_path, capsys):
+    file, out, walk = tmp_path / "config.toml", tmp_path / "out", tmp_path / "walk.CSV"
+    file.write_text(TOML)
+    walk.write_text("time,knee\n" + "\n".join(f"{t},{1 + 0.01 * t}" for t in range(6)))
+    main(["run", str(file), "--reference", str(walk), "--out", str(out), "--no-figures"])
+    settings = json.loads((out / "run.json").read_text())["settings"]
+    assert settings["reference"] == "file"
+    assert set(settings["reference_config"]) == {"file", "digest"}
+    told = capsys.readouterr()
+    assert "the setting 'amplitude' of reference" in told.err
+    assert "walk.CSV: knee follows 'knee'" in told.out
+
+
 def test_entries_are_toml_values_or_text_and_may_be_nested():
     base = {"scenario": "nominal", "controller_config": {"monitor": {"block": 5}}}
     found = with_entries(

@@ -155,7 +155,7 @@ def plans_lags(problem: Problem, linear: Sequence[Candidate]) -> list[Plan]:
 
 
 def plans_states(linear: Sequence[Candidate]) -> list[Plan]:
-    """Returns sketches of state-space models of all orders."""
+    """Returns the state-space models of the orders 1, 2, 3, 4 and 6, to be sketched."""
     lead = min(linear, key=_score).plan.orders.delays
     return [
         Plan(STATES, Orders(n, 0, delays), 0, _STRENGTHS[-1], MOST_CURVES, STATES_BUDGET, True)

@@ -204,7 +204,7 @@ def search(
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
         done = []
-        # Blocks have a second pool, so that several threads share the last structure of a stage.
+        # Fits without a block run in a second pool: a stage's last structures occupy all threads.
         pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
         try:
             results = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), wanted)
