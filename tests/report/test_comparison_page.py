@@ -12,7 +12,7 @@ import typer
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
 from leglab.report.comparison.page import page
-from leglab.report.comparison.words import rows
+from leglab.report.comparison.words import rows, untold
 from leglab.report.folder_index import write_index
 from tests.cli.test_cli import leglab
 from tests.helpers.comparison_folders import write_comparison
@@ -32,11 +32,23 @@ def test_a_comparison_gets_its_page_beside_it_and_the_index_leads_there(tmp_path
     status, printed, _ = leglab(*other, capsys=capsys)
     assert json.loads(printed) == {"page": str(tmp_path / "o" / "report.html")}
     assert 'href="./../compare/runs/' in (tmp_path / "o" / "report.html").read_text()
+    template = tmp_path / "templates" / "report.html"  # of a page, and no page
+    template.parent.mkdir()
+    template.write_text('<meta name="generator" content="leglab {{ kind }}" />')
     entries, _ = write_index(tmp_path, tmp_path / "index.html")
     (entry,) = [e for e in entries if e.kind == "comparison"]
     assert entry.link == "./compare/report.html"
     assert entry.told == "3 seeds; seal_wear: bsnn_arx 2.02 ± 0.05 mrad"
     assert [e.kind for e in entries] == ["comparison", "report"]  # that in "o"
+
+
+def test_reasons_of_missing_figures_are_told_once_for_all_controllers():
+    late, nothing = "the change is too late", "nothing changes"
+    cells = {"pd": {"untold": [late], "runs": 1}, "arx": {"untold": [late], "runs": 2}}
+    rest = {"pd": {"untold": [nothing], "runs": 1}, "arx": {"runs": 2}}
+    assert untold({"results": {"seal_wear": cells, "nominal": rest}}) == [
+        f"seal_wear, pd and arx (1 runs): what was undone cannot be told: {late}"
+    ]
 
 
 def test_the_table_is_that_of_the_terminal_and_every_run_is_linked(tmp_path):
