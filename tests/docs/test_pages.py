@@ -26,7 +26,7 @@ PAGES = (
     "docs/reference/errors.md",
     *HOW_TO,
 )
-# Their shell lines take hours or install things: Python runs, commands are only looked up.
+# Their shell lines take hours or install things: commands are only looked up, Python runs.
 OTHERS = ("README.md", "docs/start/getting_started.md")
 INSTALLATION = (
     "git clone URL-OF-THIS-REPOSITORY leglab && cd leglab",
@@ -37,7 +37,7 @@ NUMBERS = ("fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty", 
 
 
 # Of each kind one.
-QUICK = ("README.md", "docs/guides/scenario.md", "docs/reference/errors.md")
+QUICK = ("docs/guides/scenario.md", "docs/reference/errors.md")
 
 
 def _from_end_to_end(page, *options):
@@ -49,7 +49,7 @@ def _from_end_to_end(page, *options):
     ("page", "options"),
     [
         *(_from_end_to_end(page) for page in PAGES),
-        *(_from_end_to_end(page, "--only", "python") for page in OTHERS),
+        _from_end_to_end(OTHERS[1], "--only", "python"),
     ],
 )
 def test_the_page_does_what_it_says(page, options, tmp_path):
