@@ -93,7 +93,7 @@ class DrawnMachine:
     def outline(self, data: mujoco.MjData) -> np.ndarray:
         """Returns points around all moving parts, without the shadow [m], (n, 3)."""
         corners = framing.corners(self.model, data, self._moving)
-        return np.concatenate([corners, self.cylinders.pins(data)])
+        return np.concatenate([corners, self.cylinders.corners(data)])
 
     def draw(
         self, data: mujoco.MjData, reference: mujoco.MjData, pressures: np.ndarray
@@ -257,13 +257,17 @@ class _CylinderShapes:
         self._tendon = tendons[self._places].tolist()
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.cylinders]
         self.tendons = {model.tendon(i).name for i in tendons[on_tendon].tolist()}
+        bore = max((parameters["bore"] for parameters in self._parameters), default=0.0)
+        signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
+        self._corners = _radius(bore) * signs
 
-    def pins(self, data: mujoco.MjData) -> np.ndarray:
-        """Returns the ends of all tendons, which are cylinders and springs [m], (n, 3)."""
+    def corners(self, data: mujoco.MjData) -> np.ndarray:
+        """Returns corners of boxes around the ends of cylinders and springs [m], (8 n, 3)."""
         used = data.ten_wrapnum > 0
         first = data.ten_wrapadr[used]
         last = first + data.ten_wrapnum[used] - 1
-        return data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
+        ends = data.wrap_xpos.reshape(-1, 3)[np.concatenate([first, last])]
+        return (ends[:, None] + self._corners).reshape(-1, 3)
 
     def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData, levels: np.ndarray) -> None:
         """Adds the cylinders to a scene; `levels` are the `pressures` of `DrawnMachine.draw`."""
@@ -283,7 +287,7 @@ class _CylinderShapes:
             position = 0.5 * stroke + data.ten_length[tendon] - parameters["mid_length"]
             share = float(np.clip(position / stroke, 0.02, 0.98))
             piston = _BASE + share * (barrel - _BASE - _END)
-            radius = _WIDER * (0.5 * parameters["bore"] + _WALL)
+            radius = _radius(parameters["bore"])
             axis = (end - base) / max(length, 1e-9)
             for start, stop, size, colour, glow in (
                 (0.0, _BASE, radius + 0.001, _CAP, 0.0),
@@ -294,6 +298,11 @@ class _CylinderShapes:
                 (barrel, length, 0.6 * parameters["rod"], _CHROME, 0.1),
             ):
                 _segment(scene, base + start * axis, base + stop * axis, size, colour, glow)
+
+
+def _radius(bore: float) -> float:
+    """Returns the radius of a drawn barrel [m]."""
+    return _WIDER * (0.5 * bore + _WALL)
 
 
 def _segment(

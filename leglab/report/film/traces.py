@@ -114,6 +114,7 @@ class CommandTrace:
         window = float(np.clip(2.5 * max(track.window for track in tracks), 1.0, 4.0))
         self._window = min(window, max(span[1] - span[0], 0.2))
         self._origin = span[0] - self._window
+        self._first = min(float(track.recording.time[0]) for track in tracks)
         shared = [j for j in tracks[0].joints if all(j in track.joints for track in tracks)]
         joint = "knee" if "knee" in shared else (shared or tracks[0].joints)[0]
         self._signals = [track.column(f"{joint}_feedforward") for track in tracks]
@@ -161,7 +162,7 @@ class CommandTrace:
         span = (time - self._window, time)
         for tick in _nice_ticks(*span, 5):
             place = rect.left + float(x(tick))
-            if rect.left + 14 < place < rect.right - 10:
+            if tick > self._first - 1e-9 and rect.left + 14 < place < rect.right - 10:
                 _draw_time(draw, rect, place, tick)
         _mark_changes(draw, rect, self._tracks, span, time, x)
         for track, signal, color in zip(self._tracks, self._signals, self._colors, strict=True):
