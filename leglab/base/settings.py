@@ -68,6 +68,8 @@ def validate_configuration(
     if problem["type"] == "missing":
         raise SettingsError(f"{owner} needs the setting {key!r}", allowed=(key,))
     where = f"{owner}: setting {key!r} is {problem['input']!r}: " if key else f"{owner}: "
+    if "than" in problem["type"]:  # a bound
+        reason = f"{reason} {documented_units(model).get(key, '')}".rstrip()
     raise SettingsError(where, given=problem["input"], allowed=reason)
 
 

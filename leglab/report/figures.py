@@ -189,9 +189,11 @@ def command_figure(
                 axes.set_title(share, loc="right", color=DARK_GREY, fontsize=8)
             axes.set_ylim(-limit, limit)
             axes.set_title(readable(actuator), fontweight="bold")
-            axes.set_ylabel("command")
+            axes.set_ylabel("command [share of the limit]")
             _finish(axes, phases)
-        lines = [_line("command", BLUE), _line("at its limit", ORANGE, 3)]
+        lines = [_line("command", BLUE)]
+        if max(largest.values()) >= 1:
+            lines.append(_line("at its limit", ORANGE, 3))
         add_head(figure, title, lines, phases=phases)
     return figure
 

@@ -511,7 +511,7 @@ def _list(name: str, value: Any, where: str) -> Sequence[Any]:
         count = validate_configuration(Count, value, place)
         value = list(range(count.first, count.first + count.count))
     if not isinstance(value, list) or not value:
-        allowed = "a list, or { first = 0, count = 10 }"
+        allowed = "a list of one or more values, or { first = 0, count = 10 }"
         raise SettingsError(f"{place} is {value!r}; allowed: ", given=value, allowed=allowed)
     seen: set[str] = set()
     for i, item in enumerate(value):
