@@ -1,10 +1,10 @@
 """Model-based baseline: adaptive robust control by backstepping, with measured pressures.
 
-The structure follows Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633: position
-error, load force, valve flow, with leakage as adapted parameter and lumped disturbances in the
-force and flow equations. Single-rod cylinder and compensation at the reference follow Yao, Bu,
-Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79. Equations and the knowledge assumed of
-the machine: docs/concepts/adaptive_backstepping.md.
+The structure follows Yao, Yang and Ma 2014, IEEE/ASME Trans. Mechatronics 19(2), 633: steps from
+position error to load force to valve flow, with leakage as an adapted parameter and lumped
+disturbances in the force and flow equations. Single-rod cylinder and compensation at the reference
+follow Yao, Bu, Reedy and Chiu 2000, IEEE/ASME Trans. Mechatronics 5(1), 79. Equations and assumed
+knowledge of the machine: docs/concepts/adaptive_backstepping.md.
 """
 
 import math
@@ -100,7 +100,7 @@ class AdaptiveBackstepping:
         self._motion = ReferenceMotion(
             len(setup.joints), period, lead=lead, position_delay=latency, velocity_delay=latency
         )
-        # Periods from the present force measurement to the force that the new command is meant for.
+        # Number of periods from the present measurement to the time when the new command acts.
         self._age = (lead + latency) / period
         self._bristles = Bristles(data)
         self._smoothing = -math.expm1(-PRESSURE_CUTOFF * period)
@@ -169,7 +169,7 @@ class AdaptiveBackstepping:
         return self._sent
 
     def _read(self, measurement: Measurement) -> tuple[np.ndarray, np.ndarray, float]:
-        """Returns positions, pressures (2, joints), supply pressure; missing ones as last read."""
+        """Returns positions, pressures (2, joints) and supply pressure; fills in missing values."""
         readings = _stacked(measurement)
         if not np.isfinite(readings).all():
             readings = np.where(np.isfinite(readings), readings, self._readings)
@@ -183,9 +183,10 @@ class AdaptiveBackstepping:
     def _forces_for(
         self, motion: np.ndarray, lever: np.ndarray, speed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Computes the model's force and rate when the command acts, and its force when measured.
+        """Returns the model's force and force rate for `motion`, and its force when measured.
 
-        `motion`: reference when the command acts, (4, joints), with levers and piston speeds.
+        `motion` is the reference when the new command acts, (4, joints), with levers and piston
+        speeds; the other force is the model's force at the time of the present measurement.
         """
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._period)
@@ -193,7 +194,7 @@ class AdaptiveBackstepping:
         last = self._forces[0] if self._forces else force
         whole = int(self._age)
         self._forces = [force, *self._forces[: whole + 1]]
-        # A difference is half a period late, so half of its last change is added to it.
+        # A difference quotient lags by half a period; adding half its last change compensates this.
         before, self._rate = self._rate, (force - last) / self._period
         rate = 1.5 * self._rate - 0.5 * before
         newer = self._forces[min(whole, len(self._forces) - 1)]
@@ -205,9 +206,9 @@ class AdaptiveBackstepping:
     ) -> np.ndarray:
         """Computes the pressures expected when the command acts [Pa], (2, joints).
 
-        They have the measured common mode w_B p_A + w_A p_B, which no motion of the piston changes,
-        and the wanted load force. With the measured load force, the inverted flow equation would
-        cancel, with a delay, the damping of the oil spring by valve and leakage.
+        They have the wanted load force and the measured common mode w_B p_A + w_A p_B, which piston
+        motion does not change. With the measured load force instead, the inverted flow equation
+        would cancel the damping of the oil spring by valve and leakage, with a delay.
         """
         model = self._model
         chambers = model.chambers(self._pressure, supply, piston)

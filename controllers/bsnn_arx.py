@@ -28,7 +28,7 @@ class AdaptiveController:
     """
 
     name = "bsnn_arx"
-    valve_states = False  # whether maps may be proposed with a state of the valves
+    valve_states = False  # passed to `AdaptiveFeedforward`
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         self._feedback = Pd(setup, config)
@@ -68,10 +68,10 @@ class AdaptiveController:
         return self.adaptation.step(measurement, reference)
 
     def look(self, time: float) -> None:
-        """Runs before the control period at this time [s]; empty if the C++ core does it all."""
+        """Runs before each control period, at this time [s]; a hook for subclasses."""
 
     def sent(self, command: np.ndarray) -> None:
-        """Records the commands sent instead of those that `command` returned last, (joints,)."""
+        """Records the commands that were sent in place of the result of `command`, (joints,)."""
         self.adaptation.sent(command)
 
     def freeze(self) -> None:

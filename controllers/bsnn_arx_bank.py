@@ -1,4 +1,4 @@
-"""Adaptive feed-forward with a bank of faults: names the fault first, then learns the rest."""
+"""Adaptive feed-forward with a bank of faults, whose maps shorten learning after a change."""
 
 import math
 from collections import deque
@@ -19,15 +19,15 @@ from leglab.control.feedforward.health import HealthConfiguration, HealthMonitor
 from leglab.control.feedforward.thresholds import AFTER, STRIDE
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
-# Number of sample blocks on which a new contender (proposed map) is first compared with the
-# learner: few, because the machine has just changed.
+# Number of latest sample blocks on which a new contender (proposed map) is first compared with the
+# learner; older samples are from the machine before its change.
 _BLOCKS = 4
 
-# Prior odds of a map with a valve state from `_STATES` or `plays`, against the learner's map.
+# Prior odds, against the learner's map, of a map with a valve state from `_STATES` or `plays`.
 _UNNAMED = 0.03
 
 # Valve states that are tried after every change, in addition to `plays`; columns as in
-# `AdaptiveFeedforward.valves`. 0.02 is the default lap; 1/3 offsets a loss of 1/4 of a side's flow.
+# `AdaptiveFeedforward.valves`. 0.02 is the default lap; 1/3 more command offsets 1/4 less flow.
 _STATES = np.array(
     [
         (0.02, 0.0, 0.0, 0.0, 0.0),
@@ -98,7 +98,7 @@ class BankController(AdaptiveController):
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
-        # Weight of the latest block in the running mean, over a stride, of the maps' shares.
+        # Weight of the latest block in the maps' mean shares, which are averaged over a stride.
         self._latest = min(1.0, period * config.monitor.block / (pace * STRIDE))
         self._config = config
         self._states = np.zeros((len(config.plays) + len(_STATES), 5))
@@ -157,9 +157,10 @@ class BankController(AdaptiveController):
             self._propose(proposal)
 
     def _end(self, time: float) -> None:
-        """Ends the contest of maps: after a case keeps the best and `learner`, later only the best.
+        """Ends the contest of maps once the monitor has finished examining a change.
 
-        The best map has the largest mean share over a stride; in parts of it others may lead.
+        First the best map and `learner` are kept, later only the best: the map with the largest
+        share averaged over a stride, because within a stride different maps may lead.
         """
         if not self.adaptation.contenders:
             self._shares = np.zeros(1)
@@ -205,7 +206,7 @@ class BankController(AdaptiveController):
             now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
             adaptation.revise(number, moved, self._error(now))
         if state is not None:
-            # A new size is a new valve state, so an excluded contender restarts at `before`.
+            # A new fault size is a new valve state, so an excluded contender restarts at `before`.
             now = adaptation.contenders[state].parameters.reshape(before.shape)
             moved = (shares[state] == 0.0) * (before - now)
             adaptation.revise(state, moved, error, valves)
@@ -231,7 +232,7 @@ class BankController(AdaptiveController):
         self.adaptation.propose(learner, odds, error, valves)
 
     def _error(self, parameters: np.ndarray) -> float:
-        """Computes the mean squared error of a map over that of the learner, on recent samples."""
+        """Computes the ratio of a map's to the learner's mean squared error on recent samples."""
         samples = np.concatenate(self._recent)
         regressor, found = samples[..., :-3], samples[..., -3]
         error = np.where(samples[..., -1] > 0, found - (regressor * parameters).sum(axis=2), 0.0)

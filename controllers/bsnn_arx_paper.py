@@ -1,8 +1,8 @@
 """The paper's BSNN-ARX model, unchanged, as adaptive feed-forward added to PD.
 
 Folgheraiter's model (Algorithm 1) learns the inverse of each joint: its input is the measured
-velocity, its output the valve command that caused the velocity. It learns by the local spline rule
-and plain recursive least squares, without forgetting or resets of the gain, as in the paper.
+velocity, its output the valve command that caused this velocity. As in the paper, it learns by the
+local spline rule and by recursive least squares without forgetting or resets of the gain.
 """
 
 import numpy as np

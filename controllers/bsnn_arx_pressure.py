@@ -1,4 +1,4 @@
-"""Adaptive feed-forward with measured pressures: a cascade of two learned maps."""
+"""Adaptive feed-forward with measured pressures: learned maps from motion to load and to flow."""
 
 from functools import partial
 from typing import Literal
@@ -43,7 +43,7 @@ class PressureConfiguration(AdaptiveConfiguration):
 class PressureController(AdaptiveController):
     """`bsnn_arx` with the valve equation at measured pressures instead of the calibrated map.
 
-    See `leglab.control.feedforward.adaptive`.
+    A second map learns the load of a motion. See `leglab.control.feedforward.adaptive`.
     """
 
     name = "bsnn_arx_pressure"
@@ -78,10 +78,10 @@ class PressureController(AdaptiveController):
         )
 
     def reset(self, measurement: Measurement) -> None:
-        """Starts a run with the nominal map.
+        """Starts a run with the nominal maps.
 
         Raises:
-            LeglabError: The measurement has no pressures.
+            LeglabError: The measurement lacks a pressure.
         """
         pressures = (measurement.pressure_a, measurement.pressure_b, measurement.supply_pressure)
         if any(pressure is None for pressure in pressures):
@@ -90,7 +90,7 @@ class PressureController(AdaptiveController):
 
 
 def data_sheets(cylinders: NominalCylinders) -> dict[str, np.ndarray]:
-    """Returns the cylinders' data by the names that the C++ core uses."""
+    """Returns the cylinders' data as `sheets` of `AdaptiveFeedforward`, by their C++ names."""
     names = ["stroke", "orifice_gain", "laminar_transition_pressure", "lap", "edge_rounding"]
     names += ["supply_pressure", "tank_pressure", "bulk_modulus", "entrained_air"]
     names += ["polytropic_index"]

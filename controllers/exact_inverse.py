@@ -15,12 +15,12 @@ from leglab.controllers.pd import Pd, PdConfiguration
     configuration=PdConfiguration,
 )
 class ExactInverse:
-    """u = commands found by iterated simulation of the machine of the run with its changes, + PD.
+    """u = c + PD, with commands c computed by iterated simulation of the run and its changes.
 
     With exact sensors the machine would follow its reference as closely as its valves permit. The
-    tracking error is therefore a lower bound, due to valve limits and to noise, resolution and
-    latency of the sensors, for all controllers with this feedback. PD compares measurements with an
-    equally delayed reference.
+    remaining tracking error is due to valve limits and to noise, resolution and latency of the
+    sensors; it is a lower bound for all controllers with this feedback. PD compares measurements
+    with an equally delayed reference.
 
     Attributes:
         commands: Valve commands by control period, (periods, joints); None before the first run.

@@ -35,7 +35,7 @@ class IlcConfiguration(Configuration):
     configuration=IlcConfiguration,
 )
 class Ilc:
-    """u = map(r, r') + PD + c, c by iterative learning from stride to stride.
+    """u = map(r, r') + PD + c, with a correction c learned from stride to stride.
 
     While the reference does not repeat itself, c and the diagnostic `repeats` are zero. The map is
     evaluated at the reference in the middle of the period in which the command acts; the error is

@@ -20,12 +20,12 @@ _PRIOR = 1e3
 class Oracle(AdaptiveController):
     """`bsnn_arx` without learning online: maps fitted to recordings before and after the change.
 
-    It knows when the machine changes, and has a recording of the changed machine. No controller
-    that adapts a map of this structure can therefore be expected to do better.
+    It knows when the machine changes and has a recording of the changed machine. Therefore no
+    controller that has to learn a map of this structure online can be expected to do better.
     """
 
     name = "oracle"
-    freeze = None  # type: ignore[assignment]  # without adaptation there is no frozen twin
+    freeze = None  # type: ignore[assignment]  # it does not adapt, so nothing can be frozen
 
     def __init__(self, setup: ControllerSetup, config: AdaptiveConfiguration) -> None:
         config = config.model_copy(update={"supervised": False, "stop_time": 0.0})

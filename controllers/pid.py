@@ -1,4 +1,4 @@
-"""PD with an integral part, the industrial answer to a machine that changes."""
+"""PD with an integral part, the industrial standard for a machine that changes."""
 
 import numpy as np
 from pydantic import Field

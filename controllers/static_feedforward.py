@@ -1,7 +1,7 @@
 """Feed-forward by the nominal machine's calibrated valve map, which never changes, added to PD.
 
-It is the baseline for adaptive controllers: it knows the new machine as well as a bench calibration
-can tell, and none of its later changes.
+It is the baseline for adaptive controllers: it knows the new machine as exactly as a calibration on
+a test bench can measure it, but no later change.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ class ValveMapTable:
 
     Args:
         maps: One per joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
-            (p, v); positions equally spaced, velocities equal but for a factor per joint.
+            (p, v); positions equally spaced, velocities equal up to a factor per joint.
     """
 
     def __init__(self, maps: Sequence) -> None:

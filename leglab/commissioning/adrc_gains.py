@@ -24,13 +24,13 @@ from leglab.control.feedforward.valve_table import ValveTable
 from leglab.machine.sensors import SensorConfiguration
 from leglab.machine.simulation import Simulation
 
-# Ratios of control to observer bandwidth to try. Gao 2003 has 1/5 to 1/3, a fast observer. Larger
-# ratios are tried as well, because with a lightly damped oil spring a slow observer may be better.
+# Ratios of control to observer bandwidth to try. Gao 2003 has a fast observer (1/5 to 1/3). With a
+# lightly damped oil spring a slow observer may be better, so larger ratios are tried as well.
 RATIOS = (0.1, 0.2, 0.33, 1.0, 3.0, 10.0, 30.0)
 # Observer bandwidths to try [rad/s].
 _TRIED = np.geomspace(0.3, 600.0, 160)
-# Ratios and observer bandwidths [rad/s] to try for native actuators, which move an inertia. Their
-# observer must be fast, otherwise its integrator's phase lag falls into the crossover of the law.
+# For native actuators: ratios as above, and observer bandwidths to try [rad/s]. Their observer must
+# be fast; the phase lag of a slow observer's integrator would reduce the law's phase margin.
 FORCE_RATIOS = (0.05, 0.1, 0.2, 0.5)
 _FORCE_TRIED = np.geomspace(3.0, 300.0, 30)
 _FREQUENCIES = 1500
@@ -44,7 +44,7 @@ def plant_gain(simulation: Simulation, joint: int) -> tuple[float, int]:
     """
     if simulation.actuators[joint] in simulation.native:
         plant = native_plant(simulation, joint, 0.0)
-        # The input reaches the acceleration at once, or through the filter's state.
+        # The command enters the acceleration directly, or through the actuator's filter state.
         a, b = np.asarray(plant.A), np.asarray(plant.B)
         return abs(float(b[1, 0] if len(a) == 2 else a[1, 2])), 2
     return float(speeds_per_command(simulation)[joint]), 1
@@ -76,7 +76,7 @@ class JointMargins:
         """Computes the smallest gain margin [dB] and phase margin [deg], and the worst response.
 
         The response is the integrated squared error after a disturbance step of magnitude b_0. It
-        is infinite if a margin is below that required of `pd`, or if the loop is unstable.
+        is infinite if a margin is below the one required of `pd`, or if the loop is unstable.
 
         Args:
             gains: Gains of this object's joint alone.

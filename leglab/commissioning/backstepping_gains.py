@@ -43,8 +43,8 @@ class OperatingPoint:
     disturbance: np.ndarray
     c: np.ndarray  #: Output matrix: piston position and both pressures, as measured, (3, 9)
     spool_per_speed: float  #: Slope of the commanded spool position over piston speed [s/m]
-    spool_per_force: float  #: Slope of the spool position over phi [1/m], by expected pressures
-    #: Slope of the spool position over both pressures, by their common mode, (2,) [1/Pa].
+    spool_per_force: float  #: Slope of the spool position over phi, which sets pressures [1/m]
+    #: Slope of the spool position over both pressures, due to their common mode, (2,) [1/Pa].
     spool_per_sum: np.ndarray
 
 
@@ -64,7 +64,7 @@ def _point(
     # States: piston velocity, both pressures, spool and its velocity, joint position.
     c = np.zeros((3, 6))
     c[0, 5], c[1, 1], c[2, 2] = lever, 1.0, 1.0
-    # Input of the force, from the column of pressure A, whose entry is area/mass.
+    # Input matrix of a force on the piston, from the entry area/mass in the column of pressure A.
     push = np.zeros((6, 1))
     push[0] = -plant.A[0, 1] * model.data.supply_pressure
     plant = control.ss(plant.A, np.hstack([plant.B, push]), c, 0)
@@ -108,9 +108,9 @@ def _point(
 
 # Largest allowed sensitivity |1/(1 + L)|; 2 guarantees margins of 6 dB and 29 degrees.
 SENSITIVITY = 2.0
-# Share of the assumed bandwidth that slow valves may have, and largest sensitivity with them.
+# `VALVE_SHARE`: bandwidth of slow valves over the assumed one. `SLOW_SENSITIVITY`: bound with them.
 VALVE_SHARE, SLOW_SENSITIVITY = 0.5, 3.0
-# Steps of unknown flow and force by which gains are rated, over no-load flow and piston force.
+# Steps by which gains are rated: unknown flow over no-load flow, and force over piston force.
 _STEP = 0.05
 # Search bounds: log10 of position_gain, force_drift and flow_drift, then force_damping.
 _BOUNDS = ((0.5, 2.2), (-3.0, 0.0), (-3.5, -0.3), (0.0, 1.0))
@@ -162,7 +162,7 @@ def _linear_controller(
 class JointLoop:
     """Frequency responses of one joint's plants, for the evaluation of gains.
 
-    Poses and speeds are those for which `pd` is tuned, each with the other joints free and held.
+    Poses and speeds are as in the tuning of `pd`, each once with the other joints free, once held.
 
     Args:
         simulation: The nominal machine in its rest pose; its state is restored.
@@ -206,8 +206,8 @@ class JointLoop:
         """Computes the worst response to steps of unknown flow and force, and largest sensitivity.
 
         Returns:
-            Root of the integrated squares of the piston's errors after both steps [m s^(1/2)], and
-            max |1/(1 + L)|. If a loop is unstable: infinity and the largest |eigenvalue|.
+            Root of the integrated squared errors of the piston after both steps [m s^(1/2)], and
+            max |1/(1 + L)|; for an unstable loop infinity and the largest |eigenvalue|.
         """
         period, worst, peak, radius = self._sensors.control_period, 0.0, 0.0, 0.0
         law = Feedback(
@@ -239,7 +239,7 @@ class JointLoop:
 
 
 def _derated(gains: BacksteppingGains, loop: JointLoop) -> BacksteppingGains:
-    """Lowers position gain and drifts until `SLOW_SENSITIVITY` is met, at most to a tenth."""
+    """Lowers position gain and drifts, at most to a tenth, until `SLOW_SENSITIVITY` is met."""
     for factor in np.geomspace(1.0, 0.1, 19):
         slower = replace(
             gains,

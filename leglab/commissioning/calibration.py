@@ -11,11 +11,11 @@ from leglab.machine.cylinder import Cylinder
 from leglab.machine.native import NativeActuator
 from leglab.machine.simulation import Simulation
 
-# Speeds and positions at which the valve map is measured, as fractions of the full speed and of the
-# joint range. Speeds are dense around standstill, where overlap and friction curve the map.
+# Speeds at which the valve map is measured, as fractions of full speed; dense around standstill,
+# where overlap and friction curve the map.
 _SPEEDS = np.array([-0.7, -0.45, -0.25, -0.12, -0.05, -0.02, -0.005])
 SPEED_FRACTIONS = np.concatenate([_SPEEDS, [0.0], -_SPEEDS[::-1]])
-POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)
+POSITION_FRACTIONS = np.linspace(0.03, 0.97, 9)  # positions, as fractions of the joint range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ def speed_limits(simulation: Simulation) -> np.ndarray:
     """Computes joint speeds [rad/s] without load at full command in the present pose, (joints,).
 
     A cylinder extends at v = K sqrt((A_A p_s - A_B p_t)/(A_A^3 + A_B^3)) (flow balance of a valve
-    without overlap) and retracts at the speed with A and B exchanged; the slower one is returned.
+    without overlap); the retraction speed is v with A and B exchanged. The smaller is returned.
     For a native actuator see `native_speed_limit`.
     """
     limits = []
@@ -73,9 +73,9 @@ def speed_limits(simulation: Simulation) -> np.ndarray:
 def native_speed_limit(simulation: Simulation, drive: NativeActuator) -> float:
     """Computes the joint speed [rad/s or m/s] that a native actuator reaches in the present pose.
 
-    With F the actuator's full force at standstill, it is the smaller of F/d, at which the damping d
-    of joint and internal loop balances F, and sqrt(F s/m), which the joint with inertia m reaches
-    within half of its range s. Friction and weight are neglected.
+    It is the smaller of two speeds. At F/d the damping d of joint and internal loop balances F, the
+    actuator's full force at standstill. The joint with inertia m reaches sqrt(F s/m) within half of
+    its range s. Friction and weight are neglected.
     """
     model, data = simulation.model, simulation.data
     lever, dof = drive.lever(data), drive.dof
@@ -138,9 +138,9 @@ def _settle_cylinders(simulation: Simulation, forces: Sequence[float]) -> None:
 def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
     """Measures the steady map from motion to command of every joint, as on a test bench.
 
-    One joint at a time runs at constant speed through its range, while the others rest in the
+    One joint at a time runs at constant speed through its range, while the other joints rest in the
     present pose. The load consists of gravity, springs and dampers, and of the actuator's friction
-    and leakage. The leg hangs free on a stand: contact with the ground is disabled.
+    and leakage. Contacts are disabled, as for a leg that hangs free on a stand.
     """
     limits, ranges = speed_limits(simulation), simulation.joint_range()
     maps = []
@@ -155,7 +155,7 @@ def valve_maps(simulation: Simulation) -> tuple[ValveMap, ...]:
 def steady_commands(
     simulation: Simulation, joint: int, position: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
-    """Computes commands of steady motion of a joint, (p, v); +-1 beyond its actuator's capability.
+    """Computes commands of a joint's steady motion, (p, v); +-1 if its actuator is too weak.
 
     Args:
         simulation: The machine; other joints rest in its present pose, which is restored.
@@ -187,7 +187,7 @@ def steady_commands(
 def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, float], float]:
     """Returns a function of joint speed [rad/s] and actuator force [N] to the steady command.
 
-    For a native actuator, whose force is a function of command, length and velocity, it is exact.
+    It is exact for a native actuator, whose force is a function of command, length and velocity.
     """
     name = simulation.actuators[joint]
     if name in simulation.native:
@@ -200,6 +200,6 @@ def _steady_command(simulation: Simulation, joint: int) -> Callable[[float, floa
         try:
             return cylinder.steady_state(piston, force).spool
         except LeglabError:
-            return float(np.sign(piston))  # beyond the valve's capability
+            return float(np.sign(piston))  # the valve cannot supply this flow
 
     return command

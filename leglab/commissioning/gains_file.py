@@ -1,4 +1,4 @@
-"""Files of tuned gains: one table per model, with the timing of the loop and a row per joint."""
+"""Files of tuned gains: one table per model, with the timing of the loop and each joint's gains."""
 
 import inspect
 import json
@@ -32,8 +32,8 @@ class GainsFile:
 
     path: Path  #: The file
     head: Sequence[str]  #: Lines of the comment at its head
-    timing: Sequence[str]  #: Names of the sensor settings for whose values the gains are tuned
-    formats: Mapping[str, str]  #: Number formats of a joint's row, by name of the value
+    timing: Sequence[str]  #: Names of the sensor settings on which the tuned gains depend
+    formats: Mapping[str, str]  #: Number formats of a joint's gains, by name of the gain
 
     def table(
         self, simulation: Simulation, sensors: SensorConfiguration, rows: Sequence[Row]
@@ -71,7 +71,7 @@ class GainsFile:
     def rows(
         self, model: str, simulation: Simulation, sensors: SensorConfiguration
     ) -> list[Row] | None:
-        """Returns the stored gains of each joint; None if the file has none for this loop.
+        """Returns each joint's stored gains; None without a table for this model and timing.
 
         Args:
             model: Name or path of the model.
@@ -94,7 +94,7 @@ class ControllerGains(GainsFile, Generic[T]):
 
     #: Type of gains that the controller takes: a dataclass whose fields are arrays (joints,).
     kind: Callable[..., T]
-    #: Function that tunes a model's machine, whose positions it changes; returns a row per joint.
+    #: Function that tunes a model's machine and changes its positions; returns gains per joint.
     tune: Callable[[str, Simulation, SensorConfiguration], list[Row]]
 
     def gains(self, model: str, simulation: Simulation, sensors: SensorConfiguration) -> T:
@@ -124,7 +124,7 @@ GAINS.add_loader(partial(import_modules, __package__, [str(Path(__file__).parent
 
 
 def stored_name(model: str) -> str:
-    """Returns the key of a model's gains: its name; for other files, file name and digest.
+    """Returns the key of a model's gains: a shipped model's name, or file name and digest.
 
     Raises:
         LeglabError: There is no such model.

@@ -17,9 +17,8 @@ from leglab.machine.simulation import Simulation, load_model
 
 # Largest share of an error, at any frequency, that may remain from one stride to the next.
 CONTRACTION = 0.7
-# Cutoffs [rad/s] and leads [control periods] to try.
-_CUTOFFS = np.geomspace(3.0, 300.0, 93)
-_LEADS = np.arange(13) / 2
+_CUTOFFS = np.geomspace(3.0, 300.0, 93)  # cutoffs to try [rad/s]
+_LEADS = np.arange(13) / 2  # leads to try [control periods]
 
 
 def closed_loops(
@@ -29,7 +28,9 @@ def closed_loops(
     gains: tuple[float, float],
     frequency: np.ndarray,
 ) -> np.ndarray:
-    """Computes responses of measured position [rad] to a command added to `pd`, (points, n).
+    """Computes responses of measured position [rad] to a command added to `pd`'s, (points, n).
+
+    A point is a pose, a piston speed, and the other joints free or held.
 
     Args:
         simulation: The nominal machine; its positions are changed.
@@ -61,8 +62,7 @@ def _tuned_filter(
 
     The condition is required at every frequency, pose and piston speed, with the other joints free
     and held. It makes errors shrink monotonically from stride to stride (Bristow, Tharayil and
-    Alleyne 2006, monotonic convergence in the frequency domain). If no cutoff satisfies it, the
-    smallest one is returned.
+    Alleyne 2006). If no cutoff satisfies it, the smallest cutoff is returned.
     """
     frequency = np.geomspace(0.1, 2 * _CUTOFFS[-1], 1500)
     loops = closed_loops(simulation, joint, sensors, gains, frequency)

@@ -12,7 +12,7 @@ from leglab.machine.cylinder import Cylinder
 from leglab.machine.simulation import Simulation
 
 # Number of positions over each joint's range at which levers are tabulated. For a range of 2 rad
-# and a lever with curvature r'' = r, the error of linear interpolation is below a thousandth.
+# and a lever r with r'' = r, linear interpolation then has an error below a thousandth.
 _LEVER_POSITIONS = 33
 
 
@@ -66,8 +66,8 @@ def inertia_matrix(simulation: Simulation) -> np.ndarray:
 class NominalDynamics:
     """Inverse dynamics of the nominal machine: torques by bodies, gravity, springs and dampers.
 
-    It uses a copy of the model, separate from the running simulation; on a robot, any rigid-body
-    library could compute the same from masses and lengths. There is no ground contact; joints
+    It uses a copy of the model, separate from the running simulation. On a robot, any rigid-body
+    library could compute these torques from masses and lengths. There is no ground contact; joints
     without an actuator stand still.
 
     Args:

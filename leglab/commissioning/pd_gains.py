@@ -48,13 +48,13 @@ PD = GainsFile(
         "crossover": ".2f",
     },
 )
-# Piston speeds [m/s] at which the plant is linearised, in both directions. Dry friction is left
-# out: it has no slope at these speeds, and it stabilises the loop.
+# Piston speeds [m/s] at which the plant is linearised, in both directions. The linear plant lacks
+# dry friction, which has no slope at these speeds and would stabilise the loop.
 SPEEDS = (-0.2, -0.05, -0.01, 0.01, 0.05, 0.2)
 # Speeds of a native actuator at which the plant is linearised, as shares of its full speed.
 NATIVE_SPEEDS = (-0.5, -0.1, 0.1, 0.5)
-# Largest gains to try for a valve, command per position error [1/rad] and per velocity error
-# [s/rad]; for native actuators `_most_gains` computes them from the sampling.
+# Largest gains to try for a valve: command per position error [1/rad] (`_MOST_POSITION`), per
+# velocity error [s/rad] (`_MOST_VELOCITY`). For native actuators `_most_gains` computes both.
 _MOST_POSITION, _MOST_VELOCITY = 50.0, 0.2
 _INDEX = {name: i for i, name in enumerate(CONTINUOUS_STATES)}
 _STATES = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
@@ -106,8 +106,8 @@ def joint_plant(
     zero = np.zeros(len(CONTINUOUS_STATES))
     b = np.zeros((6, 1))
     b[:5, 0] = (slope(zero, 1e-6) - slope(zero, -1e-6))[rows] / 2e-6
-    a[5, 0] = 1.0 / lever  # joint speed from piston speed
-    if held:  # times mass with the other joints free over mass with the other joints held
+    a[5, 0] = 1.0 / lever  # joint speed per piston speed
+    if held:  # factor: mass with the other joints free, over mass with the other joints held
         inertia, dof = inertia_matrix(simulation), simulation.dof_index[joint]
         a[0] *= 1.0 / (np.linalg.inv(inertia)[dof, dof] * inertia[dof, dof])
     return control.ss(a, b, np.eye(6)[5:], 0)
@@ -118,11 +118,11 @@ def native_plant(
 ) -> "control.StateSpace":
     """Linearises one joint from a native actuator's command to joint position [rad or m].
 
-    m q'' = lever half gain u - d q' - k q. d and k are slopes of the joint's inverse dynamics in
-    the present pose and of the actuator's force, with a servo's internal loop; m is the inertia
-    with the other joints free or held; a filter of the actuator adds a state. Dry friction, which
-    has no slope, is neglected. A negative k, of an unstable load, is set to 0, because the load
-    falls much more slowly than PD reacts.
+    m q'' = lever half gain u - d q' - k q. The slopes d and k include the joint's inverse dynamics
+    in the present pose, the actuator's force and a servo's internal loop; m is the inertia with the
+    other joints free or held; a filter of the actuator adds a state. Dry friction, which has no
+    slope, is neglected. The negative k of an unstable load is replaced by 0, because the load falls
+    much more slowly than PD reacts.
 
     Args:
         simulation: The machine at rest; its pose is left unchanged.
@@ -188,8 +188,8 @@ def sampled_plant(
 ) -> "control.StateSpace":
     """Samples a plant behind a zero-order hold, measured `latency` <= period before the command.
 
-    The measurement for the command at t is the output at t - latency, which follows from the state
-    and the command at t - period. The measured outputs are extra states.
+    The command at t uses the output at t - latency, which follows from the state at t - period and
+    the command sent then. The measured outputs are added to the states.
     """
     import control  # takes a second, and most runs use stored gains
 
@@ -207,7 +207,7 @@ def sampled_plant(
 
 
 def operating_poses(simulation: Simulation, joint: int) -> Iterator[None]:
-    """Moves a machine at rest to the poses in which a joint is linearised, and finally back.
+    """Moves a machine at rest through the poses in which a joint is linearised, then back.
 
     The joint is at its present position, at a quarter and at three quarters of its range.
     """
@@ -235,8 +235,8 @@ def sampled_plants(
         held: Whether the other joints are held; otherwise they are free.
 
     Returns:
-        One plant per pose and piston speed, from valve command, with the sign that moves the joint
-        forward, to measured position [rad].
+        One plant per pose and piston speed, from valve command to measured position [rad]; the
+        command has the sign with which a positive value moves the joint forward.
     """
     plants = []
     for _ in operating_poses(simulation, joint):
@@ -251,7 +251,7 @@ def sampled_plants(
 def _plants(
     simulation: Simulation, joint: int, *, held: bool = False
 ) -> Iterator["control.StateSpace"]:
-    """Yields linear plants of a joint in the present pose at several speeds, equal ones once."""
+    """Yields a joint's linear plants in the present pose at several speeds, without duplicates."""
     name = simulation.actuators[joint]
     if name in simulation.native:
         full = native_speed_limit(simulation, simulation.native[name])
@@ -275,7 +275,7 @@ def _most_gains(
     """Returns the largest gains to try: command per position error and per velocity error.
 
     For a native actuator, whose command accelerates the joint by B, they are K_p = w^2/B and K_v =
-    w/B: crossover at about the frequency w where hold and latency alone cost 90 degrees of phase.
+    w/B. The crossover is then about w, where hold and latency alone cost 90 degrees of phase.
     """
     name = simulation.actuators[joint]
     if name not in simulation.native:
@@ -292,7 +292,7 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
     """Finds the PD gains with the greatest K_p at which the margins are 6 dB and 45 degrees.
 
     The margins hold for the sampled loop with hold, latency and velocity filter, at every pose and
-    piston speed. The greatest K_p is the best because the error in following a ramp falls with K_p.
+    piston speed. The greatest K_p is chosen because the error at constant speed falls with K_p.
 
     Args:
         simulation: The nominal machine at rest; its pose is restored.
@@ -345,7 +345,7 @@ def stability_margins(
         loop: Response of the open loop at sampled frequencies.
         frequencies: The frequencies [rad/s].
         stable: Whether the closed loop is known to be stable. Then the gain margin is the least
-            change of gain, up or down: with several integrators a lower gain is unstable, too.
+            change of gain, up or down: with several integrators a lower gain may be unstable.
     """
     magnitude = np.abs(loop)
     sign_change = loop.imag[1:] * loop.imag[:-1] <= 0
@@ -364,7 +364,7 @@ def stability_margins(
 
 
 def _round_down(value: float) -> float:
-    """Rounds down to three significant digits, which a file with `.4g` keeps exactly."""
+    """Rounds down to three significant digits, which the file's format `.4g` keeps exactly."""
     if value <= 0:
         return 0.0
     scale = 10.0 ** (math.floor(math.log10(value)) - 2)
@@ -408,7 +408,7 @@ def stored_gains(
 
 
 def tuned_gains(simulation: Simulation, sensors: SensorConfiguration) -> list[tuple[float, float]]:
-    """Tunes a machine for which no gains are stored with these sensors; moves the machine."""
+    """Tunes all joints of a machine without stored gains; moves the machine."""
     result = []
     for joint in range(len(simulation.joints)):
         simulation.reset()

@@ -18,7 +18,7 @@ from leglab.machine.simulation import Simulation
 
 
 class CommissionedMachine(NominalMachine):
-    """Everything that a controller may know of the machine; calibrated and tuned at first use.
+    """Properties of the machine that a controller may know; calibrated and tuned at first use.
 
     Args:
         simulation: The nominal machine in its rest pose.

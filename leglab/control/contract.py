@@ -2,8 +2,8 @@
 
 A controller sees measurements, references and time, never the simulation, so the same object could
 run on a robot. A simulated control period with all joints takes some tens of microseconds. To keep
-the controller's part of it small, measurements and references are plain tuples of small arrays, and
-whatever can be computed once belongs into a controller's constructor.
+the controller's share of it small, measurements and references are plain tuples of small arrays,
+and whatever can be computed once belongs into a controller's constructor.
 """
 
 import inspect
@@ -61,8 +61,8 @@ class Controller(Protocol):
     `reset` and `command` are required, `diagnostics` is optional.
 
     A controller that adapts has a further method, `freeze()`: it stops adapting until the next
-    `reset`, and its last parameters stay in use. The runner repeats the run with a "frozen twin",
-    which it freezes just before the machine changes; comparing both shows the gain by adaptation.
+    `reset`, and its last parameters stay in use. The runner repeats the run as a "frozen twin": it
+    freezes the controller just before the machine changes, to show the gain by adaptation.
 
     A controller that learns from its commands may have `sent(command)`, which receives the commands
     sent to the machine if they differ from those that `command` returned.
@@ -101,8 +101,8 @@ class Controller(Protocol):
 class NominalMachine:
     """Nominal properties of the machine, unaffected by the changes of a run.
 
-    Each is computed once, at its first use, by `find`, which subclasses override
-    (`leglab.commissioning.setup.CommissionedMachine`); a property that `find` lacks is an error.
+    Each property is computed once, at its first use, by `find`. A subclass overrides `find`, as
+    `leglab.commissioning.setup.CommissionedMachine` does, and raises for an unknown property.
 
     Args:
         known: Values by attribute name, for a machine that is described by numbers alone.
@@ -174,8 +174,8 @@ class Foreknowledge:
     #: Time at which the machine begins to change [s]; infinite if it never does.
     first_change: float = math.inf
     last_change: float = math.inf  #: Time at which the machine's last change begins [s]
-    #: Makes recordings of the machine before and after its changes; None if there is no machine to
-    #: record.
+    #: Makes recordings of the machine before and after its changes; None if no machine can be
+    #: recorded.
     bench_runs: Callable[[], Any] | None = None
     #: Computes the valve commands with which the machine of the run follows its reference,
     #: (periods, joints); None if there is no machine.

@@ -1,10 +1,10 @@
 """Active disturbance rejection: a linear extended state observer and the law that uses it.
 
-Gao 2003, "Scaling and bandwidth-parameterization based controller tuning", American Control
-Conference: all poles of the observer at one bandwidth, all poles of the law at another. The
+As in Gao 2003, "Scaling and bandwidth-parameterization based controller tuning", American Control
+Conference, all poles of the observer have one bandwidth, all poles of the law another. The
 discrete observer is the "current" observer of Miklosovic, Radke and Gao 2006, American Control
-Conference. It observes the tracking error, after Michalek 2016, American Control Conference;
-therefore any feed-forward of the reference can be added, for example by a calibrated valve map.
+Conference. It observes the tracking error, as in Michalek 2016, American Control Conference, so
+that any feed-forward of the reference can be added, for example by a calibrated valve map.
 """
 
 import math
@@ -66,8 +66,8 @@ class DisturbanceRejection:
         self._damping = self._second * 2.0 * bandwidth
         self._rate = np.asarray(direction) * gains.plant_gain
         self._period, self._latency = period, latency
-        # Change of the error between two measurements by a disturbance, by the last command and by
-        # the command before the last, which still acts for `latency` after a measurement.
+        # Factors of the error's change between two measurements: of the disturbance, of the last
+        # command, and of the command before, which acts for `latency` after a measurement.
         held, late = period - latency, latency
         self._drift_moves = np.where(second, 0.5 * period**2, period)
         self._last_moves = np.where(second, 0.5 * held**2, held)
@@ -81,7 +81,7 @@ class DisturbanceRejection:
 
     @property
     def disturbance(self) -> np.ndarray:
-        """Estimate of f [rad/s, or rad/s^2 of second order], (joints,)."""
+        """Estimate of f [rad/s with order 1, rad/s^2 with order 2], (joints,)."""
         return self._state[2]
 
     def __call__(self, error: np.ndarray) -> np.ndarray:
@@ -90,13 +90,13 @@ class DisturbanceRejection:
         return self._state[3]
 
     def sent(self, command: np.ndarray) -> None:
-        """Records this law's part of the commands that were sent, (joints,), after clipping."""
+        """Records the part of the sent, clipped commands that is due to this law, (joints,)."""
         self._state[3] = command
 
     def linear(self, joint: int) -> LinearLaw:
-        """Returns one joint's law as a linear system; e' is always zero with order 1.
+        """Returns the law of a joint as a linear system.
 
-        States: e, e', f, the last command, the command before the last.
+        States: e, e' (zero with order 1), f, the last command, the command before the last.
         """
         unit, ones = np.eye(len(self._state)), np.ones_like(self._rate)
         columns = [self._next(np.outer(state, ones), 0 * ones)[:, joint] for state in unit]

@@ -1,10 +1,10 @@
 """Iterative learning control: this stride's command from command and error of the last stride.
 
-Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning control", IEEE Control Systems
-Magazine 26(3), 96: learning function by inversion of the plant, Q-filter, and the condition in the
-frequency domain under which the error decreases from stride to stride. Strides follow one another
-without a pause or a reset, so the same phase of the last stride lies one stride duration back,
-which is in general not a whole number of control periods.
+The learning function by inversion of the plant, the Q-filter, and the frequency-domain condition
+under which the error decreases from stride to stride are in Bristow, Tharayil and Alleyne 2006, "A
+survey of iterative learning control", IEEE Control Systems Magazine 26(3), 96. Strides follow one
+another without a pause or a reset, so the same phase of the last stride is one stride duration ago,
+in general not a whole number of control periods.
 """
 
 import math
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# gamma of the learning function: share of an error that one stride removes if the model is exact.
+# gamma: share of an error that the learning function removes per stride if the model is exact.
 LEARNING_GAIN = 0.5
 
-# Half length of the filters' impulse responses, in units of 1/cutoff: less than 1 % is cut off.
+# Half length of the filters' impulse responses times the cutoff: less than 1 % is cut off.
 _HALF_LENGTH = 12.0
 
 # Time over which a correction is faded in or out [s].
@@ -97,7 +97,7 @@ class IterativeLearning:
         self._part = stride / period - self._count  # fraction of a period in the stride
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
-        # The instant one stride ago lies between two samples, so the filters interpolate.
+        # The time one stride ago lies between two samples, so the filters interpolate.
         shift = -self._part * period
         tuning = np.stack([filters.cutoff, filters.lead, filters.speed_per_command, crossover])
         kernels = [
@@ -124,7 +124,7 @@ class IterativeLearning:
     def correction(self, reference: np.ndarray) -> np.ndarray:
         """Computes command corrections, (joints,), for reference positions [rad], (joints,)."""
         half, last = self._half, slice(self._next, self._next + self._length)
-        # Of the kept samples, oldest first, sample `half + 1` is `_count` periods old.
+        # Of the kept samples, oldest first, the sample at index `half + 1` is `_count` periods old.
         then = self._reference[last][half : half + 2]
         earlier = then[1] + self._part * (then[0] - then[1])
         known = self._periods > self._count
@@ -149,7 +149,7 @@ class IterativeLearning:
 
         Args:
             error: Measured tracking errors of this period [rad], (joints,); NaN if missing.
-            correction: The part of the correction that was sent, after clipping, (joints,).
+            correction: Correction in the sent commands, reduced by their clipping, (joints,).
         """
         self._store(self._error, np.nan_to_num(error))
         self._store(self._correction, correction)

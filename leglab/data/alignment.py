@@ -9,8 +9,8 @@ from leglab.base.errors import LeglabError, RecordingError
 from leglab.data.column_map import ColumnMap
 from leglab.data.files import LeftOut
 
-# Interval of messages, in usual intervals, beyond which nothing is interpolated. It exceeds the
-# jitter of a topic on a busy computer, where single messages come one or two periods late.
+# Ratio of an interval between messages to the usual interval above which nothing is interpolated.
+# It exceeds the jitter on a busy computer, where single messages come one or two periods late.
 _GAP = 3.5
 
 
@@ -37,8 +37,8 @@ def on_clock(
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Resamples series to the clock of one of them.
 
-    Columns named `..._command` by the map, or by the file without a map, hold their last value; all
-    others are interpolated linearly.
+    Columns named `..._command` (by the map; without a map by the file) hold their last value; other
+    columns are interpolated linearly.
 
     Args:
         series: Series to resample.
@@ -80,10 +80,10 @@ def on_clock(
 
 
 def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -> np.ndarray:
-    """Resamples one column to the stamps of a clock, (n,); these stamps may be in any order.
+    """Resamples a column to the stamps of a clock, (n,); the clock's stamps may be in any order.
 
     Values are held (zero-order hold) or interpolated linearly. They are NaN before the first
-    message, and with interpolation also after the last one and in gaps.
+    message, and with interpolation also after the last message and in gaps.
     """
     stamps, values = series.stamps, series.columns[name]
     if np.array_equal(stamps, clock):
@@ -94,7 +94,7 @@ def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -
         told = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
         told += f"comes after {stamps[row - 1]} ns: stamps must not go backwards"
         raise RecordingError(told, given=int(stamps[row]))
-    latest = np.append(interval > 0, True)  # The last of several messages with one stamp counts.
+    latest = np.append(interval > 0, True)  # last of several messages with equal stamps
     stamps, values = stamps[latest], values[latest]
     before = np.searchsorted(stamps, clock, side="right") - 1
     if hold:

@@ -33,14 +33,14 @@ class Bag:
 
     schemas: dict[int, Schema] = field(default_factory=dict)  #: Message definitions by id
     channels: dict[int, Channel] = field(default_factory=dict)  #: Channels of topics by id
-    messages: list[Message] = field(default_factory=list)  #: All supported ones, in file order
+    messages: list[Message] = field(default_factory=list)  #: Supported messages, in file order
     metadata: dict = field(default_factory=dict)  #: Metadata, if leglab wrote the recording
     lost: list[str] = field(default_factory=list)  #: One line for each damaged or missing part
     offset: int = 0  #: Added to the 16-bit ids of the present file, as each file starts at 0
 
     def take(self, record: object) -> None:
         """Stores a record if it is a schema, channel, supported message or leglab's metadata."""
-        # The summary at the end repeats schemas and channels: the first ones count.
+        # The summary at the end repeats schemas and channels; the repetitions are ignored.
         if isinstance(record, Schema):
             record.id += self.offset
             self.schemas.setdefault(record.id, record)
@@ -49,7 +49,7 @@ class Bag:
             self.channels.setdefault(record.id, record)
         elif isinstance(record, Message):
             record.channel_id += self.offset
-            # A channel whose chunk is broken is unknown until the summary at the end.
+            # If a channel's chunk is broken, the channel is unknown until the summary at the end.
             if record.channel_id not in self.channels or supported(self.kind(record.channel_id)):
                 self.messages.append(record)
         elif isinstance(record, Metadata) and record.name == METADATA_NAME:
@@ -103,7 +103,7 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
 
 def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
     chunks, broken, missing, whole = 0, 0, 0, True
-    # The checksum of a whole broken file is wrong; checksums of its chunks are checked one by one.
+    # In a broken file the checksum of the file is wrong, so only those of its chunks are checked.
     for record in StreamReader(stream, validate_crcs=not salvage, emit_chunks=True).records:
         if isinstance(record, Chunk):
             chunks, whole = chunks + 1, True
@@ -124,7 +124,7 @@ def _scan_mcap(stream: Any, bag: Bag, name: str, salvage: bool) -> None:
 
 def _scan_sqlite(content: bytes, bag: Bag) -> None:
     database = sqlite3.connect(":memory:")
-    # Versions 2 in the head ask for a write-ahead log, a separate file that a closed bag lacks.
+    # The version numbers 2 in the head would require a write-ahead log, which a closed bag lacks.
     database.deserialize(content[:18] + b"\1\1" + content[20:])
     definitions = {kind: ("ros2msg", text) for kind, text in DEFINITIONS.items()}
     with suppress(sqlite3.OperationalError):  # The table exists from ROS 2 Iron on.

@@ -10,7 +10,7 @@ import numpy as np
 from leglab.base.errors import LeglabError, RecordingError
 from leglab.base.recording import Recording
 
-# Smallest interval that is a gap, in usual ones: 1 is no sample lost, 2 one lost, rest for jitter.
+# Ratio of a time step to the usual time step above which samples are missing; 2 if one is missing.
 _GAP = 1.5
 
 MAP_HINT = "--columns FILE says what the columns are called here (docs/guides/recordings.md)"

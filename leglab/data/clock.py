@@ -12,17 +12,17 @@ from leglab.data.time_column import time_column
 from leglab.data.units_in_names import split
 
 _SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Least and greatest plausible rate of a log [Hz]: 10 Hz and 20 kHz with a margin for drift. Slower
-# logs miss motion between rows, no drive's controller is faster. Third, the least rate at which
-# stamps with fractions are taken as seconds: about 1 Hz, which integer seconds never exceed.
+# Plausible rates of a log [Hz], with a margin for drift: `_LEAST`, as slower logs miss motion, to
+# `_MOST`, as no drive is faster. `_LEAST_OF_FRACTIONS`: rate [Hz] above which stamps with fractions
+# are seconds.
 _LEAST, _MOST, _LEAST_OF_FRACTIONS = 9.5, 21e3, 0.95
-# Stamps count from 1970 if they date from 2000 to 2100 [s] and their rate is at least 0.1 Hz.
+# Stamps in `_EPOCH` [s], 2000 to 2100, count from 1970 if their rate is at least 0.1 Hz.
 _EPOCH, _LEAST_OF_EPOCH = (946_684_800, 4_102_444_800), 0.1
 # Largest time [s], 104 days, at which seconds in a float64 resolve nanoseconds. Stamps since 1970
 # are larger, so such recordings begin at 0 s and their start is kept in the metadata.
 LAST_EXACT = 2**53 / 1e9
-# Allowed relative error of the period of rounded stamps, so small that a window of the diagnosis, a
-# few hundred rows, shifts by less than a row.
+# Allowed relative error of the period of rounded stamps: so small that a window of the diagnosis (a
+# few hundred rows) shifts by less than a row.
 _KNOWN = 1e-3
 
 
@@ -95,7 +95,7 @@ def _in_seconds(
         unit, seconds = f"steps of {rule.factor:g} s", rule.factor
     else:
         unit, seconds = _unit(name, raw)
-    # The intended decimal or unit fraction instead of its binary value: 1e-3 is 1/1000.
+    # The exact fraction that was meant, not the binary value of the float: 1e-3 is 1/1000.
     factor = Fraction(seconds).limit_denominator(10**12) or Fraction(seconds)
     plain, known = stored not in "Mm" and name == "time" and unit == "s", raw[~missing]
     if not known.size:

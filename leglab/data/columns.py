@@ -47,7 +47,7 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
     types, kind = pa.types, column.type
     if types.is_dictionary(kind):
         column, kind = column.cast(kind.value_type), kind.value_type
-    if types.is_time(kind):  # A time of day as the time since the first day's midnight.
+    if types.is_time(kind):  # A time of day becomes the time since the first day's midnight.
         stamps = column.cast(pa.int64() if kind.bit_width == 64 else pa.int32())
         return past_midnight(stamps.cast(pa.int64()).cast(pa.duration(kind.unit)).to_numpy())
     if types.is_temporal(kind) or (types.is_primitive(kind) and not column.null_count):

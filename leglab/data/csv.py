@@ -25,8 +25,8 @@ def read_table(
     """Reads all columns of delimited text, also with gzip. Row 0 is the first after the names.
 
     Raises:
-        LeglabError: A line has too few or too many cells (e.g. the last one of a truncated file),
-            or a cell is not a number; names the row.
+        LeglabError: A line has too few or too many cells (for example the last line of a truncated
+            file), or a cell is not a number; names the row.
     """
     settings = (columns or ColumnMap()).settings
     text = decoded(read_bytes(path), settings.encoding)

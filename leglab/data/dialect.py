@@ -1,7 +1,7 @@
 """Layout of a table in text: encoding, separator, decimal sign, lines before the first row.
 
-DuckDB's sniffer takes the longest uniform run from the first line on and fails for heads of several
-lines (dSPACE, LabVIEW, oscilloscopes) and for blanks as separators; this module uses the last rows.
+It is detected from the last rows. DuckDB's sniffer starts at the first line instead and fails for
+heads of several lines (dSPACE, LabVIEW, oscilloscopes) and for blanks as separators.
 """
 
 import codecs
@@ -26,11 +26,11 @@ MISSING = ["", "-", "--", "nan", "NaN", "NAN", "null", "NULL", "Null", "None", "
 _BLANKS = " "
 _SEPARATORS = ",;\t|" + _BLANKS
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(?i:inf|infinity)\s*")
-# Booleans and lists are samples, too, and so are dates and times of day (`TIME`).
+# Samples that are not numbers: Booleans and lists; also dates and times of day (see `TIME`).
 _SAMPLE = re.compile(r"(?i:true|false|on|off|yes|no)|[\[(]\s*[-+.]?\d.*[\])]")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _COMMENT = re.compile(r"\s*[#%;!]+\s?")
-# Maximum length of a head [characters] and maximum number of rows used to detect the separator.
+# `_HEAD`: maximum length of a head [characters]. `_ROWS`: number of rows that show the separator.
 _HEAD, _ROWS = 1_000_000, 100
 
 
@@ -102,7 +102,7 @@ class _Line(NamedTuple):
     number: int
     cells: list[str]
     numbers: bool  # whether one of the cells is a number
-    fits: bool  # whether it can hold the names
+    fits: bool  # whether it can be the line of column names
 
 
 def _head(

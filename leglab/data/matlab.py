@@ -36,9 +36,9 @@ _KEYWORDS = frozenset(
 _HEADER = b"MATLAB 5.0 MAT-file, written by leglab".ljust(116)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
-# scipy's reader is compiled and trusts the counts in a file: a broken file can crash the process or
-# exhaust its memory. So it runs in a separate process with limited memory [bytes]: two variables of
-# the format's largest size plus a multiple of the file's size, as zeros compress to a thousandth.
+# scipy's compiled reader trusts the counts in a file, so a broken file can crash the process or use
+# up its memory. So it runs in a separate process with limited memory [bytes]: `_ROOM`, for two
+# variables of the largest size, plus `_RATIO` times the file's size, which may be compressed.
 _READER = """
 import os, pickle, sys, warnings
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -54,7 +54,7 @@ found = loadmat(sys.argv[1], appendmat=False, simplify_cells=True)
 pickle.dump(found, sys.stdout.buffer, protocol=5)
 """
 _ROOM, _RATIO = 2**32, 20
-_PATIENCE = 60.0  # time limit [s], 100 times what reading takes, plus a second per MB
+_PATIENCE = 60.0  # time limit of reading [s], 100 times the usual time; plus a second per MB
 
 # MATLAB commands that convert objects to readable types; {0} is the variable.
 _DATASET = (

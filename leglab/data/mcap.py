@@ -67,7 +67,7 @@ def read_table(
 def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
     """Writes a recording: joints as JointState, other columns of a joint as one or two messages.
 
-    A column of no joint has its own topic. Samples and metadata keep every bit, times are rounded
+    Columns of no joint get a topic each. Samples and metadata keep every bit, times are rounded
     to 1 ns. A scene becomes `/robot_description` and `/tf`, its efforts go to the JointState.
 
     Raises:
@@ -131,7 +131,7 @@ def _topics(
     known = {**recording.columns, **{f"{joint}_effort": x for joint, x in efforts.items()}}
     states = {"name": [joints] * len(recording)}
     for field in ("position", "velocity", "effort") if joints else ():
-        # A JointState has a velocity for every joint or for none, and an effort likewise.
+        # A JointState has velocities of all joints or of none, and efforts of all or of none.
         if all(f"{joint}_{field}" in known for joint in joints):
             states[field] = np.column_stack([known.pop(f"{j}_{field}") for j in joints]).tolist()
     yield _CLOCK_TOPIC, ros.JOINT_STATE, ros.DEFINITIONS[ros.JOINT_STATE], states

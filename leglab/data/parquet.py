@@ -22,7 +22,7 @@ from leglab.data.files import LeftOut, first_line, to_json
 
 _METADATA_KEY, _DIGEST_KEY = b"leglab", b"leglab.sha256"
 
-# Dictionaries are off: measured values seldom repeat, so files would be a quarter larger with them.
+# No dictionary encoding: measured values seldom repeat, so it makes files a quarter larger.
 _OPTIONS: dict[str, Any] = {
     "compression": "zstd",
     "write_page_checksum": True,

@@ -16,7 +16,7 @@ STRING = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 OWN_PACKAGE = "leglab_msgs/msg/"  # Package of messages with several columns of one joint
 
-# Name of the field with the number or array in a message, if it is not `data`.
+# Name of a message's field with its number or array, for types where it is not `data`.
 _FIELDS = {FLUID_PRESSURE: "fluid_pressure", TEMPERATURE: "temperature"}
 # Messages that are fields of other messages, each before the messages it contains.
 _WITHIN = {

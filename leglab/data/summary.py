@@ -37,7 +37,7 @@ class Summary:
 
     @property
     def gaps(self) -> int:
-        """How often samples are missing from the time axis."""
+        """Number of gaps in the time axis, where samples are missing."""
         return sum(finding.kind == "gap" for finding in self.findings)
 
     def to_json(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 from leglab.base.errors import RecordingError
 from leglab.data.units_in_names import split
 
-# Names of time columns in the languages of common loggers; X_Value is LabVIEW's, tout
+# Names of time columns of common loggers in several languages; X_Value is LabVIEW's, tout
 # Simulink's.
 _WORDS = re.compile(
     "time|t|tout|timestamps?|stamp|ts|clock|datetime|date|epoch|utc|elapsed|secs?|seconds|millis|micros|"
@@ -27,9 +27,9 @@ def time_column(
 ) -> tuple[str, np.ndarray | None, tuple[str, ...]]:
     """Finds the time of a table.
 
-    It is the column `time`, possibly with a unit; else an increasing one with a similar name; else
-    an increasing one whose type is a time. Whole seconds and their fraction, or a date and a time
-    of day, in two columns are combined. A column that only counts rows is never taken.
+    It is the column `time`, possibly with a unit, else an increasing column with a similar name or,
+    if there is none, with a time type. Whole seconds and their fraction, or a date and a time of
+    day, in two columns are combined. A column that only counts rows is never taken.
 
     Returns:
         Name, samples, (n,), and names of the columns they come from; no time gives samples None.

@@ -26,7 +26,7 @@ _TABLE = {
     "micrometres|0.0254 inch inches",
     "N m": "1 nm n~m n*m n.m n·m newtonmeter|1e3 knm kn~m|1e-3 mnm",
     "N": "1 n newton newtons|1e3 kn|1e-3 mn",
-    # MPa and mPa differ in case alone; machines are not measured in mPa.
+    # "mpa" is MPa, because nobody measures machines in mPa.
     "Pa": "1 pa pascal|1e3 kpa|1e6 mpa|1e5 bar|1e2 mbar|6894.757293168361 psi",
     "degC": "1 degc °c celsius",
     "A": "1 a amp amps ampere|1e-3 ma",

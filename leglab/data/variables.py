@@ -120,6 +120,6 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
 
 
 def _is_samples(value: Any) -> bool:
-    """Tests for a real vector or matrix; a single number is taken for a setting, not a sample."""
+    """Tests for a real vector or matrix; a single number counts as a setting, not as a sample."""
     real = isinstance(value, np.ndarray) and value.dtype.kind in "fiubMm"
     return real and value.ndim in (1, 2) and value.size > 1

@@ -33,7 +33,7 @@ from leglab.diagnosis.thresholds import FINE, SAME
 from leglab.diagnosis.verdict.notes import notes
 from leglab.diagnosis.verdict.verdict import errors_of
 
-# Number of fits: the first has equal weights; its errors give the weights of the second.
+# Number of fits: the first weights windows equally, its errors give the second fit's weights.
 _ROUNDS = 2
 
 
@@ -174,7 +174,7 @@ class _Fitted:
                 for p, ends in zip(self._rows, self._ends, strict=True)
             ]
         ).T
-        # The start keeps off bounds, from which a reflective trust region takes tiny steps.
+        # The start is inside the bounds, at which a reflective trust region takes tiny steps.
         inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
         self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
@@ -203,13 +203,13 @@ class _Fitted:
         return self._errors.unknowns.moved(Hypothesis(), by)
 
     def _white(self, errors: np.ndarray) -> np.ndarray:
-        """Returns weighted errors, (windows, size), whitened also for uncertain command times."""
+        """Weights errors, (windows, size), and whitens them for uncertain command times as well."""
         noise = self._problem.noise.whitening[self._errors.chosen]
         own, early = (
             np.sqrt(self._weight)[:, None] * whitened(noise, each[:, : self._errors.size])
             for each in (errors, self._early)
         )
-        # Whitens all windows together for the covariance I + e e', e: change by early commands.
+        # Whitens all windows for the covariance I + e e', where e is the change by early commands.
         square = max(float((early**2).sum()), 1e-300)
         return own - (1.0 - (1.0 + square) ** -0.5) / square * float((early * own).sum()) * early
 
@@ -232,7 +232,7 @@ class _Fitted:
         return self._white(self._errors.at(self._hypothesis(z)))
 
     def _jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Returns difference quotients of `_white` in the bounds, (windows, size, parameters)."""
+        """Returns difference quotients of `_white` by parameter, (windows, size, parameters)."""
         step = np.maximum(FINE[0], FINE[1] * np.abs(z))
         step = np.where(z + step > self._upper, -step, step)
         points = [z, *(z + row for row in np.diag(step))]
@@ -275,7 +275,7 @@ class _Fitted:
         slopes = np.einsum("wip,wi->wp", jacobian, white)
         sums = np.stack([slopes[part == k].sum(axis=0) for k in range(int(part.max()) + 1)])
         few = len(sums) / max(len(sums) - 1, 1)
-        # The covariance by noise alone is added, so that the result cannot be below it.
+        # The covariance of noise alone is added, so that no variance falls below its variance.
         return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
 
     def told(self, began: float) -> ParameterFit:

@@ -60,9 +60,9 @@ class NamedEffect:
     indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings equally well
     #: Normalised replay error on the held-out recordings without this effect alone.
     without: float = math.nan
-    #: Recording, earliest and latest time [s] of the onset; between them no motion shows it.
+    #: Recording, earliest and latest time [s] of the onset; no motion in between shows it.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
-    #: Differences between values for the two directions; they are surer than the values.
+    #: Differences between values for the two directions; surer than the values themselves.
     differences: tuple[Estimate, ...] = ()
 
     @property
@@ -157,7 +157,7 @@ class Gap:
 
     @property
     def explained(self) -> float | None:
-        """Share that the named effects close of the gap without them; None if nothing is named.
+        """Share of the gap without the named effects that they close; None if nothing is named.
 
         Noise, and model errors from before the machine changed, are no part of the gap.
         """
@@ -197,7 +197,7 @@ class Tried:
     move: str  #: Move of the search that proposed it first
     reason: str  #: Reason of the proposal, in words
     level: float  #: Median whitened RMS error
-    behind: float  #: Log evidence of the most probable set minus that of this set
+    behind: float  #: Log evidence of the most probable set minus this set's
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,7 +246,7 @@ class WholeRecording:
     correction_after: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """Returns names and root mean squares over the recording; NaN if a simulation diverged."""
+        """Returns names, and RMS values over the recording, NaN if a simulation diverged."""
         return {
             "recording": self.recording,
             "joint": self.joint,

@@ -26,7 +26,7 @@ class Episode:
     settings: RunSettings
     #: Time at which the first change begins [s]; None for the scenario's own time.
     onset: float | None = None
-    #: Whether the scenario was drawn; if so, a scenario without changes ignores `onset`.
+    #: Whether the scenario was drawn; a drawn scenario without changes ignores `onset`.
     drawn: bool = False
 
     def scenario(self) -> Scenario:
@@ -56,10 +56,10 @@ class Episodes:
 
     Args:
         base: The episode to vary.
-        randomize: None: every episode equals `base`. Otherwise a mapping of names in `RANDOM` to
-            ranges (low, high), from which values are drawn uniformly, and of "scenario" to names,
-            of which one is drawn; or a function of a `numpy.random.RandomState` that returns values
-            by name. Each episode then also has a new seed, unless "seed" is among these names.
+        randomize: None: every episode equals `base`. A mapping of names in `RANDOM`: to ranges
+            (low, high), from which values are drawn uniformly; for "scenario" to scenario names, of
+            which one is drawn. A function of a `numpy.random.RandomState` that returns values by
+            name. With a mapping or function each episode has a new seed unless it has "seed".
 
     Attributes:
         base: The episode that is varied.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RENDER_MODES = ("human", "rgb_array", "depth_array")
 # Pictures per second of the window and of films. A film with one picture per step is slow motion.
 FRAME_RATE = 50
-# Default camera, and index of MuJoCo's free camera, which is used if a model lacks the default.
+# `USUAL_CAMERA`: default camera. `FREE_CAMERA`: MuJoCo's index of the free camera, used without it.
 USUAL_CAMERA, FREE_CAMERA = "three_quarter", -1
 
 
@@ -28,8 +28,8 @@ class LegEnv(gymnasium.Env):
 
     Observations are float32: one array with `flat_observation=True`, otherwise a dict of arrays.
 
-    A seed passed to `reset` is the seed of the episode's run, as in `leglab run --seed`, and of the
-    draws of later episodes. An episode is truncated at its duration, and terminated if the
+    A seed passed to `reset` seeds the episode's run, as in `leglab run --seed`, and the draws of
+    later episodes. An episode is truncated when its duration is over, and terminated if the
     simulation blows up or an error exceeds the limit.
 
     `info` has `time` [s], the true `tracking_error` [rad], (joints,), and the sent `command` in

@@ -23,7 +23,7 @@ class Scale:
     limit: np.ndarray | float  #: Limit of scaled values; shape as `offset`
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Scales values in SI units, (..., size), in float32, so that batches give equal values."""
+        """Scales values in SI units, (..., size), in float32, so that batches get equal values."""
         scaled = np.asarray(value, dtype=np.float32) - self.offset
         scaled /= self.unit
         return scaled.clip(-self.limit, self.limit, out=scaled)
@@ -32,8 +32,8 @@ class Scale:
 def observation_scales(preparation: Preparation) -> Mapping[str, Scale]:
     """Computes the scales of all possible parts of an observation from the nominal machine.
 
-    Units are half the joint's range, from mid-range, for positions; the drive's full speed; full
-    speed in 0.1 s for accelerations; the supply pressure. Commands are in [-1, 1] already.
+    Positions are scaled by half the joint's range, about mid-range; velocities by full speed,
+    accelerations by full speed in 0.1 s, pressures by supply pressure. Commands are in [-1, 1].
     """
     nominal = preparation.nominal
     joints = reference_joints(nominal)

@@ -15,7 +15,7 @@ class LegPhysics(Physics):
     physics is independent and advances by time steps, without sensors and scenario.
     """
 
-    # dm_control's non-legacy step: whole time steps from the present state, also in a copy.
+    # dm_control's non-legacy step does whole time steps from the present state, also in a copy.
     legacy_step = False
     _advance: Callable[[], None] | None = None
 
@@ -29,7 +29,7 @@ class LegPhysics(Physics):
         self._advance = advance
 
     def step(self, nstep: int = 1) -> None:
-        """Advances by one control period; a copy by a number of time steps."""
+        """Advances by one control period; a copy of the physics advances by `nstep` time steps."""
         if self._advance is None:
             super().step(nstep)
             return
@@ -39,7 +39,7 @@ class LegPhysics(Physics):
     def after_reset(self) -> None:
         """Recomputes the quantities that follow from the state; valve openings are unchanged.
 
-        Restores the solver's warm start, so that the next step is as without this call.
+        Restores the solver's warm start, so that the call does not influence the next step.
         """
         warm_start = self.data.qacc_warmstart.copy()
         self.forward()

@@ -7,7 +7,7 @@ import numpy as np
 
 from leglab.control import ReferencePoint
 
-# Largest joint error with full reward; further error at which a tenth of the reward is left [rad].
+# `GOOD_ERROR`: joint error with full reward [rad]. `POOR_ERROR`: excess with reward 0.1 [rad].
 GOOD_ERROR, POOR_ERROR = 1e-3, 5e-2
 
 
@@ -47,8 +47,8 @@ Reward = Callable[[Transition], Any]
 def tracking(transition: Transition) -> Any:
     """Computes the joints' mean of `dm_control.utils.rewards.tolerance` of the error, in [0, 1].
 
-    It is 1 up to 1 mrad, 0.1 at 51 mrad and 0.001 at half a radian; the long tail still tells bad
-    actions from worse ones. Equals dm_control's function to the bit, but needs fewer passes.
+    It is 1 up to 1 mrad, 0.1 at 51 mrad and 0.001 at half a radian, so that even with large errors
+    a smaller error has a higher reward. Bit-identical to dm_control's function, with fewer passes.
     """
     beyond = np.maximum(np.abs(transition.error) - GOOD_ERROR, 0.0) / POOR_ERROR
     return (1.0 / ((3.0 * beyond) ** 2 + 1.0)).mean(axis=-1)
@@ -57,8 +57,8 @@ def tracking(transition: Transition) -> Any:
 def smooth_tracking(transition: Transition) -> Any:
     """Computes `tracking` times a factor in [0.8, 1] for small changes of the valve commands.
 
-    The factor weights effort as dm_control's suite does: 0.8 + 0.2 times a quadratic that falls to
-    0 at a change of 0.1 of full opening in one step. The product is in [0, 1].
+    The factor weights effort as dm_control's suite does: 0.8 + 0.2 times a quadratic function, 1
+    without a change, 0 from a change of 0.1 of full opening per step on. The product is in [0, 1].
     """
     from dm_control.utils import rewards
 

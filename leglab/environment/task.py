@@ -21,7 +21,7 @@ from leglab.runs.preparation import reference_joints
 
 
 class TrackingTask(Task):
-    """Tracking task; actions are valve commands, corrections of a controller's, or torques.
+    """Tracking task; actions are valve commands, corrections of a controller's, or joint torques.
 
     Args:
         plan: Settings of the environment.
@@ -134,7 +134,7 @@ class TrackingTask(Task):
     def observation_spec(self, physics: LegPhysics) -> Mapping[str, specs.Array]:
         """Returns shapes and bounds of the parts of an observation.
 
-        In SI units only references, by the joints' limits, and commands are bounded.
+        In SI units only commands and references are bounded, the latter by the joints' limits.
         """
         low, high = np.array([(joint.lower, joint.upper) for joint in self._joints]).T
         speed = np.array([joint.velocity_limit for joint in self._joints])

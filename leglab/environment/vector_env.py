@@ -16,7 +16,7 @@ AUTORESETS = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.S
 
 
 class LegVectorEnv(gymnasium.vector.VectorEnv):
-    """Machines of `leglab.environment.make_batch` as a `gymnasium.vector.VectorEnv`.
+    """Batch of machines of `leglab.environment.make_batch` as a `gymnasium.vector.VectorEnv`.
 
     Observations are one float32 array with a row per machine, in the order of
     docs/guides/environments.md; the arrays that `reset` and `step` return are copies.
@@ -65,7 +65,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts episodes; with one seed, machine i starts the first episode of seed + i.
+        """Starts episodes; with a single seed, machine i starts the first episode of seed + i.
 
         Args:
             seed: One number, or one per machine; None continues with the next episodes.
@@ -102,7 +102,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         if not self._begun:
             raise SimulationError("step before reset")
         batch = self.batch
-        reward, begun = batch.step(actions)  # no episode begins with autoreset in the same step
+        reward, begun = batch.step(actions)  # with autoreset "same_step" no episode begins here
         terminated, truncated = batch.terminated.copy(), batch.truncated.copy()
         info = self._info()
         if begun.any():
@@ -122,7 +122,7 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
         return batch.observation.copy(), reward, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Closes the closed loops of all machines, which restores their models."""
+        """Closes the closed-loop runs of all machines, which restores their models."""
         if self._begun:
             for i in range(self.num_envs):
                 self.batch.loop(i).close()

@@ -166,7 +166,7 @@ def fitted(scenario: Scenario, simulation: Simulation) -> Scenario:
 def _fit(
     scenario: Scenario, simulation: Simulation
 ) -> tuple[tuple[ParameterChange, ...], ParameterChange | None]:
-    """Returns the changes that a machine can carry out, and the first required one it cannot."""
+    """Returns the changes that a machine can carry out, and the first required change it cannot."""
     kept = []
     for asked in scenario.changes:
         change = replace(asked, element=_own(asked.element, simulation.joints))
@@ -187,7 +187,7 @@ def _fit(
 
 
 def _own(pattern: str, joints: Sequence[str]) -> str:
-    """Returns a pattern; "JOINT,JOINT_*" gets exclusions of other joints named "JOINT_..."."""
+    """Returns a pattern of elements; "JOINT,JOINT_*" then excludes joints named "JOINT_..."."""
     for joint in joints:
         if pattern == joint_pattern(joint):
             others = [escape(o) for o in joints if o.startswith(f"{joint}_")]
@@ -314,8 +314,8 @@ class Bodies:
 ACTUATOR_GAIN = Parameter(
     "actuator_gain", "1", 1.0, 0.0, 10.0, True, "factor on the force of a native actuator"
 )
-# Fields of MjModel by the plugins' name for the same quantity of a joint. A second field holds the
-# coefficients of higher orders of a polynomial.
+# Fields of MjModel with a quantity of a joint, by the plugins' name of the quantity. A second field
+# holds the coefficients of higher orders of a polynomial.
 _JOINT_FIELDS = {
     "viscous": ("dof_damping", "dof_dampingpoly"),
     "coulomb": ("dof_frictionloss",),
@@ -380,7 +380,7 @@ class NativeJoints:
             raise SettingsError(told, given=value, allowed="0 or more")
         place = self._place(element, name)
         first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
-        for field in higher:  # all orders are scaled by one factor
+        for field in higher:  # the factor of the first order scales all other orders
             factor = value / self._nominal[first][place] if self._nominal[first][place] else 1.0
             getattr(self._model, field)[place] = factor * self._nominal[field][place]
         getattr(self._model, first)[place] = value

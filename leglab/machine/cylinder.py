@@ -150,7 +150,7 @@ class Cylinder:
 
         guess = np.array([0.4, 0.6])
         low, high = -1.0, 1.0
-        # With too little flow the pressures diverge, but the force residual keeps the right sign.
+        # If the flow is too small the pressures diverge, but the force residual has the right sign.
         if balance(low, guess)[1] > 0 or balance(high, guess)[1] < 0:
             raise ModelError(
                 f"no steady state at {velocity:g} m/s and {force:g} N: the valve is too small "

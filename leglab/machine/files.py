@@ -15,7 +15,7 @@ from leglab.base.errors import LeglabError, ModelError
 from leglab.machine.library import is_shipped, model_path
 from leglab.machine.plugin import load_error, load_plugin
 
-# Age of a file's time stamps [s] below which the file may change again without new time stamps,
+# Age of a file's time stamps [s] up to which another change of the file may leave them unchanged,
 # because the clocks of file systems tick every few milliseconds.
 _TICK = 0.1
 _MOST = 8  # largest number of models whose content is cached
@@ -74,7 +74,7 @@ class ModelFiles:
         return self.main.relative_to(root)
 
     def _renamed(self, path: bytes) -> bytes:
-        """Returns a path as the copy names it: made relative if absolute and to a model's file."""
+        """Returns a path for the copy: an absolute path of a file of the model becomes relative."""
         known = any(_is_below(file, {Path(os.fsdecode(path))}) for file in self.content)
         return _APART.encode() + path if path.startswith(b"/") and known else path
 
@@ -173,7 +173,7 @@ def _files(main: Path) -> set[Path]:
         names = mujoco.mju_getXMLDependencies(str(main))
     except (ValueError, mujoco.FatalError) as error:
         raise load_error(error, main.name) from error
-    # A model that does not compile as it is may compile with a run's time step or parameters.
+    # A model that does not compile may still compile with a run's time step or parameters.
     with suppress(ValueError, mujoco.FatalError):
         names += [os.fsdecode(name) for name in spec.compile().paths.split(b"\0") if name]
     found = {Path(os.path.abspath(main.parent / name)) for name in names}

@@ -75,7 +75,7 @@ def model_path(model: str | Path) -> Path:
 
 
 def is_shipped(model: str | Path) -> bool:
-    """Tests whether a model is given by the name of one that ships with leglab."""
+    """Tests whether `model` is the name of a model that ships with leglab."""
     names = MODELS.names()
     return str(model) in names and MODELS.get(str(model)).path.parent in _shipped()
 

@@ -20,7 +20,7 @@ _ATTRIBUTE = re.compile(r"\s*([\w:]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _NAMES = ("name", "key", "instance", "plugin")
 # Sections whose elements share one name space, whatever their tags.
 _ONE_SPACE = ("actuator", "sensor")
-# Attributes of `general` alone; its shortcuts `position` and `velocity` name them differently.
+# Attributes that only `general` has; its shortcuts `position` and `velocity` have others instead.
 _OF_GENERAL = {"gainprm", "biasprm", "gaintype", "biastype", "dyntype", "dynprm", "input"}
 _SAME = 2e-5  # relative tolerance of equal numbers, as MuJoCo writes six digits
 
@@ -34,7 +34,7 @@ class MjcfPatch:
     """An MJCF file and its includes, edited by the differences of two MuJoCo specifications.
 
     Paths of includes and the asset folders `dirs` (by attribute of `compiler`) become absolute, so
-    that the text loads from anywhere. The hinges `in_degrees` have their `springref` in degrees.
+    that the text loads from anywhere. For hinges `in_degrees` the file has `springref` in degrees.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ def _same(old: str | None, new: str | None) -> bool:
         pairs = [*zip(map(float, old.split()), map(float, new.split()), strict=True)]
     except ValueError:
         return False
-    # In vectors (directions) rounding is relative to the largest component; scalars may be 1e-13.
+    # A vector's rounding is relative to its largest component. A scalar may be as small as 1e-13.
     rounding = _SAME * max((abs(a) for a, _ in pairs), default=0.0) if len(pairs) > 1 else 0.0
     return all(math.isclose(a, b, rel_tol=_SAME, abs_tol=rounding) for a, b in pairs)
 

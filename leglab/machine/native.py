@@ -22,10 +22,10 @@ _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT
 _DYNAMICS = (int(mujoco.mjtDyn.mjDYN_NONE), *_FILTERS)
 _ALLOWED = "allowed: motor, position, velocity or general actuators and leglab.cylinder"
 
-# Travel to either side of the rest position of a joint to which the model gives no range
-# [rad or m]; chosen for leglab.
+# Travel on each side of the rest position of a hinge [rad] and of a slide [m] to which the model
+# gives no range; chosen for leglab.
 HINGE_TRAVEL, SLIDE_TRAVEL = math.pi / 2, 0.5
-# Largest lever arm of an actuator on another joint, relative to that on the joint it drives.
+# Largest lever arm of an actuator on other joints over its lever arm on the joint that it drives.
 _LEVER_ELSEWHERE = 1e-6
 
 

@@ -239,7 +239,7 @@ _UNKNOWN_ATTRIBUTE = re.compile(
     r"unrecognized attribute 'plugin:(?P<attribute>[^']*)' for plugin (?P<plugin>[\w.]+)"
 )
 _MISSING = re.compile(r"(?P<kind>site|transmission target) '(?P<name>[^']*)' not found")
-# MuJoCo's note that visual shapes were discarded: true, but irrelevant to the error.
+# MuJoCo's note in messages that visual shapes were discarded, which has not caused the error.
 _DISCARDED = re.compile(r"\s*The visual elements of the spec were discarded.*", re.DOTALL)
 _ELEMENT = re.compile(r"\nElement name '(?P<element>[^']*)'.*", re.DOTALL)
 
@@ -254,7 +254,7 @@ def load_error(error: Exception, where: str, spec: mujoco.MjSpec | None = None) 
 
     Returns:
         The error with the element's name; for a wrong plugin attribute or a missing anchor the
-        message lists the existing ones.
+        message lists the existing attributes or anchors.
     """
     text = str(error).removeprefix("Error: ").removeprefix("engine error: ")
     text = _DISCARDED.sub("", text)

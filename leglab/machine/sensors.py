@@ -25,7 +25,7 @@ from leglab.machine.parameters import Parameter
 
 # Upper limit on time steps per control period: more would take hours per simulated second.
 _MOST_STEPS = 100_000
-# Normal numbers skipped per draw; `advance` cannot skip them: each takes an unknown number of bits.
+# Count of normal numbers drawn at a time to skip them; `advance` would need their number of bits.
 _SKIPPED = 8192
 # Difference below which two times count as equal [s].
 _SAME_TIME = 1e-9
@@ -76,7 +76,7 @@ def in_whole_steps(config: SensorConfiguration, timestep: float) -> SensorConfig
 
 
 class LoopTiming(NamedTuple):
-    """Numbers of time steps in a control period: command to sample, and sample to command."""
+    """Numbers of time steps from a command to the sensor sample, and from there to a command."""
 
     to_sample: int
     to_command: int
@@ -144,7 +144,7 @@ class VelocityFilter:
         first = positions[:1] if self._position is None else self._position
         found = np.diff(positions, axis=0, prepend=first) * self._gain
         before = self._velocity
-        # A loop, because each run of a sweep would import scipy.signal, longer than a short run.
+        # A loop, because the import of scipy.signal in each run of a sweep takes longer than a run.
         for now in found:
             now += self._keep * before
             before = now
@@ -422,7 +422,7 @@ class Encoders:
             self._shown[number % len(self._shown)] = self._noisy
             shown = self.built_in.seen(self._shown, number, self._period)
             self.shift[k] += shown - self._noisy
-        # The very first reading is never lost: there is no earlier one to repeat.
+        # The very first reading is never lost, because no earlier reading could be repeated.
         self.lost[k] = (self._chance[k] < self._values[1]) & (self._first + k > 0)
 
     def _index(self, element: str, name: str) -> tuple[int, int]:

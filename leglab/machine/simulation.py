@@ -19,8 +19,8 @@ CYLINDER = "leglab.cylinder"
 _COMPRESSIBILITY = ("bulk_modulus", "entrained_air", "polytropic_index")
 # Joint speed [rad/s or m/s] above which a leg simulation counts as diverged.
 SPEED_LIMIT = 1e3
-# Smallest lever arm allowed for a cylinder, relative to the largest over its joint's range, and the
-# number of positions over that range at which it is checked.
+# `_LEAST_LEVER`: least lever arm of a cylinder over its largest in the joint's range. `_LOOKED_AT`:
+# number of positions in the range at which it is checked.
 _LEAST_LEVER, _LOOKED_AT = 1e-3, 9
 # Joint types with one coordinate, and whether they slide.
 _SLIDES = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
@@ -99,8 +99,8 @@ class Simulation:
         varied: Whether parameters were varied to make a specimen (`leglab.machine.changes`).
 
     Raises:
-        LeglabError: If an actuator is of another kind, moves no joint or several, two move one, or
-            a cylinder does not fit the range of its joint.
+        LeglabError: If an actuator is of another kind or moves no joint or several joints, two
+            actuators move the same joint, or a cylinder does not fit the range of its joint.
     """
 
     def __init__(self, model: mujoco.MjModel, *, keyframe: str | None = "home") -> None:
@@ -227,8 +227,8 @@ class Simulation:
     def set_pressures(self, pressure_a: np.ndarray, pressure_b: np.ndarray) -> None:
         """Prescribes all chamber pressures [Pa], each (cylinders,), at the present position.
 
-        Needed after joint positions were set directly: otherwise the chambers keep their amounts
-        of oil, which the jump in position compresses or stretches.
+        Needed after joint positions were set directly, because otherwise the chambers keep their
+        amounts of oil, which the jump in position compresses or stretches.
         """
         state = self.data.plugin_state
         state[self.slots("pressure_a")] = pressure_a
@@ -400,4 +400,4 @@ class Simulation:
     def _supply_of(self, actuator: str) -> str:
         """Returns the name of a cylinder's supply; empty if the cylinder refers to none."""
         instance = self.model.actuator_plugin[self.model.actuator(actuator).id]
-        return leglab.machine.plugin.text_attribute(self.model, instance)  # its first attribute
+        return leglab.machine.plugin.text_attribute(self.model, instance)  # first: its supply

@@ -38,8 +38,8 @@ from leglab.machine.plugin import headless
 from leglab.machine.simulation import Simulation
 from leglab.runs.preparation import Preparation, RunSettings, prepared, reference_config
 
-# Number of strides that the loop runs before sampling starts, and number of sampled strides. If the
-# motion does not repeat, a stride is its nominal period.
+# Numbers of strides: `_SETTLED` before sampling starts, `_SAMPLED` with sampling. For a motion that
+# does not repeat, its nominal period counts as a stride.
 _SETTLED, _SAMPLED = 3, 3
 
 _SAMPLES = 64  # number of learning samples that are collected before they are added to the moments
@@ -150,7 +150,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
     healthy = moments(())
     base = _solve(healthy)
     # The ridge regressions of the faults shrink towards `base`, the healthy machine's parameters.
-    # They give a shift `drawn` even for the healthy machine, which is subtracted from all shifts.
+    # Even for the healthy machine they give a shift, `drawn`; it is subtracted from all shifts.
     drawn = _solve(healthy.about(base))
     normal = healthy.about(base).power / np.maximum(healthy.count, 1.0)
     joints = preparation.nominal.joints
@@ -182,7 +182,7 @@ def _make(settings: RunSettings, preparation: Preparation, make_loop: MakeLoop) 
                     sizes=np.array(sizes),
                     shifts=np.array(shifts),
                     valves=_valves(told, preparation.nominal),
-                    # The share is 0 for a fault without an effect beyond noise: store 1 then.
+                    # For a fault without an effect beyond noise the share is 0; 1 is stored then.
                     explains=float(explained_share(*sums.tolist())) or 1.0,
                 )
             )
@@ -252,7 +252,7 @@ def _moments(
 
 
 def _shown(changed: Moments, shift: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Computes the monitor's weighted squared errors: fault with `shift`, fault without, healthy.
+    """Computes weighted squared errors: of the fault with and without `shift`, and without fault.
 
     Moments and shift are relative to the healthy map, whose mean squared errors are `normal`.
     """

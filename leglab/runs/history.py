@@ -18,7 +18,7 @@ class Rows:
     velocity: np.ndarray  #: True velocities of the driven joints [rad/s], (n, joints)
     #: True positions of passive joints, by joint [rad or m], each (n,).
     passive: dict[str, np.ndarray]
-    command: np.ndarray  #: Commands in [-1, 1] from `time` on, (n, joints)
+    command: np.ndarray  #: Commands in [-1, 1] held for one period from `time`, (n, joints)
     #: Actuator inputs for these commands: the command of a valve, or the control input of a native
     #: actuator in its unit, (n, joints).
     control: np.ndarray

@@ -41,7 +41,7 @@ def held(*, later: bool = False) -> Iterator[Hold]:
         later: Whether deferring begins only in a nested block with `later=False`.
 
     Yields:
-        State of the Ctrl-C. Outside the main thread or with another handler nothing is deferred.
+        State of the deferral. Outside the main thread or with another handler nothing is deferred.
 
     Raises:
         KeyboardInterrupt: At the end, if a Ctrl-C is still pending; at once for a second Ctrl-C.

@@ -1,11 +1,11 @@
 """Iterative inversion of the simulated machine: commands that give zero tracking error.
 
 Iterative learning control with an identified plant inverse (Bristow, Tharayil and Alleyne 2006,
-IEEE Control Systems Magazine 26(3), 96): after each trial the command correction is the output of
-an inverse model for the last error, low-pass filtered without phase shift. The inverse model maps
+IEEE Control Systems Magazine 26(3), 96): after each trial (simulated run) an inverse model computes
+the command correction from the error, low-pass filtered without phase shift. The inverse model maps
 a small change of the motion to a change of the command: the slope of the nominal valve map times a
 linear function of position, velocity, acceleration and jerk of all joints. Its coefficients are
-fitted to the difference of two trials, the second of which has small random commands added.
+fitted to the difference of two trials, one of them with small additional random commands.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,10 +18,10 @@ from leglab.base.scale import rms
 from leglab.commissioning.calibration import ValveMap
 from leglab.controllers.static_feedforward import ValveMapTable
 
-# Low-pass cutoffs [Hz] of errors and corrections, and of random commands; RMS of random commands.
+# Low-pass cutoffs [Hz] of errors (`_CUTOFF`) and of random commands (`_EXCITATION`); RMS of these.
 _CUTOFF, _EXCITATION, _AMPLITUDE = 20.0, 8.0, 0.02
-# Learning gain; maximum number of trials. The iteration ends after `_PATIENCE` successive trials
-# that do not reduce the RMS error by at least the share `_LEAST_GAIN`.
+# `_GAIN`: learning gain. The iteration ends after `_TRIALS` trials, or after `_PATIENCE` successive
+# trials that do not reduce the RMS error by at least the share `_LEAST_GAIN`.
 _GAIN, _TRIALS, _PATIENCE, _LEAST_GAIN = 0.8, 30, 5, 0.03
 _DERIVATIVES = 3
 # Minimum duration of a part between two changes to which an inverse model is fitted [s].
@@ -29,8 +29,8 @@ _SHORTEST = 1.0
 # Half width of the difference quotient for the slope of the valve maps, as a share of full speed.
 _SLOPE = 0.05
 
-# Runs the machine with commands (n, joints) added to the feedback; returns the error, reference
-# less true position [rad], and the feedback part of the command, (n, joints) each.
+# Runs the machine with commands (n, joints) added to the feedback's; returns the error, reference
+# less true position [rad], and the feedback's commands, (n, joints) each.
 Trial = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -49,7 +49,7 @@ def exact_commands(
         start: First commands, (n, joints).
         period: Sampling period [s].
         changes: Indices of the periods at which the machine changes. Each part of the run between
-            two changes has its own inverse model; below a second only the feedback corrects.
+            two changes has its own inverse model; in a part below 1 s only the feedback corrects.
 
     Returns:
         The commands of the trial with the least RMS error, in [-1, 1], (n, joints).

@@ -42,8 +42,8 @@ _CHECK_INTERVAL = 50
 # Upper limit on the control periods of a run.
 _MOST_PERIODS = 50_000_000
 
-# Minimum number of samples per evaluation of a reference. A shorter piece is extended by earlier
-# samples, because products of matrices with few rows are rounded differently.
+# Minimum number of samples per evaluation of a reference. Earlier samples are added to a shorter
+# piece, because products of matrices with few rows are rounded differently.
 _LEAST_SAMPLES = 64
 
 # Recorded plugin states by suffix of their column. The suffix `_position` is reserved for joints.
@@ -59,9 +59,8 @@ _RECORDED = {
 # Length of the pieces in which the reference is sampled after the scenario's duration [s].
 _PIECE = 1.0
 
-# Recordings for offline identification: seed that no comparison uses, duration [s], and time from
-# which the motion is close to the reference [s].
-BENCH_SEED = 1_000_003
+BENCH_SEED = 1_000_003  # seed of recordings for offline identification; no comparison uses it
+# `_BENCH_DURATION`: their duration [s]. `_BENCH_SETTLED`: time before which they are not used [s].
 _BENCH_DURATION, _BENCH_SETTLED = 40.0, 10.0
 
 # Sensors without noise and quantisation; their latency is kept.
@@ -170,7 +169,7 @@ class Loop:
         self._pressures, self._ahead = pressures, ahead
         self._kept = min(kept or self.count, self.count)
         self.machine: SampledMachine | None = None
-        for first in range(self._kept, self.count, self._kept):  # finds errors of later pieces now
+        for first in range(self._kept, self.count, self._kept):  # raises errors of later pieces now
             self._sample_reference(first, min(self._kept, self.count - first))
         self.reset()
 
@@ -402,7 +401,7 @@ class Loop:
 
     def _bench_runs(self) -> tuple[BenchRun, BenchRun]:
         """Records this machine before and after its changes, for offline identification."""
-        # A tolerance needs the run's seed, which selects the specimen; equal noise does no harm.
+        # With a tolerance the run's seed selects the specimen. The noise is then the run's, too.
         seed = self.settings.seed if self.settings.tolerance else BENCH_SEED
         settings = replace(self.settings, controller="bsnn_arx", controller_config={}, seed=seed)
         before = replace(self.scenario, duration=_BENCH_DURATION, changes=())
@@ -440,7 +439,7 @@ _bench_cache: dict[str, BenchRun] = {}
 def _bench_run(settings: RunSettings, scenario: Scenario, preparation: Preparation) -> BenchRun:
     """Records measurements and commands of a run once the motion is close to the reference.
 
-    The measurements include the sensor latency, which the identification has to consider.
+    The measurements have the sensor latency, which the identification has to consider.
     """
     # The key omits name and severity, so all scenarios share the recording of the healthy machine.
     told = replace(scenario, name="", summary="", severity=None)

@@ -57,7 +57,7 @@ def phase_table(
     Returns:
         One dict per phase with `name`, `start`, `end` [s], and `rms_rad`, `peak_rad` and `p95_rad`
         (95th percentile), each by joint and under "all", which pools the samples of all joints.
-        Phases that the run did not reach are left out; an unfinished one ends with the last sample.
+        Phases that the run did not reach are left out; an unfinished phase ends at the last sample.
 
     Raises:
         LeglabError: Shapes do not match, or a joint is named "all".
@@ -188,7 +188,7 @@ def settling_time(
         threshold: Threshold in the unit of the error.
 
     Returns:
-        Time from the change to the start of the window after the last one above the threshold [s];
+        Time from the change to the start of the window that follows the last exceeding window [s];
         0 if no window exceeds the threshold, None if the last window of the run does.
     """
     exceeding = np.flatnonzero((time >= change) & (windowed > threshold))
@@ -205,8 +205,8 @@ def excess_error_area(
 ) -> float | None:
     """Integrates the excess of the windowed error over its value before a change.
 
-    The area weighs a short high error as much as a long low one. Times at which the error is below
-    its value before the change count as 0.
+    A short high excess counts as much as a long low excess of the same area. Times at which the
+    error is below its value before the change count as 0.
 
     Args:
         time: Sample times [s], increasing. Shape (n,).

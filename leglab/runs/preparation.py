@@ -132,7 +132,7 @@ def _healthy(
     settings: RunSettings, preparation: "Preparation | None", parameter: str
 ) -> tuple[float, ...]:
     """Returns a parameter's values at those elements of the nominal machine that change."""
-    if preparation is None:  # without `parameters`: a sweep over them compiles the model once
+    if preparation is None:  # omits `parameters`, so that a sweep over them compiles the model once
         plain = RunSettings(scenario="", model=settings.model, timestep=settings.timestep)
         preparation = prepared(plain)
     placed = placed_parameters(settings.parameters, preparation.nominal.elements)
@@ -312,7 +312,7 @@ def _edit(parameters: Mapping[tuple[str, str], float], spec: mujoco.MjSpec) -> N
 
 
 def reference_config(settings: RunSettings, scenario: Scenario) -> dict[str, Any]:
-    """Merges settings of the reference: the scenario's (for its default only), then the user's.
+    """Merges settings of the reference: the user's, and for its default reference the scenario's.
 
     With `vary` the seed draws the phase, unless scenario or user set it.
     """

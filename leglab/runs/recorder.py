@@ -25,8 +25,8 @@ from leglab.runs.loop import Loop
 class Recorder:
     """Converter of one run's rows into columns of a recording, block after block.
 
-    Results do not depend on the block size: each sensor's noise starts in the random sequence where
-    the previous sensor's noise of a complete run ends.
+    Results do not depend on the block size: in the random sequence the noise of each sensor starts
+    where the noise of the previous sensor, for a complete run, ends.
 
     Args:
         loop: The loop that makes the rows.
@@ -73,7 +73,7 @@ class Recorder:
                 noisy = values + self._noise[name].normal(0, sensors.pressure_noise, len(values))
                 columns[name] = scale * noisy + offset
                 columns[name].setflags(write=False)  # so that the recording need not copy it
-        # Encoders of passive joints: linear scales with the same noise, in rad or m.
+        # Encoders of passive joints have no quantisation, and the same noise in rad or m.
         for name, values in rows.passive.items():
             read = values + self._noise[name].normal(0, sensors.position_noise, len(values))
             columns[f"{name}_position"] = read

@@ -111,7 +111,7 @@ def run_scenario(
             time=history.time, columns=columns, metadata=recorder.metadata(columns)
         )
         result = _result(loop, configuration, recording, history, progress, hold.take)
-    if result.record.failure:  # may also come from the run of the frozen twin
+    if result.record.failure:  # may also be a failure of the frozen twin's run
         history = replace(history, failure=result.record.failure)
     return Run(**vars(result), history=history)
 
@@ -154,7 +154,7 @@ def _result(
 ) -> Result:
     """Computes the results of a finished loop, for which it may run the frozen twin."""
     settings = loop.settings
-    events = told(loop)  # before the run of the twin, which resets the controller
+    events = told(loop)  # before the frozen twin's run, which resets the controller
     twin_error = None
     if _has_twin(loop) and not ending.failure:
         twin_error, failure = _twin(loop, progress, interrupted)

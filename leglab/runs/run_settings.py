@@ -52,7 +52,7 @@ def read_settings(path: Path) -> dict[str, Any]:
 def replace_names(values: dict[str, Any], given: Mapping[str, Any]) -> list[str]:
     """Overrides settings of a file by given settings.
 
-    Another controller or reference takes over the settings of the file's one that it has, too.
+    Another controller or reference keeps those settings of the file's that it has as well.
 
     Args:
         values: Settings of the file; modified in place.
@@ -168,7 +168,7 @@ def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
             continue
         del found[section]
         own = dict(table)
-        if "name" in own:  # A TOML key cannot be both text and table: the table holds the name.
+        if "name" in own:  # A TOML key cannot be both text and table, so the table has the name.
             found[section] = own.pop("name")
         beside = found.get(SECTIONS[section], {})
         if not isinstance(beside, dict):

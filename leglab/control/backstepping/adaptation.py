@@ -9,12 +9,12 @@ from leglab.control.backstepping.data import InverseDynamics
 from leglab.control.backstepping.least_squares import BoundedLeastSquares
 from leglab.control.feedforward.motion import SmoothingWindow
 
-# Number of samples in the smoothing window; control periods from one update to the next.
+# `_WINDOW`: number of samples in the smoothing window. `_INTERVAL`: control periods per update.
 _WINDOW, _INTERVAL = 21, 5
 # No update while a command in the window exceeds this, because the spool may be at its stop.
 _SATURATED = 0.97
-# RMS residuals by noise and model error: of the flow balance, as a share of the flow at full
-# opening; of the force balance, as a share of the piston's force at supply pressure.
+# RMS residuals due to noise and model error. `_FLOW_NOISE`: of the flow balances, over the flow at
+# full opening. `_FORCE_NOISE`: of the force balance, over the piston's force at supply pressure.
 _FLOW_NOISE, _FORCE_NOISE = 2e-3, 5e-3
 # Piston speed below which nothing is learned, as a share of the no-load speed.
 _LEAST_SPEED = 3e-3
@@ -29,9 +29,9 @@ class Adaptation:
         Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
         Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
 
-    The force balance gives (b, F_c, s, d_0, d_1, d_2). tau is the torque by nominal inverse
-    dynamics for the measured motion, z the bristle force over F_c, q the position from mid-range
-    over half the range, d a load that the nominal machine lacks, such as contact of the foot:
+    The force balance gives (b, F_c, s, d_0, d_1, d_2). tau is the torque that the nominal inverse
+    dynamics give for the measured motion, z the bristle force over F_c, q the distance from
+    mid-range over half the range, d a load that the nominal machine lacks, such as foot contact:
 
         p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
 
@@ -73,7 +73,7 @@ class Adaptation:
         self._middle, self._half = (low + high) / 2, (high - low) / 2
         # Signals in the window: positions, pressures of both sides, commands, supply pressure.
         self._window = SmoothingWindow(4 * joints + 1, _WINDOW, period, derivatives=2)
-        # Time by which the spool follows the command samples: hold (half a period), latency, valve.
+        # Time shift from command samples to spool position: half a period of hold, latency, valve.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
         ones, zero = np.ones(joints), np.zeros(joints)

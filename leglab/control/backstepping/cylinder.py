@@ -11,8 +11,8 @@ import numpy as np
 from leglab.control.backstepping.data import NominalCylinders
 
 _ATMOSPHERE = 101325.0  # Pa
-# Lower bound of the pressure drop at an edge, as a share of the supply pressure; without any drop
-# the flow equation cannot be inverted.
+# Lower bound of the pressure drop over a metering edge, as a share of the supply pressure; with a
+# drop of zero the flow equation cannot be inverted.
 _LEAST_DROP = 0.02
 # Bound of the spool position in Newton's method; the spool's mechanical stops are at 1.
 _FULL = 1.5
@@ -22,8 +22,8 @@ class Chambers(NamedTuple):
     """Hydraulic quantities of both chambers at a piston position and pressures.
 
     Attributes:
-        edge: Flow per opening of the metering edges [m^3/s], (2, 2, joints): first axis edge to the
-            supply and edge to the tank, second axis chamber.
+        edge: Flow per opening of the metering edges [m^3/s], (2, 2, joints). First axis: edges to
+            supply and to tank; second axis: chambers A and B.
         compliance: V/beta [m^3/Pa], (2, joints).
         weight: A beta/V, force rate per flow into a chamber [N/m^3], (2, joints).
         stiffness: Stiffness of the oil spring [N/m], (joints,).
@@ -42,7 +42,7 @@ class CylinderModel:
         self.data = data
         joints = len(data.stroke)
         self.joints = joints
-        # Pressure drop over an edge: p_s - p for the edge to the supply, p - p_t for the tank's.
+        # Pressure drop: p_s - p over the edge to the supply, p - p_t over the edge to the tank.
         self._sign = np.array([-1.0, 1.0])[:, None, None]
         self._transition = np.broadcast_to(
             data.laminar_transition_pressure**2, (2, 2, joints)
@@ -114,12 +114,13 @@ class CylinderModel:
     def rate_for(
         self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
-        """Computes the force rate [N/s] by valve flow that balances piston speed and leakage.
+        """Computes the force rate [N/s] that valve flow must cause to balance speed and leakage.
 
         Args:
             speed: Piston speeds [m/s], (joints,).
             pressure: Chamber pressures [Pa], (2, joints).
-            leakage: Coefficients: internal, external of A, of B [m^3/s/Pa], (3, joints).
+            leakage: Coefficients of internal leakage, and of external leakage of chambers A and B
+                [m^3/s/Pa], (3, joints).
             chambers: Chambers at these pressures.
         """
         across = leakage[0] * (pressure[0] - pressure[1])
@@ -139,7 +140,7 @@ class CylinderModel:
             lap: Overlap of the edges, (joints,).
         """
         up, down = _rates(chambers)
-        # The opening (d + sqrt(d^2 + eps^2))/2 equals w at d = w - eps^2/(4 w).
+        # The opening (d + sqrt(d^2 + eps^2))/2 equals `one` at d = one - eps^2/(4 one).
         one = np.where(rate > 0, rate / up, -rate / down) + 0.3 * self.data.edge_rounding
         spool = np.copysign(np.maximum(lap + one - self._quarter / one, 0.0), rate)
         for _ in range(3):
@@ -173,7 +174,7 @@ class Bristles:
     """
 
     def __init__(self, data: NominalCylinders) -> None:
-        # With zero Coulomb friction the result, which is multiplied by it, may be anything finite.
+        # The result is multiplied by Coulomb friction; if that is zero, any finite result will do.
         coulomb = np.maximum(data.coulomb, 1e-6)
         self._excess = np.maximum(data.static / coulomb, 1.0) - 1.0
         self._stiffness = data.sigma_0 / coulomb

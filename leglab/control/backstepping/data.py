@@ -51,9 +51,9 @@ class NominalCylinders:
 
 # Corner frequency of the low-pass filter of the measured chamber pressures [rad/s].
 PRESSURE_CUTOFF = 150.0
-# Corner frequency of the low-pass filter of the estimated unknown force, before the expected
-# pressures are computed from it [rad/s]. A fast filter would cancel, with a delay, the damping by a
-# worn seal's leakage: at 50 rad/s hip yaw and roll oscillate in walking with tenfold leakage.
+# Corner frequency of the low-pass filter of the unknown force from which the expected pressures are
+# computed [rad/s]. A fast filter would cancel the damping by a worn seal's leakage with a delay: at
+# 50 rad/s hip yaw and roll oscillate in walking with tenfold leakage.
 FORCE_CUTOFF = 5.0
 
 

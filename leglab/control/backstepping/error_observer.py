@@ -4,7 +4,7 @@ In piston coordinates the errors of one joint are e = x_d - x and p = (F - F_d)/
 force, F_d the model's force for the reference, k the stiffness of the oil and w^2 = k/m. They obey
 
     e'' = -w^2 (p - phi) - (b/m) e'      phi k: unmodelled force
-    p'  = v + e' - eta                   v: flow beyond that for the reference; eta: flow lost
+    p'  = v + e' - eta                   v: flow in addition to the reference's; eta: lost flow
 
 The lumped disturbances phi and eta are modelled as random walks and estimated as by an extended
 state observer (Yao, Jiao and Ma 2014, IEEE Trans. Ind. Electron. 61(11), 6285). The Kalman gains
@@ -63,7 +63,7 @@ class ErrorObserver:
         a[:, 2, 1], a[:, 2, 4] = 1.0, -1.0
         b = np.zeros((n, _STATES))
         b[:, 2] = 1.0
-        # Between two measurements, first the command of `past` + 1 periods ago acts, then the next.
+        # Between two measurements the command of `past` + 1 periods ago acts, then the next one.
         self.past = int(delay / period - 1e-9)
         share = delay - self.past * period
         whole, _ = _sampled(a, b, period)
@@ -92,7 +92,7 @@ class ErrorObserver:
 
         c = np.zeros((2, _STATES))
         c[0, 0] = c[1, 2] = 1.0
-        # Units are noise for lengths and 1/w for times: in SI, the equation is ill-conditioned.
+        # Units: noise for lengths, 1/w for times. In SI units the equation is ill-conditioned.
         scale = noise[0] * np.array([1.0, frequency, 1.0, 1.0, frequency])
         process = np.zeros((_STATES, _STATES))
         process[3, 3], process[4, 4] = period * (drift / scale[3:]) ** 2
@@ -132,6 +132,6 @@ class ErrorObserver:
         self._inputs = [*self._inputs[1:], velocity]
 
     def matrices(self, joint: int) -> tuple[np.ndarray, ...]:
-        """Returns a joint's transition, older and newer input, gain, prediction and its input."""
+        """Returns the matrices of one joint, in the order of the code, for linear analysis."""
         parts = (self._transition, self._older, self._newer)
         return tuple(part[joint] for part in (*parts, self._gain, self._ahead, self._ahead_input))

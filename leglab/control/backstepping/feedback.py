@@ -6,9 +6,9 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.control.backstepping.error_observer import ErrorObserver
 
-# Lower bounds of the noise that the observer assumes, of positions [rad] and pressures [Pa]: the
-# noise of the default sensors. With less noise the observer would become so fast that the valve's
-# lag, which the observer models as a delay, makes the loop unstable.
+# Lower bounds of the noise of positions [rad] and of pressures [Pa] that the observer assumes: the
+# noise of the default sensors. With less noise the observer would be so fast that the loop becomes
+# unstable, because the observer models the valve's lag as a pure delay.
 _LEAST_NOISE = (2e-5, 1.5e4)
 
 
@@ -27,8 +27,8 @@ class Feedback:
 
     Backstepping: with virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e) and a
     speed that makes the force error decay at k_3, the error has the characteristic polynomial
-    (s + k_1)(s + k_2)(s + k_3). The oil spring, s^2 + w^2, cannot be cancelled behind a hold and a
-    delay, so k_2 and k_3 are chosen to damp it only: k_2 k_3 = w^2, k_2 + k_3 = 2 zeta w. Then
+    (s + k_1)(s + k_2)(s + k_3). Because of hold and delay, feedback cannot cancel the oil spring's
+    poles s^2 + w^2; k_2 and k_3 only damp them: k_2 k_3 = w^2, k_2 + k_3 = 2 zeta w. Then
 
         v = k_1 e + (2 zeta k_1/w) e' - (k_1 + 2 zeta w)(p - phi) + eta
 
@@ -91,6 +91,6 @@ class Feedback:
     def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
         """Computes the speed v [m/s], (joints,), from measured e and p [m], (joints,) each.
 
-        Updates `observer`; the caller passes the speed that is sent to `observer.sent`.
+        Updates `observer`; the caller then reports the speed that it sent by `observer.sent`.
         """
         return np.einsum("ij,ij->i", self.weights, self.observer.predict(error, force_error))

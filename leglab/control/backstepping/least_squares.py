@@ -7,8 +7,8 @@ class BoundedLeastSquares:
     """Least squares with exponential forgetting, bounded gain and projection, for each joint.
 
     This is the estimator of indirect adaptive robust control (Mohanty and Yao 2011, IEEE Trans.
-    Control Syst. Technol. 19(3), 567): physical parameters follow by least squares from the plant's
-    dynamics, not from the tracking error; they are projected onto known bounds; with a dead zone.
+    Control Syst. Technol. 19(3), 567). Physical parameters are estimated by least squares from the
+    plant's dynamics, not from the tracking error, with a dead zone and projection onto bounds.
 
     Args:
         start: Initial parameters, (parameters, joints).

@@ -16,43 +16,39 @@ from leglab.control.feedforward.thresholds import DISCREPANCY
 from leglab.control.feedforward.valve_table import ValveTable
 from leglab.identification import ChangeDetection, Rls, SplineNarx
 
-# Names of the rows that the core outputs each period, after the first row, the command.
+# Names of the signals that the C++ core writes each period, in the rows after the command's row.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
-# Passed to the core with a map that has no valve state of its own, but uses the present one.
+# Passed to the core for a contender without a valve state of its own: it assumes `learner`'s state.
 _AS_USED = np.empty((0, 5))
 
 # Tuning constants, by their names in the C++ core.
 _CONSTANTS = {
-    # Readings that imply a larger acceleration [rad/s^2] are rejected; the knee's is 63 in walking.
+    # Acceleration [rad/s^2] above which a position reading is rejected; in walking the knee has 63.
     "greatest_acceleration": 1000.0,
-    # Supervisor: time constant of the mean squared errors of the learned and the calibrated map
-    # [s]; ratio of the learned map's to the calibrated map's RMS error above which the calibrated
-    # map takes over; RMS tracking error [rad] below which it never takes over.
-    "trust_time": 0.5,
-    "margin": 1.05,
-    "noise": 0.2e-3,
-    # The slow map is a running mean of the learned map. Snapshots of the difference of both predict
-    # the flow; the share of the difference that proves right is used (`csrc/feedforward/proof.h`).
-    # Averaging time of that share [s]; time between snapshots [s]; prior evidence for a share of 1,
-    # in mean squared errors of the slow map; difference that needs no evidence [of full speed].
-    "proof_time": 0.15,
-    "proof_horizon": 0.02,
-    "proof_doubt": 0.06,
-    "proof_noise": 0.0005,
-    # Smallest backward step of a command that counts as a reversal, above the feedback's noise [1].
+    # Supervisor: replaces the learned map by the calibrated map while the learned map errs more.
+    "trust_time": 0.5,  # time constant of the mean squared errors of both maps [s]
+    "margin": 1.05,  # ratio of RMS errors, learned over calibrated map, above which it replaces
+    "noise": 0.2e-3,  # RMS tracking error [rad] below which it never replaces
+    # The slow map is a running mean of the learned map. Snapshots of their difference predict the
+    # flow. Only the share of the difference that the measured flow confirms is used in the
+    # feed-forward (`csrc/feedforward/proof.h`).
+    "proof_time": 0.15,  # averaging time of the share [s]
+    "proof_horizon": 0.02,  # time between two snapshots [s]
+    "proof_doubt": 0.06,  # weight of a prior share of 1, in mean squared errors of the slow map
+    "proof_noise": 0.0005,  # difference that is used without confirmation [share of full speed]
+    # Smallest step back of a command that counts as a reversal [1]; above the feedback's noise.
     "turn": 0.002,
-    # Time constant with which the valve state in use adapts [s]: half a stride, in which commands
-    # reverse a few times; step of the valve state for the finite difference of the flow [1].
+    # Time constant with which the assumed valve state adapts [s]: half a stride, during which each
+    # command reverses a few times.
     "state_time": 0.5,
-    "state_step": 0.01,
-    # Contending maps: averaging time of their squared errors [s]; averaging time of the logarithms
-    # of the ratios of these means [s], a quarter of a stride; number of independent errors in each
-    # mean; ratio of mean squared errors to the map without a fault above which a map is excluded: a
-    # right map may err more than a map that has just learned this motion, but not by such a factor.
-    "contest_time": 0.08,
-    "contest_gather": 0.25,
-    "contest_errors": 4.0,
+    "state_step": 0.01,  # step of the valve state for the finite difference of the flow [1]
+    # Contenders: maps that learn in parallel, weighted by their prediction errors.
+    "contest_time": 0.08,  # averaging time of their squared errors [s]
+    "contest_gather": 0.25,  # averaging time of the log ratios of these means [s]; 1/4 of a stride
+    "contest_errors": 4.0,  # number of independent errors in each of these averages
+    # Ratio of mean squared errors, contender over `learner`, above which the contender is excluded:
+    # `learner` has just learned this motion, so even a true contender may err a little more.
     "contest_window": 6.0,
     "acceleration": ACCELERATION,
     "jerk": JERK,
@@ -145,23 +141,23 @@ class LearningConfiguration(Configuration):
 class AdaptiveFeedforward:
     """Feed-forward of all joints, added to PD: the calibrated valve map at the learned flow.
 
-    A sample is the motion in the middle of the smoothing window and the flow at that instant: the
-    speed that the calibrated valve map gives for the command sent, smoothed by the same window. The
-    learner's output is that flow less the measured speed: leakage, compression, and losses by load
-    and oil. The map is evaluated at the reference with the same time shift; it learns any further
-    delay of valve and oil as a dependence on acceleration and jerk. The core is C++
-    (`csrc/feedforward`); the tests compare it with NumPy.
+    A learned sample is the motion in the middle of the smoothing window and the flow at that time:
+    the speed that the calibrated valve map gives for the sent commands, smoothed like the motion.
+    The learner's output is this flow less the measured speed; it represents leakage, compression,
+    and losses by load and oil. The map is evaluated at the reference, advanced by the time from a
+    command to its effect; a further delay of valve and oil is learned as a dependence on
+    acceleration and jerk. The core is C++ (`csrc/feedforward`); tests compare it with NumPy.
 
     Args:
         inverse_map: Structure of the learner.
         table: Calibrated valve maps, with which learning starts.
-        position_gain: Gain of the feedback [1/rad], (joints,); sets the decay rate of its errors.
+        position_gain: Gain of the feedback [1/rad], (joints,); sets how fast position errors decay.
         velocity_gain: Gain of the feedback [s/rad], (joints,).
         config: Settings of learning and safeguards.
         loads: Structure of the map from motion to load; None without pressures.
         sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
             (joints,) or (joints, p) each; None without pressures.
-        valve_states: Whether maps can be proposed with a state of the valves.
+        valve_states: Whether `propose` accepts maps that assume a valve state of their own.
         control_period: [s].
         latency: Age of a position measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate when its command takes effect [s].
@@ -211,7 +207,7 @@ class AdaptiveFeedforward:
                 "lead": control_period - latency,
                 "position_delay": latency,
                 "velocity_delay": velocity_delay,
-                # Calibrated positions end a little before the stops.
+                # Calibration ends a little before the joint's stops; learning goes a bit further.
                 "learn_lower": table.start - 0.02 * width,
                 "learn_upper": table.end + 0.02 * width,
                 "bandwidth": np.abs(position_gain) * table.full_speed / table.command_per_share(),
@@ -225,7 +221,7 @@ class AdaptiveFeedforward:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything learned: the feed-forward is again that of the calibrated map."""
+        """Forgets everything learned: the feed-forward is the calibrated map's again."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
         self._with_valves: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
@@ -247,7 +243,8 @@ class AdaptiveFeedforward:
         Args:
             learner: The map, of the same structure as `self.learner`.
             odds: Prior odds of this map against `self.learner`.
-            error: Mean squared error of the map on the latest samples over that of `self.learner`.
+            error: Mean squared error of the map on the latest samples, divided by the mean squared
+                error of `self.learner` on them.
             valves: Valve state that the map assumes, (joints, 5); None for `self.valves`.
         """
         self._core.propose(
@@ -271,8 +268,8 @@ class AdaptiveFeedforward:
     def valves(self) -> np.ndarray:
         """Valve state that `learner` assumes, (joints, 5).
 
-        Shift of the null, dead band to either side and width of the play [valve command], and the
-        relative increases of positive and of negative commands.
+        Columns: shift of the null, dead band on each side, width of the play [valve command], and
+        relative increase of positive and of negative commands.
         """
         return np.array(self._core.valves())
 
@@ -281,9 +278,9 @@ class AdaptiveFeedforward:
         return np.array(self._core.shares())
 
     def narrow(self, best: int) -> None:
-        """Keeps `learner` and one contender, by its index in `shares`; drops the others.
+        """Keeps `learner` and the contender with index `best` in `shares`; drops all others.
 
-        A contender with a valve state is kept without `learner`, which cannot learn that state.
+        A contender with a valve state replaces `learner`, which cannot learn a valve state.
         """
         if best == 0 or self._with_valves[best - 1]:
             self.settle(best)
@@ -291,7 +288,7 @@ class AdaptiveFeedforward:
             self._core.only(best - 1)
 
     def settle(self, best: int) -> None:
-        """Makes one map, by its index in `shares`, the only one; drops all others."""
+        """Makes the map with index `best` in `shares` the `learner`; drops all other maps."""
         if best > 0:
             self.learner._bank.set_state(self.contenders[best - 1]._bank.state())
         if self.contenders:
@@ -311,8 +308,8 @@ class AdaptiveFeedforward:
     def kept(self) -> np.ndarray:
         """Returns the samples kept since the last call, (samples, joints, parameters + 3).
 
-        The last axis is the regressor, the output [share of full speed], the a-priori error and 1;
-        it is all zeros if the joint did not learn the sample.
+        The last axis contains the regressor, the output [share of full speed], the a-priori error
+        and the number 1; all entries are zero if the joint did not learn the sample.
         """
         count = self._core.take_kept(self._kept)
         return self._kept[:count].copy()
@@ -320,10 +317,10 @@ class AdaptiveFeedforward:
     def step(self, measurement: Measurement, reference: ReferencePoint) -> np.ndarray:
         """Learns from a measurement and computes the valve commands; call it once a period.
 
-        With data sheets the measurement must have pressures. The feedback compares a measurement
-        with the reference at the time of that measurement. If the measurement is NaN, the command
-        is the feed-forward alone. The learner assumes that the command is sent clipped to [-1, 1].
-        The next period overwrites the returned array, (joints,).
+        If `sheets` were passed, the measurement must have pressures. The feedback compares a
+        measurement with the reference at its time. If the measurement is NaN, the command is the
+        feed-forward alone. The learner assumes that the command is sent clipped to [-1, 1]. The
+        next period overwrites the returned array, (joints,).
         """
         time, position, velocity, pressure_a, pressure_b, supply = measurement
         if self.loads is None or supply is None:
@@ -352,8 +349,8 @@ def step_together(
 
     Args:
         team: The threads.
-        members: Feed-forwards of the machines that are stepped.
-        machines: Rows of these machines in the arrays below, (members,) of int64.
+        members: Feed-forwards of the machines that are stepped, one each.
+        machines: Indices of these machines in the arrays below, (members,) of int64.
         sent: The commands that were sent last, (machines, joints).
         measurement: Time (machines,), positions and velocities (machines, joints), pressures of
             cap sides, rod sides and supply (machines, 2 joints + 1), or an empty array.

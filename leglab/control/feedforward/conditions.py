@@ -1,4 +1,4 @@
-"""Conditions: reversible changes of a sound machine, such as oil temperature, that are no wear."""
+"""Conditions: reversible changes of a sound machine, such as of oil temperature; not wear."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from leglab.causes.fault_names import ALL
 from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 
-# Conditions by name, each with the faults of the bank whose sizes are values of the condition.
+# Names of the conditions, each with the names of the faults whose sizes are values of it.
 CONDITIONS = {
     condition: tuple(cause.name for cause in CAUSES.values() if cause.condition == condition)
     for condition in dict.fromkeys(c.condition for c in CAUSES.values() if c.condition)
@@ -16,8 +16,8 @@ CONDITIONS = {
 def with_conditions(bank: FaultBank) -> FaultBank:
     """Returns the bank with the curves of `CONDITIONS` in place of the faults that belong to them.
 
-    The value of a condition at the start is unknown, so each tabulated value is the start of two
-    curves, one to larger and one to smaller values.
+    The value of a condition at the start of a run is unknown. So each tabulated value is the start
+    of two curves, one towards larger and one towards smaller values.
     """
     curves = [c for c in bank.curves if not any(c.fault in own for own in CONDITIONS.values())]
     for name, faults in CONDITIONS.items():
@@ -53,7 +53,7 @@ def conditions_of(bank: FaultBank) -> dict[str, FaultBank]:
 def joint_by_joint(
     bank: FaultBank, moments: Moments, normal: np.ndarray, discrepancy: float
 ) -> tuple[float, np.ndarray]:
-    """Fits a value of a condition per joint; returns the total cost and the values, (joints,)."""
+    """Fits one condition with a separate value per joint; returns total cost, values (joints,)."""
     cost, values = 0.0, np.zeros(len(normal))
     for joint in range(len(normal)):
         fit = bank.fit(moments, normal, discrepancy, joint)

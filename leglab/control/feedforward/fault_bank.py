@@ -32,11 +32,11 @@ class FaultCurve:
     #: Valve states relative to healthy valves, (sizes, joints, 5), with the columns of
     #: `AdaptiveFeedforward.valves`; None unless the fault affects valves alone.
     valves: np.ndarray | None = None
-    #: Share of the weighted squared error beyond noise that the shifts removed in the simulation
-    #: to which they were fitted: the part of the fault that the map's structure can represent.
+    #: Share of the fault's effect that the map's structure can represent: share of the weighted
+    #: squared error beyond noise that the shifts removed in the simulation they were fitted to.
     explains: float = 1.0
-    #: For the curve of a repair: onset [s] of the change that it undoes, from the present size of
-    #: that change. None for a curve away from the healthy size.
+    #: Onset [s] of the change that this curve undoes, for the curve of a repair, whose sizes start
+    #: at the present size of the change; None for a fault that appears or grows.
     undoes: float | None = None
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class FaultCurve:
             raise ModelError(f"{where}: shifts must be finite, and zero at the healthy size")
 
     def shift(self, size: float) -> np.ndarray:
-        """Interpolates the shift at a size, (joints, parameters); constant beyond the ends."""
+        """Interpolates the shift at a size, (joints, parameters); constant beyond `sizes`."""
         return self._at(size, self.shifts)
 
     def valves_at(self, size: float) -> np.ndarray | None:
@@ -73,7 +73,7 @@ class SizeEstimate(NamedTuple):
 
     Attributes:
         size: Best size, in the unit of the curve, (curves,).
-        spread: Change of size that raises the cost by one, (curves,).
+        spread: Difference from the best size that raises the cost by one, (curves,).
         cost: Weighted sum of squared errors with the shift at the best size, (curves,).
         without: Weighted sum of squared errors without any shift.
         noise: Expected weighted sum of squared errors of a machine that has not changed.
@@ -147,7 +147,7 @@ class FaultBank:
 
         Args:
             moments: Sums over the samples, relative to the map before the fault.
-            normal: Mean square errors of that map while the fault was absent, (joints,).
+            normal: Mean squared errors of the map before the fault, without the fault, (joints,).
             discrepancy: Standard deviation of the share of the error that the true fault leaves.
             joint: Index of the joint whose samples are used; -1 for all joints.
         """

@@ -2,9 +2,9 @@
 
 Its only input are the learner's samples. A cumulative sum of the prediction error (Page 1954,
 Biometrika 41, 100) detects a change and its onset. At growing intervals after the onset, the size
-of every fault of the bank is fitted to the samples since then by least squares. The best fault is
-named if its fit is clear enough. Maps with the shifts of the most probable faults are proposed to
-the controller. Later fits may revise both. A change that no fault explains is reported as unknown.
+of every fault of the bank is fitted by least squares to the samples since the onset. The best fault
+is named if its fit is clear enough. Maps with the shifts of the most probable faults are proposed
+to the controller. Later fits may revise name and maps. A change that no fault explains is unknown.
 
 Sums and fits are C++ (`csrc/monitor`, which also suits a microcontroller); this module decides
 which names are reported and which changes persist.
@@ -83,12 +83,12 @@ class ProposedMap(NamedTuple):
     Attributes:
         key: Fault and element.
         parameters: Parameters of the map, (joints, parameters).
-        gain: Gain of the learner to set, over `change_gain`, (joints,); NaN keeps the present gain.
+        gain: New gain of the learner divided by `change_gain`, (joints,); NaN keeps its gain.
         odds: Prior odds of this map against the map that learns without a fault: the probability
             of the fault among all faults of the bank. The prediction error of the map is left out
             because the controller compares the errors of the maps afterwards.
-        valves: Change of the valve state by the fault, (joints, 5); None unless the fault changes
-            valves alone.
+        valves: Change of the valve state by the fault, (joints, 5); None if the fault changes
+            anything but valves.
     """
 
     key: tuple[str, str]
@@ -100,14 +100,14 @@ class ProposedMap(NamedTuple):
 
 @dataclass(eq=False, kw_only=True)
 class _Case:
-    """A case: a detected change whose samples are being collected and evaluated."""
+    """A detected change under examination: its samples are collected and evaluated."""
 
     onset: float
     base: np.ndarray
     bank: FaultBank
     look: int = 0
-    # One entry per evaluation ("look"): its time, then the sum of squared errors of the map before
-    # the change and the number of samples, both counted from the onset, (joints,) each.
+    # Per evaluation ("look"): its time; sum since the onset of squared errors of the map before the
+    # change, (joints,); number of samples since the onset, (joints,).
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     size: float = 0.0
     key: tuple[str, str] | None = None
@@ -115,7 +115,7 @@ class _Case:
 
     @property
     def name(self) -> FaultName | None:
-        """Last name of the change; None before the first one and after a withdrawal."""
+        """Last reported name of the change; None before the first report and after a withdrawal."""
         if self.event is None or self.event.withdrawn is not None:
             return None
         return self.event.names[-1]
@@ -181,7 +181,7 @@ class FaultMonitor:
         self.events: list[FaultEvent] = []
         self._core.reset(self._warm_up)
         self._case: _Case | None = None
-        self._absorbed: np.ndarray = np.zeros(1)  # shift that the valve state replaces
+        self._absorbed: np.ndarray = np.zeros(1)  # parameter shift that `absorb` has recorded
         self._standings.clear()
         self._tell(None)
 
@@ -235,11 +235,11 @@ class FaultMonitor:
         return self._decide(case, time)
 
     def absorb(self, shift: np.ndarray) -> None:
-        """Records that the valve state now has the effect that this parameter shift had."""
+        """Records that a new valve state now has the effect that this parameter shift had."""
         self._absorbed = self._absorbed + shift
 
     def _close(self, case: _Case) -> None:
-        """Ends a case; the bank of later cases assumes a machine with the last named fault."""
+        """Ends the examination of a change; later banks start from a machine with this fault."""
         self._case = None
         self._core.close(self._slow_window)
         name = case.name
@@ -252,7 +252,7 @@ class FaultMonitor:
 
     def _decide(self, case: _Case, time: float) -> list[ProposedMap]:
         """Fits the bank, reports the best fault if clear enough, and returns candidate maps."""
-        # Age of the case [s], scaled to a reference of period `STRIDE`.
+        # Time since the onset [s], scaled to a reference of period `STRIDE`.
         config, age = self._config, (time - case.onset) / self._pace
         moments = self._core.look()
         fit = case.bank.fit(moments, self._core.normal(), config.discrepancy)

@@ -1,9 +1,9 @@
-"""Health monitor: follows slow wear while a controller learns; fault, rate and remaining life.
+"""Health monitor: estimates slow wear while a controller learns: fault, rate, remaining life.
 
 A learner adapts to slow wear, so its prediction error does not show wear. This monitor uses the
-errors of a fixed map of the healthy machine instead. It divides the learner's samples into looks,
-segments of a few strides that are evaluated at once. The fixed map is fitted to the first looks. In
-every later look the sizes of all faults of the bank are fitted to the errors of the fixed map. A
+errors of a fixed map of the healthy machine instead. It divides the learner's samples into segments
+of a few strides, called looks. The fixed map is fitted to the samples of the first looks. In every
+later look the sizes of all faults of the bank are fitted to the errors of the fixed map. A
 straight line is fitted to the sizes of the best fault over time, from the onset of the wear on
 (`wear_line`); the remaining life is the time until the line reaches the end-of-life size.
 """
@@ -74,7 +74,7 @@ class _Look:
 
     fit: SizeEstimate  # of all curves of the bank
     error: np.ndarray  # mean square errors of the map of the healthy machine, (joints,)
-    own: Mapping[str, tuple[float, np.ndarray]]  # by condition: cost, and a value for each joint
+    own: Mapping[str, tuple[float, np.ndarray]]  # by condition: result of `joint_by_joint`
 
 
 class _History:
@@ -87,7 +87,7 @@ class _History:
         self._rows, self.count = np.empty((MOST_LOOKS + 1, 1 + curves)), 0
 
     def add(self, time: float, size: np.ndarray) -> None:
-        """Adds a look; beyond `MOST_LOOKS` looks, drops every second one of the older looks."""
+        """Adds a look; above `MOST_LOOKS` looks, drops every second of the older looks."""
         self._rows[self.count, 0], self._rows[self.count, 1:] = time, size
         self.count += 1
         if self.count > MOST_LOOKS:
@@ -108,10 +108,10 @@ class HealthMonitor:
         joints: Names of the joints.
         config: How wear is followed.
         sample_period: Time from one learned sample to the next [s].
-        pace: As for `FaultMonitor`.
+        pace: Period of the reference over `STRIDE`; scales the numbers of samples.
 
     Attributes:
-        trends: Slow changes reported since `reset`; the last one is still updated.
+        trends: Slow changes reported since `reset`; the last entry is still updated.
         report: By name, each (joints,): `health_fault` (numbers as in `FaultMonitor.report`; 0 for
             a condition), `health_size` and `health_remaining`, the remaining life [s] (NaN if
             unknown), at the joints with the fault. The next look overwrites the arrays.
@@ -162,7 +162,7 @@ class HealthMonitor:
         self._number = 0
 
     def renew(self) -> None:
-        """Starts a new fit of the healthy map after an abrupt change, less the wear so far."""
+        """Starts a new fit of the healthy map, after an abrupt change; excludes the wear so far."""
         self.drop()
         if self._base is not None:
             judged = self._judged if self.trends else None
@@ -198,7 +198,7 @@ class HealthMonitor:
         self._base = base if self._carried is None else base - self._carried
 
     def _look(self, time: float, moments: Moments) -> None:
-        """Evaluates a look; `moments` are sums over its samples, about the healthy map."""
+        """Evaluates a look; `moments` are sums over its samples, relative to the healthy map."""
         given = moments, self._normal, self._config.discrepancy
         own = {name: joint_by_joint(bank, *given) for name, bank in self._conditions.items()}
         look = _Look(
@@ -213,10 +213,10 @@ class HealthMonitor:
             self._decide(time, self._judged)
 
     def _decide(self, time: float, judged: Explanation) -> None:
-        """Reports the fault, condition or unknown change that the last looks show, if any."""
+        """Reports the fault, condition or unknown change, if any, that the last looks show."""
         config = self._config
         beyond = np.array([look.error for look in self._looks]) / np.maximum(self._normal, 1e-300)
-        least = beyond.max(axis=1).min()  # least of the looks, each by its worst joint
+        least = beyond.max(axis=1).min()  # worst joint of each look, then the least of the looks
         if least <= CHANGED:
             return
         if judged.enough(config.explained, config.evidence):
@@ -225,19 +225,19 @@ class HealthMonitor:
         elif (condition := self._condition(time, judged)) is not None:
             self._say(condition)
         elif least > UNEXPLAINED and not (self.trends and self.trends[-1].key == judged.key):
-            # The reported fault stays in force while it fits best, even if it explains too little.
+            # A fault already reported stands while it fits best, even if it explains too little.
             unknown = judged.unknown(self._joints, beyond[-1] > UNEXPLAINED)
             since = self._history.of(0)[0][-TOGETHER]
             self._say(FaultTrend(since=since, time=time, seen=time, **unknown))
 
     def _condition(self, time: float, judged: Explanation) -> FaultTrend | None:
-        """Tests for a condition with different values at the joints, such as hotter oil in one.
+        """Tests for a condition with different values at the joints, such as hotter oil at one.
 
         Called only if no fault of the bank explains enough, because a condition with a free value
         per joint is flexible enough to fit the effects of wear as well.
 
-        A value and an origin per joint, instead of one for all, are 2 joints - 2 more parameters.
-        Each raises the cost by log(samples) (Schwarz 1978, Annals of Statistics 6, 461).
+        Values and origins per joint, instead of common ones, are 2 joints - 2 more parameters. Each
+        parameter raises the cost by log(samples) (Schwarz 1978, Annals of Statistics 6, 461).
 
         Returns:
             The first condition that explains the last looks well enough; None if none does.
@@ -317,7 +317,7 @@ class HealthMonitor:
         return FaultTrend(**told)
 
     def _end_of_life(self, curve: FaultCurve) -> float:
-        """Returns the end-of-life size; the curve's last if the setting is on the other side."""
+        """Returns the configured end-of-life size if it is towards wear, else the curve's last."""
         healthy, largest = float(curve.sizes[0]), float(curve.sizes[-1])
         given = float(self._config.end_of_life.get(curve.fault, largest))
         return given if (given - healthy) * (largest - healthy) > 0 else largest

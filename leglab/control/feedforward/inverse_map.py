@@ -13,15 +13,15 @@ from leglab.identification import (
     SplineNarxSettings,
 )
 
-# Accelerations [rad/s^2] and jerks [rad/s^3] that become 1 as inputs of the map: about the greatest
+# Units of acceleration [rad/s^2] and jerk [rad/s^3] of the map's inputs: about the largest values
 # in the walking stride of `leglab.references`, whose knee reaches 63 rad/s^2.
 ACCELERATION, JERK = 50.0, 2000.0
 
-# Prior standard deviations of the parameters by group of inputs, relative to those of the splines.
+# Prior standard deviations of the parameters by group of inputs; the splines' parameters have 1.
 # Chosen on the walking leg and the squat on the ground with worn seals and valves, external
-# leakage, hot oil and tired springs; factors of two change the errors by some 10 %. Products are
-# small in slow motion (1 % in the squat), so their prior is wide: in the squat with friction, 2 and
-# 5 give 1.5 and 1.2 times the offline fit's error; with 20, parameters burst with worn valves.
+# leakage, hot oil and tired springs; factors of two change the errors by some 10 %. The prior of
+# products is wide, because products are small in slow motion (1 % in the squat). In the squat with
+# friction 2 gives 1.5 times, 5 gives 1.2 times the offline fit's error; 20 bursts with worn valves.
 _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 
 # Inputs for the flows of leak paths at measured pressures (`csrc/feedforward/pressure_valve.h`):
@@ -40,9 +40,9 @@ class InverseMap:
 
         s(v_i) + p(q_i) + j_i + v_i q_i + sum_k (a_k + q_k + v_k + |v_i| a_k + |v_i| q_k),
 
-    each term with its own parameter. The spline s represents valve overlap and friction, the spline
-    p a joint spring, the sum the load (inertia and gravity, which cause leakage flow), j the load's
-    rate of change (compression flow), the products the effect of the load on the valve's pressure.
+    each term with its own parameter. The spline s represents valve overlap and friction; the spline
+    p a joint spring; the terms a_k, q_k, v_k the load, which causes leakage flow; j the rate of
+    change of the load (compression flow); the products the load's effect on the valve's pressure.
 
     Args:
         joints: Number of joints.
@@ -118,6 +118,6 @@ def _structure(
         inputs=tuple(inputs),
         features=tuple(features),
         rls=rls,
-        # No range check with leaks: a wide prior makes the range narrow, and real leaks exceed it.
+        # No range check with leaks: a wide prior makes the range so narrow that leaks exceed it.
         plausible_range=0.0 if leaks else 5.0,
     )

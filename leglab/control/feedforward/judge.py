@@ -1,4 +1,4 @@
-"""Decides which fault of a bank explains the samples of a learner, and fills its report.
+"""Decision which fault of a bank explains the samples of a learner, and its report.
 
 Used for abrupt changes (`fault_monitor`) and for slow wear (`health`). Sizes, costs and odds of
 all faults are C++ (`csrc/monitor`); explained shares, evidence and intervals are computed here.
@@ -61,7 +61,7 @@ class Explanation:
     """How well the faults of a bank explain a change."""
 
     bank: FaultBank  #: The bank
-    fit: SizeEstimate  #: Fit of the bank's curves; costs are sums over all evaluations (looks)
+    fit: SizeEstimate  #: Latest fit of the bank's curves, with costs summed over all fits
     config: JudgeConfiguration  #: How surely a fault must explain the samples
 
     @cached_property
@@ -82,8 +82,8 @@ class Explanation:
     def odds(self, cost: np.ndarray, keys: list[int]) -> np.ndarray:
         """Computes the probabilities of faults, (keys,), from costs; curve i has the fault keys[i].
 
-        Of the odds by noise and by the model error of the nominal machine, the less decisive ones
-        are used (`csrc/monitor/fault_fit.h`).
+        Odds are computed once from noise and once from the model error of the nominal machine; the
+        less decisive of the two are used (`csrc/monitor/fault_fit.h`).
         """
         config, noise = self.config, self.fit.noise
         return chances(cost, keys, config.correlation, config.independent, noise)
@@ -105,7 +105,7 @@ class Explanation:
 
     @cached_property
     def alike(self) -> list[int]:
-        """Indices of faults with more than 1/`ALIKE` of the highest probability, highest first."""
+        """Indices in `bank.keys` of faults within a factor `ALIKE` of the best, best first."""
         order = np.argsort(-self.chance).tolist()
         return [k for k in order if ALIKE * self.chance[k] > self.chance.max()]
 
@@ -116,7 +116,7 @@ class Explanation:
 
     @property
     def certain(self) -> bool:
-        """True if the faults `alike` are at most `TOLD` and have together enough probability."""
+        """True if at most `TOLD` faults are `alike` and their probabilities sum to enough."""
         enough = self.chance[self.alike].sum() >= self.config.confidence
         return len(self.alike) <= TOLD and bool(enough)
 
@@ -172,7 +172,7 @@ class Explanation:
 def judge(
     bank: FaultBank, looks: Sequence[SizeEstimate], config: JudgeConfiguration
 ) -> Explanation:
-    """Combines several fits of one change: sums their costs and takes the sizes of the last."""
+    """Combines several fits of one change: sums of their costs, with the sizes of the last fit."""
     together = looks[-1]._replace(
         cost=np.sum([look.cost for look in looks], axis=0),
         without=sum(look.without for look in looks),
@@ -186,13 +186,13 @@ def interval(
 ) -> tuple[float, float]:
     """Computes the 90 % interval of a size, clipped to the range of the curve.
 
-    Its variance is the sum of a sampling variance and one by model error of the nominal machine.
+    Its variance is the sum of the sampling variance and of a variance due to model error.
 
     Args:
         curve: Curve of the fault.
         size: Estimated size.
-        sampled: Standard deviation by sampling.
-        discrepancy: Standard deviation by model error, as a share of the size beyond healthy.
+        sampled: Standard deviation of the size due to sampling.
+        discrepancy: Standard deviation due to model error, over the size's difference from healthy.
     """
     half = NINETY * math.hypot(sampled, discrepancy * abs(size - curve.sizes[0]))
     low, high = np.clip([size - half, size + half], np.min(curve.sizes), np.max(curve.sizes))
@@ -203,7 +203,7 @@ _Named = TypeVar("_Named", bound=NamedFault)
 
 
 def say(names: list[_Named], name: _Named, *, stands: bool) -> None:
-    """Appends a name; if the last name `stands` with the same key, replaces it, except its time."""
+    """Appends a name; replaces a last name that `stands` with the same key, but keeps its time."""
     if names and stands and names[-1].key == name.key:
         names[-1] = name.model_copy(update={"time": names[-1].time})
     else:
@@ -221,8 +221,8 @@ def report(
 ) -> None:
     """Fills the three arrays of a report, (joints,) each, at the joints that a name concerns.
 
-    The arrays are the number of the fault (1 + its index in `faults`, -1 for an unknown change, 0
-    for none), the size of the fault, and a third value: `last`, or `empty` if `last` is None.
+    The arrays contain the number of the fault (1 + its index in `faults`, -1 for an unknown change,
+    0 without a fault), its size, and a third value: `last`, or `empty` if `last` is None.
     """
     number, size, third = rows.values()
     number[:], size[:], third[:] = 0.0, 0.0, empty

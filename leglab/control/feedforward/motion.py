@@ -73,11 +73,11 @@ class SmoothingWindow:
 
 
 class ReferenceMotion:
-    """Reference shifted in time by Taylor series: ahead by a lead, and back by the sensors' delays.
+    """Reference shifted in time by Taylor series, ahead by a lead and back by the sensors' delays.
 
     Args:
         joints: Number of joints.
-        timestep: Time between calls of `take` [s], over which accelerations give the jerk.
+        timestep: Time between calls of `take` [s]; the jerk is the difference quotient over it.
         lead: Time ahead of the present for which the motion is computed [s].
         position_delay: Age of a position measured now [s].
         velocity_delay: Age of a velocity estimated now [s].
@@ -106,7 +106,7 @@ class ReferenceMotion:
         """Shifts the reference of this period.
 
         Returns:
-            Motion `lead` ahead, (4, joints), and the reference when the sensors were read.
+            Motion `lead` ahead, (4, joints), and the reference at the time of the sensor readings.
         """
         now = self._derivatives
         if not self._started:

@@ -24,7 +24,7 @@ class BenchRun:
         squares they equal the batch least-squares solution.
         """
         learning.reset()
-        still = np.zeros_like(self.position[0])  # only the feedback uses velocities
+        still = np.zeros_like(self.position[0])  # learning does not use measured velocities
         arrays = map(np.ascontiguousarray, (self.position, self.command, *self.reference))
         for time, position, command, *reference in zip(self.time.tolist(), *arrays, strict=True):
             learning.step(Measurement(time, position, still), ReferencePoint(*reference))

@@ -1,8 +1,8 @@
 """Persistent faults: keeps their estimated size and follows repair or growth.
 
 For a machine with faults the curves of the bank start at the present sizes, not at healthy ones.
-The curve of a repair is measured, not simulated: the learner has followed the fault on this very
-machine, and the repair undoes the shift of the parameters that the learner made for the fault.
+The curve of a repair is not simulated. It is the negative of the parameter shift that the learner
+made when the fault appeared on this machine, because the repair undoes this shift.
 """
 
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ from leglab.control.feedforward.thresholds import MOST_STANDING, UNDONE
 class Standing:
     """A detected change that has not been undone."""
 
-    name: FaultName  #: Last report of the fault; of its growth if the fault has grown
+    name: FaultName  #: Last report of the fault, which may be a report of its growth
     size: float  #: Size in the unit of the fault; 1 for an unknown change
     healthy: float  #: Size of a machine without the fault; 0 for an unknown change
     before: np.ndarray  #: Parameters of the map before the change, (joints, parameters)
-    #: Parameter shift learned because of the fault, (joints, parameters); before `settle` only the
-    #: shift by an earlier, smaller size of the same fault.
+    #: Parameter shift learned because of the fault, (joints, parameters). Before `settle` it has
+    #: only the shift learned for an earlier, smaller size of the fault.
     learned: np.ndarray
-    settled: bool = False  #: Whether `settle` has completed `learned`, when the next change began
+    settled: bool = False  #: Whether `settle`, called when the next change begins, was called
 
     def settle(self, now: np.ndarray) -> None:
         """Completes `learned` with the learner's present parameters, (joints, parameters)."""
@@ -34,7 +34,7 @@ class Standing:
             self.settled = True
 
     def back(self) -> FaultCurve | None:
-        """Returns the curve of a repair, which undoes the learned shift; None if it is healthy."""
+        """Returns the curve of a repair, which undoes `learned`; None if `size` is healthy."""
         if self.size == self.healthy:
             return None
         return FaultCurve(
@@ -63,15 +63,15 @@ class Standings:
     def clear(self) -> None:
         """Forgets all changes."""
         self._changes: list[Standing] = []
-        # Parameters of the map that the machine would have without the changes.
+        # Parameters of the map that the machine would have without the changes of `_changes`.
         self._origin = np.zeros(1)
 
     def bank(self, now: np.ndarray, regressor: np.ndarray) -> FaultBank:
         """Returns the bank for a change that begins now.
 
         Args:
-            now: Parameters of the map before that change, (joints, parameters).
-            regressor: Regressors of the samples before that change, (n, joints, parameters).
+            now: Parameters of the map just before the new change, (joints, parameters).
+            regressor: Regressors of samples before the new change, (n, joints, parameters).
         """
         for change in self._changes:
             change.settle(now)
@@ -84,10 +84,10 @@ class Standings:
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
 
     def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
-        """Forgets changes that disappeared unnoticed, since the learner has unlearned their shifts.
+        """Forgets changes that disappeared unnoticed: the learner has unlearned their shifts.
 
-        Non-negative least squares gives the share of each learned shift that is still in the map,
-        from the predictions of the present map less the predictions of the map without changes.
+        The effect of all changes on predictions is fitted by the effects of the learned shifts, by
+        non-negative least squares. A change whose coefficient is low has disappeared.
         """
         if not self._changes:
             return
@@ -123,7 +123,7 @@ class Standings:
         self._changes = self._changes[-MOST_STANDING:]
 
     def undo(self, onset: float, size: float) -> None:
-        """Reduces the change with this onset to a size; removes it if nearly all is undone."""
+        """Reduces the change with this onset to `size`; removes it if it is almost undone."""
         (change,) = [one for one in self._changes if one.name.onset == onset]
         left = (size - change.healthy) / (change.size - change.healthy)
         if left <= 1.0 - UNDONE:
@@ -134,13 +134,13 @@ class Standings:
 
 
 def _onward(curve: FaultCurve, size: float | None) -> FaultCurve | None:
-    """Returns the rest of a curve beyond the present size of its fault; None if there is none."""
+    """Returns the rest of a curve beyond the fault's present size; None if nothing is left."""
     if size is None:
         return curve
     side = np.sign(curve.sizes[-1] - curve.sizes[0])
     beyond = side * (curve.sizes - size) > 0.0
     if side * (size - curve.sizes[0]) <= 0.0 or not beyond.any():
-        return None  # the size is on the other side of healthy, or at the end of the curve
+        return None  # the size is on the other side of healthy, or the curve's last size
     start = curve.shift(size)
     shifts = np.concatenate([np.zeros((1, *start.shape)), curve.shifts[beyond] - start])
     valves = curve.valves_at(size)

@@ -8,7 +8,7 @@ import numpy as np
 # Calibrated commands of at least this magnitude mean that the valve is at its limit.
 _SATURATED = 0.999
 
-# Lower bound of a map's slope over speed, command per share of full speed; no load gives less.
+# Lower bound of the slope of a map [command per share of full speed]; real slopes are larger.
 _LEAST_SLOPE = 1e-3
 
 
@@ -31,9 +31,9 @@ class ValveTable:
 
         Args:
             maps: One per joint, with `position` (p,) [rad], `velocity` (v,) [rad/s] and `command`
-                (p, v); positions equally spaced, velocities equal but for a factor per joint.
-            directions: Sign of the velocity that a positive command gives, (joints,). None leaves
-                the commands as calibrated, so that rows need not be monotone.
+                (p, v); positions equally spaced, velocities equal up to a factor per joint.
+            directions: Sign of the velocity that a positive command gives, (joints,); rows are made
+                monotone with this sign. None leaves the commands as calibrated.
         """
         share = maps[0].velocity / maps[0].velocity[-1]
         rows = [np.asarray(m.command, dtype=float) for m in maps]
@@ -49,7 +49,7 @@ class ValveTable:
         )
 
     def command_per_share(self) -> np.ndarray:
-        """Computes commands per share of full speed, at mid-position and up to half speed."""
+        """Computes commands per share of full speed: mean slope up to half speed, mid-position."""
         low, high = np.searchsorted(self.share, [-0.5, 0.5])
         middle = self.command[:, self.command.shape[1] // 2]
         rise = np.abs(middle[:, high] - middle[:, low])
@@ -57,7 +57,7 @@ class ValveTable:
 
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
-    """Makes rows monotone, extrapolates saturated ends; copies a neighbour if mostly saturated."""
+    """Makes rows monotone, extrapolates saturated ends; mostly saturated rows copy a neighbour."""
     rows: dict[int, np.ndarray] = {}
     for place, row in enumerate(command):
         good = np.abs(row) < _SATURATED
@@ -72,7 +72,7 @@ def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray
         after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
         before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
         rows[place] = sign * np.concatenate([before, after])
-    if not rows:  # the machine cannot carry its weight, so any straight line will do
+    if not rows:  # all commands are saturated, so a straight line is as good as any map
         return np.tile(sign * share, (len(command), 1))
 
     def nearest(place: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Straight line through the size of a wear fault over time, and the time when it reaches a size.
 
-The interval of that time is Fieller's (1954, Journal of the Royal Statistical Society B 16, 175).
+The interval of this time is by Fieller 1954, Journal of the Royal Statistical Society B 16, 175.
 """
 
 from dataclasses import dataclass
@@ -36,11 +36,11 @@ class Line:
 
         Args:
             level: Size of the fault to be reached.
-            scale: Standard deviation of `level`, in place of an unknown factor common to all sizes.
+            scale: Standard deviation of `level`, for an unknown factor common to all sizes.
 
         Returns:
-            Times after the line's `end` [s]: estimate, None if the line leads away from the level;
-            earliest time; latest time, None if the slope's interval contains zero.
+            Times after the line's `end` [s]: estimate, None if the line moves away from the level;
+            earliest time; latest time, None if the interval of the slope contains zero.
         """
         gap, q2 = level - self.value, self.quantile**2
         best = gap / self.rate if gap * self.rate > 0 else (0.0 if gap == 0 else None)
@@ -54,10 +54,10 @@ class Line:
 
 
 def line_of(time: np.ndarray, size: np.ndarray, healthy: float) -> Line | None:
-    """Fits a line to the sizes of a fault that depart from the healthy size at an onset.
+    """Fits a line to the sizes of a fault since the onset of its wear.
 
-    The onset is the corner of the best-fitting broken line, first constant, then sloped. A new line
-    is fitted to the sizes after it; its covariance allows for AR(1) correlated residuals.
+    The onset is the corner of the best-fitting broken line: constant at `healthy`, then sloped. A
+    new line is fitted to the sizes after the onset; its covariance allows for AR(1) residuals.
 
     Args:
         time: Time of each size, increasing [s], (n,).

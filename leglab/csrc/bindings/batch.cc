@@ -2,10 +2,10 @@
 // MuJoCo model and its data, which Python creates and owns; this module steps them and writes sensor
 // readings and reference of the next period into arrays with one row per machine.
 //
-// Each thread has one mjData, into and out of which it copies a machine's state: the states of hundreds
-// of machines fit into the caches, their whole mjData do not, which would double the time of a step.
+// Each thread has one mjData, into which it copies a machine's state and back. The states of hundreds
+// of machines fit into the caches; their whole mjData would not, and a step would take twice as long.
 // Derived quantities in a machine's data (body positions, forces) are not updated. The models of all
-// machines do not fit into the caches either, so machines with equal models step on one copy.
+// machines would not fit into the caches either, so machines with equal models step on one copy.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
@@ -123,7 +123,7 @@ class Batch {
   }
 
   // Steps machines, except those flagged in `rests`, with commands (machines, joints) and begins their
-  // next period. Machines flagged in `late` are not measured yet, because their parameters change first.
+  // next period. Machines flagged in `late` are measured later, after a change of their parameters.
   void step(Input commands, Array<const bool> late, Array<const bool> rests) {
     const std::size_t n = machines_.size();
     require_size(n * joints_, commands);
@@ -200,7 +200,7 @@ class Batch {
 
   loop::Disturbance disturbance(const Machine& m) const {
     const std::size_t first = m.row * joints_;
-    // The first reading is never lost: there is no earlier one to repeat.
+    // The first reading is never lost, because no earlier reading could be repeated.
     const bool* lost = m.row > 0 ? m.series.lost.data() + first : nullptr;
     return {m.series.noise.data() + first, m.series.shift.data() + first, lost};
   }

@@ -1,5 +1,5 @@
-// Adaptive feed-forward and valve maps in leglab._native.identification, which also has the banks of
-// learners; a separate source file, to compile independently of theirs.
+// Adaptive feed-forward and valve maps of leglab._native.identification. The banks of learners of the
+// same module are in another source file, so that both compile independently.
 #include <nanobind/stl/array.h>
 
 #include "bindings/identification_bank.h"

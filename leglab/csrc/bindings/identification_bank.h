@@ -35,7 +35,7 @@ class Bank {
     return double(models_[0].update(&input, T(y)));
   }
 
-  // Takes one sample of every joint, or of a single joint with several inputs and a number as y.
+  // Takes one sample of every joint; with a single joint u has all its inputs and y is one number.
   void update_many(Input u, Input y, Output prediction) {
     if (u.size() != models_.size() * inputs() || y.size() != models_.size()) {
       throw nb::type_error("wrong number of values");

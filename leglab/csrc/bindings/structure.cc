@@ -1,4 +1,4 @@
-// Python module leglab._native.structure: free runs from many starting points, to select a structure.
+// Python module leglab._native.structure: free runs (simulations) of models, to select a structure.
 #include <nanobind/stl/tuple.h>
 
 #include "bindings/identification_settings.h"
@@ -8,7 +8,7 @@
 namespace leglab::bindings {
 namespace {
 
-// A model, candidate features (`further`), and a record; `settings`: of a SplineNarx, no Hammerstein.
+// A model (SplineNarx `settings` without Hammerstein), candidate features (`further`), and a record.
 class Runs {
  public:
   Runs(nb::handle settings, nb::handle further, Input u, Input y)
@@ -68,12 +68,12 @@ class Runs {
   std::optional<id::FreeRun<double>> run_;
 };
 
-// A state-space model, the argument of a candidate curve (`further`, empty for none), and segments of
-// records; `settings` are those of a SplineStateSpace. Inputs are delayed; before the first sample they
+// A state-space model, the argument of a candidate curve (`further`, empty without one), and segments
+// of records; `settings` are a SplineStateSpace's. Inputs are delayed; before the first sample they
 // equal the first sample. In theta the initial states of all segments follow the parameters.
 class StateRuns {
  public:
-  // For each segment: inputs, outputs, and the sample at which it begins in these.
+  // segments: for each the inputs, the outputs, and the index of the segment's first sample in both.
   StateRuns(nb::handle settings, nb::list segments, Input further)
       : model_(read_settings<double>(settings, store_,
                                      static_cast<const id::SplineStateSpace<double>*>(nullptr))),

@@ -27,7 +27,7 @@ struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, 
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // windows with a larger command are not learned
   double greatest_acceleration = 0.0;  // largest possible acceleration of a joint [rad/s^2]
-  bool forward = false;         // learns the speed that a flow gives, and solves for the flow
+  bool forward = false;         // the map predicts a flow's speed and is solved for the flow
   bool supervised = true;
   std::vector<double> learn_lower, learn_upper;  // range of positions for learning [rad]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -42,15 +42,15 @@ struct Reference {
 // Outputs of one control period; arrays with one value per joint.
 struct Period {
   double *command, *feedforward, *feedback;
-  double* error;     // of the model at its last sample [share of full speed]
+  double* error;     // error of the learned map at its last sample [share of full speed]
   double* fallback;  // 1 if the calibration replaces the learned map
 };
 
 // u = feed-forward + PD, where the PD loop compares a measurement with the reference of the same age.
-// The map learns the excess flow, due to leakage, compression and load: the flow beyond the one that the
-// speed of the motion needs, as a share of full speed. The calibrated valve map converts flow to command
-// and back. So a learned excess of zero gives the command of the calibration alone, and an error of the
-// learned map is an error of speed, which the joint integrates.
+// The map learns the excess flow, due to leakage, compression and load: the valve's flow minus the flow
+// for the speed of the motion, as a share of full speed. The calibrated valve map converts flow to
+// command and back. So a learned excess of zero gives the command of the calibration alone, and an
+// error of the learned map is an error of speed, which the joint integrates.
 // With data sheets and measured pressures the valve map is replaced by a `PressureCascade`.
 class AdaptiveFeedforward {
  public:
@@ -90,9 +90,9 @@ class AdaptiveFeedforward {
     frozen_ = false;
   }
 
-  // Adds a contender: a map that competes with the map in use until `reset` or `settle`. It learns, too,
-  // and is weighted by its prior log odds and its errors. error: see `Contenders::add`; shapes: valve
-  // states that the contender assumes, (joints), null for the states in use.
+  // Adds a contender: a map that competes with the map in use until `reset` or `settle`. It learns,
+  // too, and is weighted by its prior log odds and its errors. error: see `Contenders::add`; shapes:
+  // valve states that the contender assumes, (joints), null for the states in use.
   void propose(std::vector<Learner*> learners, double odds, double error,
                const ValveShape* shapes = nullptr) {
     const int place = shapes ? valves_.propose(shapes, window_) : ValveStates::in_use;
@@ -105,7 +105,7 @@ class AdaptiveFeedforward {
   // State of a valve that the map in use assumes.
   ValveShape valve(std::size_t j) const { return valves_.shape(ValveStates::in_use, j); }
 
-  // Excludes all contenders except this one; the map in use stays.
+  // Excludes all contenders except `contender`; the map in use stays.
   void only(int contender) { contenders_.only(contender); }
 
   // Restarts a contender whose parameters the caller has set; `shapes` replaces its valve states.
@@ -114,14 +114,14 @@ class AdaptiveFeedforward {
     contenders_.revise(contender, error);
   }
 
-  // Removes all contenders. winner: number, from 1, of that copied to the map in use; 0 if none was.
+  // Removes all contenders. winner: number, from 1, of the contender copied to the map in use, or 0.
   void settle(int winner) {
     if (winner > 0) proofs_ = contenders_.proofs(winner - 1);
     valves_.settle(winner > 0 ? contenders_.valves(winner - 1) : ValveStates::in_use, window_);
     contenders_.clear();
   }
 
-  // Weights of the maps in the prediction: of the map in use, then of each contender.
+  // Weights of the maps in the prediction: first the map in use, then each contender.
   const std::vector<double>& shares() const { return contenders_.weight(); }
 
   // Stops learning until `reset`.
@@ -208,8 +208,8 @@ class AdaptiveFeedforward {
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // Weighted mean of the commands of all maps. For each map, `share` plus the predicted excess flow
-  // gives a command; the feedback `beside` is added, and the map's valve state is inverted.
+  // Weighted mean of the commands of all maps. For each map the flow `share` plus the predicted excess
+  // gives a command, to which the feedback `beside` is added; then the map's valve state is inverted.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {
@@ -229,7 +229,7 @@ class AdaptiveFeedforward {
     return alike > 0.0 ? sum + alike * sent(ValveStates::in_use, excess / alike) : sum;
   }
 
-  // Delay: a requested motion is measured one period later, and sampled when in the window's middle.
+  // A proof's delay: one period from a requested motion to its measurement, and half a window.
   std::vector<Proof> proofs(const std::vector<Learner*>& learners) const {
     std::vector<Proof> out;
     for (const Learner* learner : learners) {
@@ -264,8 +264,8 @@ class AdaptiveFeedforward {
     kept_.next();
   }
 
-  // Tests whether a reading is physically impossible after the two previous ones, because an encoder is
-  // lost, shifted or failed: the window would smooth such a jump to a false motion.
+  // Tests whether a reading is impossible after the two previous readings, because an encoder is lost,
+  // shifted or failed. The smoothing window would turn the jump into a false motion.
   bool jumps(const double* position) {
     const double h = settings_.control_period, most = settings_.greatest_acceleration * h * h;
     bool found = false;
@@ -304,8 +304,8 @@ class AdaptiveFeedforward {
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
-  // Learns the magnitude of a valve's state from the part of its flow sensitivity (slope) that a second
-  // map of the motion cannot explain; the effect of the explained part goes into the map in use.
+  // Learns the magnitude of a valve's state. A second map predicts the flow's sensitivity (slope) from
+  // the motion. Learning uses the unpredicted rest; the map in use takes up the predicted part.
   void learn_state(std::size_t j, bool usable) {
     const double slope = valves_.slope(j);
     Learner& told = *slope_learners_[j];

@@ -1,4 +1,4 @@
-// Maps that assume a change of the machine, learned in parallel with the map in use, which assumes none.
+// Contenders: maps that assume a change of the machine, learned in parallel with the map in use.
 #pragma once
 
 #include <algorithm>
@@ -11,18 +11,18 @@ namespace leglab::feedforward {
 
 struct ContenderSettings {
   double contest_time = 0.0;    // time constant of mean squared errors [s]
-  double contest_gather = 0.0;  // time constant of the logarithm of their ratio [s]
-  double contest_errors = 0.0;  // number of independent errors in each of these two means
+  double contest_gather = 0.0;  // time constant of the mean logarithm of their ratio [s]
+  double contest_errors = 0.0;  // number of independent errors in each of these two averages
   double contest_floor = 0.0;   // squared error of a joint due to noise [square of full speed]
   double contest_window = 0.0;  // ratio of mean squared errors at which a contender is excluded
 };
 
 // Bayesian model averaging (Hoeting et al. 1999) of maps that are linear in their parameters. Each map
-// predicts every sample before it learns it. A contender's prior odds are multiplied by the likelihood
-// ratio of errors with unknown variance, r^(-errors/2), once with the present ratio r of its mean
-// squared error to that of the map in use, once with the geometric mean of past r. A contender that
-// predicts much worse than the map in use (Occam's window; Madigan and Raftery 1994) is excluded for
-// good: because it also learns, it would otherwise return when the motion is easy.
+// predicts every sample before it learns it. r is a contender's mean squared error over the mean
+// squared error of the map in use. The contender's prior odds are multiplied by the likelihood ratio of
+// errors with unknown variance, r^(-errors/2), with the present r and again with the geometric mean of
+// past r. A contender with a large r (Occam's window; Madigan and Raftery 1994) is excluded until
+// `revise`: because it also learns, it would otherwise return when the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -94,7 +94,7 @@ class Contenders {
   // Predictions of all maps in the latest call of `used`, the map in use first.
   const std::vector<double>& said() const { return said_; }
 
-  // Takes a joint's sample; own: error of the map in use; found_with: output for a valve state's index.
+  // Takes a joint's sample. own: error of the map in use; found_with(i): output for valve state i.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
             long period) {

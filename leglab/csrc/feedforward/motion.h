@@ -1,4 +1,4 @@
-// Motion from positions: smoothed derivatives of measured ones, and a reference shifted in time.
+// Motion: measured positions with smoothed derivatives, and a reference shifted in time.
 #pragma once
 
 #include <algorithm>
@@ -74,7 +74,7 @@ class SmoothingWindow {
   }
 
  private:
-  // Every sample is written twice, a window apart, so that the latest ones are always contiguous.
+  // Every sample is written twice, a window apart, so that the latest samples are contiguous.
   void put(const double* sample, std::vector<double>& series, int row) const {
     for (const int at : {row, row + window_}) {
       std::copy_n(sample, joints_, series.data() + std::size_t(at * joints_));
@@ -109,7 +109,7 @@ class ReferenceMotion {
 
   void clear() { started_ = false; }
 
-  // Computes the motion `lead` from now, (4, joints), and the reference at the time of the measurements.
+  // Computes the motion `lead` from now, (4, joints), and the reference at the measurements' time.
   void take(const double* position, const double* velocity, const double* acceleration,
             double* motion, double* seen_position, double* seen_velocity) {
     for (int j = 0; j < joints_; ++j) {

@@ -1,4 +1,4 @@
-// Learned load of a motion, and inverse of the valves at the pressures of that load.
+// Learned load of a motion, and inverse of the valves at the pressures that carry this load.
 #pragma once
 
 #include <cmath>
@@ -68,8 +68,8 @@ class PressureCascade {
   }
 
   // Updates the load map with the middle of the window; appends the losses of leak paths to `inputs`.
-  // Returns the flow of the sample's command at predicted minus that at measured pressures. It corrects
-  // what the map of the excess flow learns, because this map is used with predicted pressures.
+  // Returns the flow of the sample's command at predicted minus its flow at measured pressures. The map
+  // of the excess flow learns with this difference, because it is used with predicted pressures.
   double learn(std::size_t j, double position, double* inputs, int count, bool usable) {
     const PressureValve& valve = valves_[j];
     const ChamberPressures measured{middle_a_[j], middle_b_[j]};
@@ -83,8 +83,8 @@ class PressureCascade {
 
  private:
   // Pressures with the load that the load map predicts and the measured common mode of the chambers.
-  // The measured load is not used, because the inverse of the valve would then cancel, with a delay, the
-  // damping of the oil spring by valve and leakage.
+  // With the measured load the inverse of the valve would cancel the damping of the oil spring by valve
+  // and leakage, with a delay.
   ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
                           const ChamberPressures& measured, double* inputs, int count) const {
     const double load = loads_[j]->peek(inputs);

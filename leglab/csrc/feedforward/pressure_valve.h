@@ -31,7 +31,7 @@ struct ChamberPressures {
 
 // At piston speed v and load force F the valve's flows Q satisfy w_A Q_A - w_B Q_B = dF/dt + k v plus
 // leakage, with w_i = A_i beta_i/V_i, k = w_A A_A + w_B A_B (docs/concepts/adaptive_backstepping.md).
-// So the left side for a command, divided by k, is a speed; it is given as a share of full speed.
+// The left side for a command, divided by k, is a speed, which `share` returns over full speed.
 class PressureValve {
  public:
   explicit PressureValve(CylinderSheet sheet)
@@ -86,7 +86,7 @@ class PressureValve {
     return {std::clamp(a, 0.0, at.supply), std::clamp(b, 0.0, at.supply)};
   }
 
-  // Speed due to the flow of a command, as a share of full speed.
+  // Speed that the flow of a command causes, as a share of full speed.
   double share(const Place& at, const ChamberPressures& p, double command) const {
     const Slopes slope = slopes(at, p);
     const hydraulics::EdgeShape edge{sheet_.lap, sheet_.edge_rounding, 2.0};  // as `command` solves
@@ -114,8 +114,8 @@ class PressureValve {
     return spool;
   }
 
-  // Speed losses by leak paths (A to B, A to outside, B to outside), as shares of full speed, if each
-  // path leaked the flow of full speed at nominal supply pressure.
+  // Speed losses by the leak paths A to B, A to outside and B to outside, as shares of full speed, for
+  // paths with a unit leakage: the flow of full speed at nominal supply pressure.
   void leak(const Place& at, const ChamberPressures& p, double* out) const {
     const double scale = at.sign * sheet_.area_a / (at.stiffness * sheet_.supply_pressure);
     out[0] = scale * (at.weight_a + at.weight_b) * (p.a - p.b);
@@ -135,7 +135,7 @@ class PressureValve {
             at.weight_a * edge(p.a - tank) + at.weight_b * edge(at.supply - p.b)};
   }
 
-  // Flow per opening of an edge; the drop has a lower bound, as the inverse is singular without one.
+  // Flow per opening of an edge. A lower bound of the drop keeps the inverse from being singular.
   double edge(double drop) const {
     drop = std::max(drop, 0.02 * sheet_.supply_pressure);
     return sheet_.orifice_gain * drop / std::sqrt(std::sqrt(drop * drop + transition_));

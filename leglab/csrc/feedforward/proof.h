@@ -1,4 +1,4 @@
-// Weight of the recently learned part of a map, by how well it predicts.
+// Share of a map's recently learned change that is used, according to its predictions' success.
 #pragma once
 
 #include <algorithm>
@@ -13,15 +13,15 @@ struct ProofSettings {
   double proof_time = 0.0;     // time constant of the means of products and squared errors [s]
   double proof_horizon = 0.0;  // time between snapshots of the learned parameters [s]
   double proof_doubt = 0.0;    // weight of the prior share of 1, in mean squared errors
-  double proof_noise = 0.0;    // smaller differences of predictions keep a share near 1 [of full speed]
+  double proof_noise = 0.0;    // prediction difference up to which the share is near 1 [full speed]
 };
 
 // A learner with high gain follows its errors within a few samples. Through the machine this closes a
 // feedback loop with the delays of window and valve: on a compliant machine the joint oscillates, and
 // the map learns the oscillation instead of the reference. So there is also a slow map, the mean of the
-// parameters. The difference of learned and slow map is multiplied by the share that proved right: the
-// least-squares slope of measured flow minus slow map over the difference that an earlier snapshot
-// predicts. An oscillating joint has reversed since the snapshot, so that its share is small.
+// parameters. The difference of learned and slow map is multiplied by a share: the least-squares slope
+// of the measured flow minus the slow map's, over the difference that an earlier snapshot predicts. It
+// is small for an oscillation, because an oscillating joint has reversed since the snapshot.
 class Proof {
  public:
   // sample: time between learned samples [s]; delay: periods from a prediction to the sample that it
@@ -83,7 +83,7 @@ class Proof {
 
   double settle_, forget_, doubt_, noise_;
   int horizon_;
-  std::vector<double> slow_, recent_, old_;  // parameters: slow, two snapshots of learned minus slow
+  std::vector<double> slow_, recent_, old_;  // slow parameters; two snapshots of learned minus slow
   std::vector<Said> said_;
   double agreed_ = 0.0, power_ = 0.0, missed_ = 0.0, share_ = 1.0;
   int since_ = 0;

@@ -10,13 +10,13 @@ namespace leglab::feedforward {
 struct SupervisorSettings {
   double trust_time = 0.0;        // time constant of the compared mean squared errors [s]
   double margin = 1.0;            // ratio learned/calibrated RMS error that switches to the calibration
-  double noise = 0.0;             // smaller tracking errors do not switch to calibration [rad]
+  double noise = 0.0;             // RMS tracking error below which it does not switch [rad]
   std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
 };
 
-// The feedback loop corrects a flow error like a first-order lag at its crossover frequency. So the part
-// of the tracking error that is due to the excess flow in use is known. The measured tracking error
-// therefore yields the errors that would occur with the learned excess flow and without any.
+// The feedback loop responds to a flow error like a first-order lag at its crossover frequency. This
+// gives the part of the tracking error that is due to the excess flow in use, and with the measured
+// tracking error the errors that would occur with the learned excess flow and without excess flow.
 class Supervisor {
  public:
   // control_period: [s]; speed: full speeds [rad/s].
@@ -62,8 +62,8 @@ class Supervisor {
  private:
   struct Joint {
     double decay = 0.0, gain = 0.0;
-    double applied = 0.0, withheld = 0.0;    // tracking error due to excess flow applied, withheld [rad]
-    double learned = 0.0, calibrated = 0.0;  // mean squared tracking errors with each [rad^2]
+    double applied = 0.0, withheld = 0.0;    // tracking errors due to excess flow, by its use [rad]
+    double learned = 0.0, calibrated = 0.0;  // mean squared tracking error with each map [rad^2]
     bool fallback = false;
   };
 

@@ -13,28 +13,28 @@
 namespace leglab::feedforward {
 
 struct ValveSettings {
-  double turn = 0.0;         // change of a command that is needed to set its direction [valve command]
+  double turn = 0.0;         // least change of a command that sets its direction [valve command]
   double state_step = 0.0;   // step of a state for the finite difference of the flow
-  double state_time = 0.0;   // time constant of learning a state, a tenth of that of command ranges [s]
+  double state_time = 0.0;   // time constant of learning a state [s]; command ranges have ten times it
   double state_doubt = 0.0;  // prior standard deviation of a state over its proposed magnitude
   double state_noise = 0.0;  // noise of flow errors [share of full speed]
 };
 
 // State of one worn valve. The command u that gives the flow of the calibrated valve at command x is
 //   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1) + play/2 sign(du/dt)
-// with `more` for the sign of x, and w from `knee`. All are valve commands except `more`, a number.
+// with `more` for the sign of x, and w from `knee`. The unit is valve command, of `more` 1.
 using ValveShape = std::array<double, 5>;
 enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 
-// Valve states of all joints: the state in use and those that contenders assume. With play the spool
-// trails the command by half the play's width (Krasnosel'skii and Pokrovskii 1989); `command` inverts
-// play and the other deviations. The magnitude of the state in use is learned from the map's errors by
-// least mean squares, on the part of the flow's sensitivity to it that the map cannot explain.
-// Play and dead band are limited to a quarter of the command's recent range, because wider ones would
-// pass so little of the command that they fit any motion.
+// Valve states of all joints: the state in use and the states that contenders assume. With play the
+// spool trails the command by half the play's width (Krasnosel'skii and Pokrovskii 1989); `command`
+// inverts play and the other deviations. The magnitude of the state in use is learned from the map's
+// errors by least mean squares; the regressor is the part of the flow's sensitivity to the magnitude
+// that the map cannot explain. Play and dead band are limited to a quarter of the command's recent
+// range: a wider one would pass so little of the command that it fits any motion.
 class ValveStates {
  public:
-  static constexpr int in_use = -1;  // index of the state in use; proposed ones count from 0
+  static constexpr int in_use = -1;  // index of the state in use; proposed states count from 0
 
   // control_period, sample: control period and time between learned samples [s].
   ValveStates(const ValveSettings& settings, double control_period, double sample,
@@ -125,8 +125,8 @@ class ValveStates {
     return (further_.flow[j] - used_.flow[j]) / settings_.state_step;
   }
 
-  // Updates the state in use of a joint by normalised least mean squares, from an error of its map and
-  // the part of the `slope` that the map cannot explain. Returns the change of its magnitude.
+  // Updates a joint's state in use by normalised least mean squares, from an error of the joint's map
+  // and the part of `slope` that the map cannot explain. Returns the change of the magnitude.
   double learn(std::size_t j, double error, double slope) {
     power_[j] += settle_ * (slope * slope - power_[j]);
     const double by = -settle_ * (error * slope + prior_[j] * moved_[j]) / (power_[j] + prior_[j]);
@@ -180,8 +180,8 @@ class ValveStates {
     return 1.0 + shape[command > 0.0 ? MORE_POSITIVE : MORE_NEGATIVE];
   }
 
-  // Half width w of the ramp through the dead band: twice the command change that sets a direction, and
-  // at least four times a negative dead band (worn overlap), so that u(x) stays strictly increasing.
+  // Half width w of the ramp through the dead band: at least twice the command change that sets a
+  // direction, and four times a negative dead band (worn overlap), so that u(x) is strictly increasing.
   double knee(const ValveShape& shape) const {
     return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
   }
@@ -230,7 +230,7 @@ class ValveStates {
   }
 
   // Computes the flows of all samples in the window as if the valves had always been in this state. A
-  // spool starts half a play behind the first command, opposite to the command's direction.
+  // spool starts half a play away from the first command, against the command's direction.
   void fill(State& state, const SmoothingWindow& window) const {
     const std::size_t n = tables_.size();
     state.spool.resize(n);
@@ -253,7 +253,7 @@ class ValveStates {
   std::vector<ValveTable> tables_;
   State used_, further_;  // state in use, and that state plus `state_step`
   std::vector<State> proposed_;
-  std::vector<ValveShape> along_;  // direction in which a state is learned, of length 1 or 0
+  std::vector<ValveShape> along_;  // direction in which a state is learned, unit vector or zero
   std::vector<double> last_, direction_, power_, prior_, moved_;
   std::vector<double> highest_, lowest_;  // range of recent commands
   bool worn_ = false;

@@ -3,8 +3,8 @@
 
 namespace leglab::feedforward {
 
-// Bilinear interpolation in a table with strictly monotone rows, so that both directions are exact
-// inverses of each other; beyond the ends of a row it extrapolates linearly.
+// Bilinear interpolation in a table with strictly monotone rows, so that `command` and `share` are
+// exact inverses of each other; beyond the ends of a row it extrapolates linearly.
 struct ValveTable {
   int rows = 0, columns = 0;
   double start = 0.0, spacing = 1.0;  // of the rows' positions [rad]

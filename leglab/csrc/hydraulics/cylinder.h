@@ -13,7 +13,7 @@
 
 namespace leglab::hydraulics {
 
-// Message on the first parameter that contradicts another, with allowed values; empty if none does.
+// Message on the first parameter that contradicts another parameter, with allowed values, or "".
 inline std::string contradiction(const CylinderParameters& p) {
   const auto text = [](const char* name, double value, const char* unit, const char* rule,
                        double limit) {
@@ -156,17 +156,17 @@ inline double bristle_level(const CylinderParameters& p, double v, double pressu
                   p.stribeck_velocity_, p.stribeck_exponent_);
 }
 
-// The smaller of two loads of equal sign, else zero, so that an impact in a single step is ignored.
+// The smaller of two loads of equal sign, otherwise zero, so that an impact in one step is ignored.
 inline double sustained(double load, double before) {
   if (load * before <= 0.0) return 0.0;
   return std::abs(load) < std::abs(before) ? load : before;
 }
 
 // Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the LuGre
-// law in v. v* lies between the velocities before and after the step; the latter is predicted from the
-// effective mass and the load of the last steps. v* in the middle is second order; for k = h D/m > 2
-// (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps within a step
-// without overshoot. At steady speed D v* is exactly D v; infinite mass gives v* = v.
+// law in v. v* lies between the velocity before the step and the velocity after it, which is predicted
+// from the effective mass and the load of the last steps. The middle gives second order. For k = h D/m
+// > 2 (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps within a
+// step without overshoot. At steady speed D v* is exactly D v; infinite mass gives v* = v.
 inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
                                   const OilCondition& oil, const CylinderState& s,
                                   const Chambers& k, double x, double v, double step_over_mass) {

@@ -22,9 +22,9 @@ struct PlayStep {
 };
 
 // One implicit step of the flank between the piston, driven by `force`, and the mechanism of the
-// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m]. It acts implicitly, because
-// explicitly it would make the light piston oscillate within the play; and on the relative velocity of
-// piston and pin, so that it adds nothing while a flank is in contact.
+// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m]. It is implicit, because an
+// explicit spring would make the light piston oscillate within the play. It acts on the relative
+// velocity of piston and pin, so that it adds nothing while a flank is in contact.
 inline PlayStep play_step(const CylinderParameters& p, double offset, double v_piston, double v_pin,
                           double force, double load, double mass, double oil, double h) {
   const double reduced = 1.0 / (1.0 / p.piston_mass_ + 1.0 / mass);

@@ -38,7 +38,7 @@ struct Edges {
     const double tank = 0.5 * p.lap_difference_tank_, a = 0.5 * p.lap_difference_chambers_;
     const double from_supply_a = opening(c.gain_positive, spool, p.lap_ - tank + a);
     const double to_tank_a = opening(c.gain_negative, -spool, p.lap_ + tank + a);
-    if (tank == 0.0 && a == 0.0)  // equal laps, the usual case: half the computing time
+    if (tank == 0.0 && a == 0.0)  // equal laps, as usual: takes half the computing time
       return {{from_supply_a, to_tank_a, to_tank_a, from_supply_a}};
     return {{from_supply_a, to_tank_a, opening(c.gain_negative, -spool, p.lap_ - tank - a),
              opening(c.gain_positive, spool, p.lap_ + tank - a)}};
@@ -76,13 +76,13 @@ struct StepTotals {
   double edges = 0, leakage = 0, stored = 0;      // J
 };
 
-// Within a step, a pressure that changes by less than this share is extrapolated, with a relative error
-// of the share's cube. It does not accumulate: the next step solves for pressures from the amounts.
+// Share of a pressure up to which a change within a step is extrapolated, with a relative error of the
+// share's cube. The errors do not accumulate: the next step solves for pressures from the oil amounts.
 inline constexpr double kPressureReach = 1e-2;
 
-// A sub-step whose embedded error estimate exceeds this is split into two halves, at most kHalvings
-// times. This is rare (an orifice near zero pressure drop, a slammed valve), but without it the square
-// root of an orifice can keep the scheme at a wrong pressure, by 5 % at full opening.
+// A sub-step whose embedded error estimate exceeds kPressureError is halved, at most kHalvings times.
+// This is rare (an orifice near zero pressure drop, a slammed valve), but otherwise the square root of
+// an orifice can keep the scheme at a wrong pressure, by 5 % at full opening.
 inline constexpr double kPressureError = 2e5;  // Pa
 inline constexpr int kHalvings = 4;
 
@@ -105,8 +105,8 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
   const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  // With vapour the pressure stays at the floor while the piston moves. The stiffness is kept even then,
-  // so that a chamber that fills up within the sub-step does not overshoot.
+  // With vapour the pressure stays at the floor while the piston moves, so the rise is zero. The
+  // stiffness stays, so that a chamber that fills up within the sub-step does not overshoot.
   const double rise_a = k.a.p > kPressureFloor ? stiff_a * (volume_end.a - volume.a) : 0.0;
   const double rise_b = k.b.p > kPressureFloor ? stiff_b * (volume_end.b - volume.b) : 0.0;
   // If vapour fills part of a chamber, oil enters with its relative volume at the pressure floor.

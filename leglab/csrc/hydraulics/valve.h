@@ -51,8 +51,8 @@ struct EdgeShape {
   double lap, rounding, exponent;
 
   // (d + (|d|^n + eps^n)^(1/n))/2 with d = spool - lap. At the lap the edge is open by eps/2 for any n.
-  // For n = 2 the curve is a hyperbola; for n = 1 the edge stays open by eps/2 below the lap, like one
-  // with radial clearance; with a larger n it closes sooner.
+  // For n = 2 the curve is a hyperbola; for n = 1 the edge stays open by eps/2 below the lap, like an
+  // edge with radial clearance; with a larger n it closes sooner.
   double opening(double spool) const {
     const double d = spool - lap;
     return 0.5 * (d + reach(std::abs(d)));

@@ -128,7 +128,7 @@ struct QuadraticBasis {
     return low;
   }
 
-  // Drops the splines that the basis of the paper lacks, keeping three valid indices.
+  // Drops the splines that the basis of the paper lacks, so that `first` to `first + 2` are valid.
   template <bool Slope>
   void fold(LocalBasis<T>& local) const {
     const int shift = local.first < 0 ? -local.first

@@ -123,9 +123,9 @@ class Bsnn {
   }
 
   // Applies Eq. 12 (14, 15) to `count` weights; returns their share of Eq. 21's sum, computed with
-  // the weights before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1: so that
-  // product is limited to just below one, because a single outlier could move w outside permanently. |w|
-  // is limited to just below one, because rounding to one would make the factor zero and w stuck.
+  // the weights before the step. The factor (1 - |w|) keeps |w| < 1 only while |eta N e| < 1. Otherwise
+  // a single outlier could move w outside permanently, so |eta N e| is limited to just below one. |w| is
+  // limited to just below one as well, because at |w| = 1 the factor is zero and w could not change.
   T move(T* w, const T* value, int count, T eta, T error) const {
     constexpr T limit = T(1) - T(1) / T(1024), most = T(1) - T(1) / T(1 << 20);
     T sum = T(0);

@@ -131,7 +131,7 @@ class Features {
   // Number of spline evaluations outside their knots in the last build.
   int clipped() const { return clipped_; }
 
-  // Fills the regressor; `weights` are those of the hammerstein blocks.
+  // Fills the regressor; `weights`: weights of the hammerstein blocks.
   template <bool Slopes = false>
   void build(const History<T>& past, const T* weights) {
     LocalBasis<T>* local = local_;

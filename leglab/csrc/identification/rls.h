@@ -38,7 +38,7 @@ class Rls {
     T factor;               // forgetting factor of the last update
     T forgotten;            // sum of (1 - factor) since `visit` was last 0
     std::int64_t until;     // updates until the next parameter is restored
-    std::int64_t visit;     // index of that parameter
+    std::int64_t visit;     // index of the parameter that is restored next
   };
 
   void layout(Workspace& workspace, int parameters) {
@@ -95,7 +95,7 @@ class Rls {
   }
 
   // Does one update with regressor phi and a-priori error; returns true if a change was detected.
-  // `variance` is the noise variance of this sample, relative to that of other samples.
+  // `variance` is the noise variance of this sample over the noise variance of other samples.
   bool update(const T* phi, T error, Support support = {}, T variance = T(1)) {
     bool changed = false;
     T power = factor_.project(phi, support);
@@ -131,9 +131,9 @@ class Rls {
   }
 
  private:
-  // Restores the forgotten part of the prior (theta = 0 with variance restore_gain) by an observation
-  // theta_i = 0, of one parameter at a time (Gunnarsson 1996, CDC, 2551). So F stays bounded, and theta
-  // returns to the prior in directions without excitation.
+  // Restores the forgotten information of the prior (theta = 0 with variance restore_gain), for one
+  // parameter i per call, by an artificial observation theta_i = 0 (Gunnarsson 1996, CDC, 2551). So F
+  // stays bounded, and theta returns to the prior in directions without excitation.
   void restore() {
     Tally& tally = *tally_;
     tally.forgotten += T(1) - tally.factor;
@@ -158,7 +158,7 @@ class Rls {
     for (int k = 0; k < n; ++k) theta_[k] += gain[k] * weight;
   }
 
-  // Counts a refused update. Parameters so large that errors overflow need a reset to learn again.
+  // Counts a refused update. After too many it resets: errors of huge parameters may overflow.
   void reject() {
     constexpr std::int64_t patience = 10;
     ++tally_->rejected;

@@ -123,8 +123,8 @@ class SplineNarx {
     return settings_.output.undo(prediction);
   }
 
-  // Predicts without learning; remember() then stores the output that stands for y(t). For
-  // validation and free run on a copy of the workspace.
+  // Predicts without learning; remember() then stores the value to be used as y(t). For validation and
+  // free run on a copy of the workspace.
   T predict_next(const T* u) {
     const T own = expect(u);
     const T shown = settings_.held ? clamp(own, settings_.lower, settings_.upper) : own;
@@ -194,9 +194,9 @@ class SplineNarx {
 
   // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). 0.01, the
   // square of a scaled sensitivity of 0.1, is added to the power to limit the first steps, where theta
-  // is zero; of the sensitivities 1, 0.1, 0.01, 0.001 it suits a dead zone and u|u| best at mu = 0.1.
-  // Weights are limited: with outliers their product with theta could grow to infinity. Larger ones are
-  // not needed, because scaled weights are about one (the identity) and theta takes up any gain.
+  // is zero; of 1, 0.1, 0.01 and 0.001, 0.1 suits a dead zone and u|u| best at mu = 0.1. Weights are
+  // limited, because with outliers their product with theta could grow to infinity. Larger weights are
+  // not needed: scaled weights are about one (the identity), and theta takes up any gain.
   void move_weights(const T* slope, T error) {
     T* w = weights_;
     for (const Block<T>& block : settings_.structure) {

@@ -101,14 +101,14 @@ class SplineStateSpace {
     }
     if (verdict == Sample::learned) {
       ++state_->learned;
-      // An error that the state's uncertainty explains says little about the parameters.
+      // An error says the less about the parameters, the more of it the state's uncertainty explains.
       rls_.update(psi_, error, {}, variance / settings_.noise);
     }
     return settings_.output.undo(prediction);
   }
 
-  // Predicts without learning; remember() then takes the output that stands for y(t). For
-  // validation and free run on a copy of the workspace.
+  // Predicts without learning; remember() then takes the value to be used as y(t). For validation and
+  // free run on a copy of the workspace.
   T predict_next(const T* u) {
     const T own = expect(u);
     state_->expected = settings_.held ? clamp(own, settings_.lower, settings_.upper) : own;

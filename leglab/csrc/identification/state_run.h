@@ -10,8 +10,8 @@
 
 namespace leglab::identification {
 
-// Sums over samples, with psi = d y / d (theta, x0, g). g are the spline weights of a candidate curve:
-// of its effects on each state, then of its effect on the output. These weights are zero.
+// Sums over samples, with psi = d y / d (theta, x0, g). g are the spline weights of a candidate curve,
+// all zero: first for the curve's effect on each state, then for its effect on the output.
 template <class T>
 struct StateSums {
   Products<T> products;     // (width, width): sum of psi_i psi_j

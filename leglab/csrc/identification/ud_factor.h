@@ -24,8 +24,8 @@ struct Support {
 };
 
 // U is unit upper triangular, its columns packed consecutively; D is positive. So F is symmetric
-// positive definite by construction. Rounding cannot destroy this. Nor can two limits, which leave D
-// positive: D is kept above `floor`, and each column's share of the trace below a bound.
+// positive definite by construction, in spite of rounding. Two limits leave D positive: D is kept above
+// `floor`, and each column's share of the trace below a bound.
 template <class T>
 class UdFactor {
  public:
@@ -101,13 +101,13 @@ class UdFactor {
 
   // F <- (F - beta F phi phi^T F / (alpha + beta phi^T F phi)) * scale after project(phi).
   // beta may be negative (directional forgetting) as long as alpha + beta phi^T F phi stays
-  // positive. If F may have grown, every column's share of the trace is limited to bound.
+  // positive. If F may have grown, every column's share of the trace is limited to `bound`.
   void update(T alpha, T beta, T scale, T bound) {
     Sweep sweep{alpha, beta, scale, T(1) / alpha, false};
     if (n_ == 6 && first_ == 0) rotate<6>(sweep);
     else if (n_ == 7 && first_ == 0) rotate<7>(sweep);
     else rotate_many(sweep);
-    // In exact arithmetic F can grow only in the first two cases, with rounding also in the others.
+    // The first two conditions let F grow in exact arithmetic, the last two only by rounding.
     if (scale > T(1) || beta < T(0) || sweep.floored || sweep.alpha > T(1e8)) limit(bound);
   }
 
@@ -148,7 +148,7 @@ class UdFactor {
   }
 
  private:
-  // Returns first + sum_i a_i b_i by `sums` partial sums, as additions to one sum wait for each other.
+  // Returns first + sum_i a_i b_i by `sums` partial sums, because additions to one sum are sequential.
   template <int sums>
   [[gnu::always_inline]] static T dot(T first, const T* a, const T* b, int count) {
     T sum[sums] = {first};
@@ -178,8 +178,8 @@ class UdFactor {
     }
   }
 
-  // Reduces a column's entry of D if the column's share of the trace is beyond the bound. If that
-  // takes an entry below the floor, or not finite, it becomes the floor and U's column zero.
+  // Reduces a column's entry of D if the column's share of the trace is beyond the bound. An entry that
+  // is then below the floor or not finite is set to the floor, and the column of U to zero.
   void limit(T bound) {
     for (int j = 0; j < n_; ++j) {
       const T power = column_power(j);

@@ -11,12 +11,12 @@ namespace leglab::monitor {
 struct WatchSettings {
   double sample_period = 0.0;  // time between learned samples [s]
   double error_ratio = 4.0;    // factor by which a change to be detected raises the mean square error
-  double alarm = 4.0;          // log-likelihood ratio, beyond its usual peaks, that raises an alarm
+  double alarm = 4.0;          // excess of the log-likelihood ratio over its usual peaks for an alarm
   double correlation = 1.0;    // number of correlated samples with the information of one
   int slow_window = 1;         // number of samples over which the normal mean square error is averaged
 };
 
-// Cumulative sums (Page 1954, Biometrika 41, 100), one per joint and a last one for all joints, of the
+// Cumulative sums (Page 1954, Biometrika 41, 100), one per joint and one for all joints together, of the
 // log-likelihood ratio of errors with `error_ratio` times the normal mean square to normal errors.
 class ErrorWatch {
  public:
@@ -54,7 +54,7 @@ class ErrorWatch {
       all += step;
       const double seen =
           j < joints ? seen_[j] : *std::min_element(seen_.begin(), seen_.end());
-      // In every stride the motion is briefly hard to predict: such peaks of the sum raise the limit.
+      // In every stride some motion is hard to predict: the sum's peak there raises the limit.
       const double limit = settings_.alarm + margin * peak_[j];
       const double total =
           seen >= settings_.slow_window ? std::max(sum_[j] + step, 0.0) : 0.0;
@@ -87,10 +87,10 @@ class ErrorWatch {
   }
 
  private:
-  // The alarm threshold grows by `margin` times the sum's earlier peak, which decays with a time
-  // constant of `peak_windows` slow windows.
+  // `margin`: multiple of the sum's earlier peak by which the alarm threshold grows. `peak_windows`:
+  // time constant with which the peak decays, in slow windows.
   static constexpr double margin = 2.0, peak_windows = 2.5;
-  // Multiple of the normal mean square error to which a block's is clipped before it is averaged in.
+  // Multiple of the normal mean squared error to which a block's error is clipped before averaging.
   static constexpr double outlier = 9.0;
 
   double rise(double mean, double used, double normal) const {

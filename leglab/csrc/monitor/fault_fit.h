@@ -31,9 +31,9 @@ class FaultFit {
       : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
         size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
 
-  // Starts a fit. moments: about the map before the fault; normal: mean square errors before the fault,
-  // (joints); discrepancy: see `Moments::weight`; joint: the only one whose samples are used, or -1 for
-  // all joints. Curves and moments must not change until `advance` returns true.
+  // Starts a fit. moments: relative to the map before the fault; normal: mean squared errors before the
+  // fault, (joints); discrepancy: see `Moments::weight`; joint: index of the joint whose samples are
+  // used, -1 for all joints. Curves and moments must not change until `advance` returns true.
   void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
              const double* normal, double discrepancy, int joint = -1) {
     curves_ = curves;
@@ -71,8 +71,8 @@ class FaultFit {
  private:
   static constexpr int together = 4;  // number of nodes whose `Forms` are computed at a time
 
-  // Weighted sums over the joints for neighbouring nodes k with shifts D_k: of D_k' c, of D_k' G D_k and
-  // of D_k' G D_{k+1}, with the joint's correlation c and information G (`Moments`).
+  // Weighted sums over the joints for neighbouring nodes k with shifts D_k: of D_k' c, of D_k' G D_k
+  // and of D_k' G D_{k+1}, with the joint's correlation c and information G (`Moments`).
   struct Forms {
     double linear[together] = {}, square[together] = {}, cross[together] = {};
   };
@@ -82,7 +82,7 @@ class FaultFit {
     double best = -std::numeric_limits<double>::infinity();
     double linear = 0.0, square = 0.0;  // forms of a piece's first node; 0 at the healthy node
     for (int first = 0; first < shifted;) {
-      // The last node of the previous call is repeated, because its cross form with the next is needed.
+      // The last node of the previous group is repeated for its cross form with the next node.
       const int lead = first > 0 ? 1 : 0;
       const int number = std::min(shifted - first + lead, together);
       const Forms forms = forms_of(curve, first - lead, number);
@@ -193,17 +193,17 @@ class FaultFit {
   std::vector<double> weight_, packed_, size_, spread_, cost_;
 };
 
-// Uncertainty of the part of a cost that is due to noise, relative to that part.
+// Relative uncertainty of the noise's share of a cost.
 constexpr double noise_doubt = 0.2;
 
 // Computes the probability of every key, (keys), from the least cost among the curves with that key.
 // The residual of the best fault is partly noise, which averages out with more samples, and partly
-// model error, which does not. Noise gives a likelihood of known variance, model error a likelihood of
-// unknown variance: cost^(-n/2) with n = `independent` errors. The likelihood that separates a rival
-// less from the best fault is used; for n = 0, the likelihood of noise.
-// correlation: number of samples with the information of one. noise: part of every cost due to noise,
-// clipped to the least cost. The unknown variance is estimated from the costs minus that part, because
-// joints without information would otherwise hide differences.
+// model error, which does not average out. Noise gives a likelihood of known variance, model error one
+// of unknown variance: cost^(-n/2) with n = `independent` errors. For each key the likelihood that is
+// less different from the best key's is used; for n = 0, the likelihood of noise.
+// correlation: number of correlated samples with the information of one. noise: part of every cost due
+// to noise, clipped to the least cost; subtracted before the unknown variance is estimated, because the
+// noise of joints without information would otherwise hide differences.
 // key: number that identifies the fault and element of a cost.
 inline void chances(const double* cost, const int* key, int count, double correlation,
                     double independent, double noise, double* chance, int keys) {

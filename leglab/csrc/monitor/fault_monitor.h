@@ -21,7 +21,7 @@ struct MonitorSettings : WatchSettings {
 constexpr int everything = std::numeric_limits<int>::max();
 
 // Watch over blocks of samples. An alarm starts the examination of a suspected change (a "case"): `sum`
-// accumulates moments of the samples after the onset; their division among calls changes no result.
+// accumulates moments of the samples after the onset, with the same result for any number of calls.
 class FaultMonitor {
  public:
   FaultMonitor(int joints, int parameters, const MonitorSettings& settings)
@@ -36,7 +36,7 @@ class FaultMonitor {
     close(wait);
   }
 
-  // Ends the case and restarts learning of the normal errors.
+  // Ends the examination of a change and restarts learning of the normal errors.
   void close(double wait) {
     open_ = false;
     watch_.start(wait);
@@ -52,9 +52,9 @@ class FaultMonitor {
   long first_after() const { return first_after_; }
 
   // Takes a block of at most `most_samples` samples, (samples, joints, parameters + 3), that ends at
-  // `time` [s], and the map at that time, (joints, parameters). Returns whether a case begins.
+  // `time` [s], and the map at that time, (joints, parameters). Returns whether an examination begins.
   bool take(double time, const double* samples, int count, const double* parameters) {
-    // The next block to accumulate would be overwritten: it is accumulated first.
+    // The new block would overwrite the next block to accumulate, so that block is accumulated first.
     if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(everything);
     recent_.push(time, samples, count, parameters);
     measure(samples, count);
@@ -68,7 +68,7 @@ class FaultMonitor {
     return true;
   }
 
-  // Accumulates up to `samples` more samples of the case; returns true once all taken ones are included.
+  // Accumulates up to `samples` more samples after the onset; returns true once all are included.
   bool sum(int samples) {
     while (open_ && waiting_ < recent_.end() && samples > 0) samples -= sum_block(samples);
     return !open_ || waiting_ == recent_.end();
@@ -110,7 +110,7 @@ class FaultMonitor {
     waiting_sample_ = 0;
   }
 
-  // Accumulates up to `most` samples of block `waiting_`; returns their number without skipped ones.
+  // Accumulates up to `most` samples of block `waiting_`; returns the number of accumulated samples.
   int sum_block(int most) {
     const RecentSamples::Block& block = recent_.block(waiting_);
     const double period = settings_.sample_period;

@@ -6,8 +6,8 @@
 
 namespace leglab::monitor {
 
-// Values after the regressor in the row of a sample and joint: output, a-priori error and 1. The row is
-// all zeros if the joint did not learn the sample (`feedforward/kept_samples.h`).
+// Number of values after the regressor in the row of a sample and joint: output, a-priori error and 1.
+// The row is all zeros if the joint did not learn the sample (`feedforward/kept_samples.h`).
 constexpr int behind_regressor = 3;
 
 // Sums over samples for every joint: phi phi' (information), phi y (correlation), y^2 (power) and 1
@@ -50,8 +50,8 @@ class Moments {
     }
   }
 
-  // Weight of a joint's squared errors: inverse of the mean square error with the true fault. It is the
-  // normal one plus (`discrepancy` x RMS output)^2, because no machine equals the nominal model.
+  // Weight of a joint's squared errors: inverse of the mean squared error with the true fault, which
+  // is `normal` + (`discrepancy` x RMS output)^2 because of errors of the nominal model.
   double weight(int joint, double normal, double discrepancy) const {
     const double left = discrepancy * discrepancy * (power(joint) / std::max(count(joint), 1.0));
     return 1.0 / std::max(normal + left, 1e-300);
@@ -96,7 +96,7 @@ class Moments {
       double own[rows];
       bool shown = false;
       for (int k = 0; k < rows; ++k) shown |= (own[k] = x[k][i]) != 0.0;
-      if (!shown) continue;  // a spline's basis function that is zero in all rows, the usual case
+      if (!shown) continue;  // usual: a spline's basis function that is zero in all rows
       for (int j = i; j < parameters_; ++j) {
         double value = sum[j - i];
         for (int k = 0; k < rows; ++k) value += own[k] * x[k][j];

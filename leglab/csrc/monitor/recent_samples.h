@@ -53,9 +53,9 @@ class RecentSamples {
     std::copy_n(parameters, map, maps_.data() + at * map);
   }
 
-  // Maximum-likelihood estimate of the time of a change [s] (Hinkley 1970, Biometrika 57, 1), within the
-  // blocks after `since` [s]. The errors have the variances `normal`, (joints), before the change, and
-  // an estimated common multiple of them, at least 1, after it. `since` if the errors do not rise.
+  // Maximum-likelihood estimate of the time of a change [s] (Hinkley 1970, Biometrika 57, 1), within
+  // the blocks after `since` [s]; `since` if the errors do not rise. The errors have the variances
+  // `normal`, (joints), before the change, and after it these times a fitted factor of at least 1.
   double onset(double since, const double* normal, double sample_period) const {
     long first = begin();
     while (first < end() && !(block(first).time > since)) ++first;
@@ -83,7 +83,7 @@ class RecentSamples {
 
  private:
   struct Sums {
-    double ratio = 0.0, count = 0.0;  // sums of squared errors over their normal variance, of samples
+    double ratio = 0.0, count = 0.0;  // sum of squared errors over normal variance; number of samples
   };
 
   int width() const { return parameters_ + behind_regressor; }

@@ -47,7 +47,7 @@ class Backlash : public Instance<BacklashTable> {
       refuse(m, instance, "attribute 'motor_inertia' = 0 and joint '" + name +
                               "' has no armature; allowed: one of them above 0");
     }
-    // MuJoCo computes instances in order, but this one needs the forces after all command paths.
+    // MuJoCo computes instances in order, but this instance needs the forces of all command paths.
     for (int i = instance + 1; i < m->nplugin; ++i) {
       if (!is_instance<CommandPath>(m, i)) continue;
       const int actuator = element_named(m, i, mjOBJ_ACTUATOR, m->nactuator, text_attribute(m, i, "actuator"));
@@ -79,7 +79,7 @@ class Backlash : public Instance<BacklashTable> {
     collect_actuation(m, d);
     drive_ = actuation_[dof_];
 
-    // Joint acceleration without the motor (row of M^-1 times forces), and per unit of joint force.
+    // Joint acceleration without the motor: `column_`, a row of M^-1, times the forces.
     mj_solveM(m, d, column_.data(), unit_.data(), 1);
     for (int i = 0; i < m->nv; ++i) {
       force_[i] = d->qfrc_passive[i] - d->qfrc_bias[i] + d->qfrc_applied[i];
@@ -97,14 +97,14 @@ class Backlash : public Instance<BacklashTable> {
     force_[dof_] += s.constraint_;  // force of the previous step, because the solver runs later
     double free = 0;
     for (int i = 0; i < m->nv; ++i) free += column_[i] * force_[i];
-    double compliance = column_[dof_];  // 1/(effective inertia)
+    double compliance = column_[dof_];  // acceleration per joint force, 1/(effective inertia)
 
     if (!seated) {  // initially at rest on the flank that a rigid gear would load
       const double load = drive_ - inertia * (free + compliance * drive_);
       offset_ = load > 0 ? half : load < 0 ? -half : 0.0;
     }
-    // MuJoCo's integrator adds terms to the joint's inertia: the damping, and the servo's slope, which
-    // belongs to the motor side instead.
+    // MuJoCo's integrator adds damping and the servo's slope to the joint's inertia. The slope belongs
+    // to the motor side, so `moved` takes it off the joint.
     const int integrator = m->opt.integrator;
     const bool implicit = integrator == mjINT_IMPLICIT || integrator == mjINT_IMPLICITFAST;
     const bool damped = implicit || !(m->opt.disableflags & mjDSBL_EULERDAMP);

@@ -26,14 +26,14 @@ std::string text_attribute(const mjModel* m, int instance, const char* key);
 // Converts a unit of a table for an instance on a slide joint; returns it unchanged for any other.
 std::string unit_at_joint(const mjModel* m, int instance, const char* unit);
 
-// Reads all attributes of a table into `values`; absent ones get their defaults. Rejects an attribute
+// Reads all attributes of a table into `values`; absent attributes get defaults. Rejects an attribute
 // that is missing without a default, is not a finite number, or is out of bounds.
 void read_parameters(const mjModel* m, int instance, std::span<const ParameterSpec> specs,
                      double* values);
 
-// Index, among the first `count` elements of a kind, of the element that an attribute names; -1 for
-// none. It has that name, or else that name with the prefix and suffix of the instance's name, because
-// attaching a model (mjs_attach) adds these to the names of elements but not to names in attributes.
+// Index, among the first `count` elements of a kind, of the element named `text`, else of the element
+// named `text` with the prefix and suffix of the instance's name; -1 if neither exists. Attaching a
+// model (mjs_attach) adds prefix and suffix to the names of elements but not to names in attributes.
 int element_named(const mjModel* m, int instance, mjtObj kind, int count, const std::string& text);
 
 // Index of the element that the attribute `key` names, among the first `count` of a kind; rejects any

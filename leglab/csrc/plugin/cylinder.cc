@@ -91,8 +91,8 @@ double Cylinder::supply_pressure(const mjModel* m, mjData* d, const CylinderPara
   return supply_ < 0 ? p.supply_pressure_ : Supply::pressure(m, d, supply_);
 }
 
-// 1/(J M^-1 J') with J the row of the actuator moment: M = L' D L, so half a solve is enough. L
-// shares the sparsity of M, rows holding a degree of freedom's ancestors and itself last.
+// 1/(J M^-1 J') with J the row of the actuator moment. M = L' D L, so half a solve is enough. L has the
+// sparsity of M: the row of a degree of freedom has entries for its ancestors, then for itself.
 double Cylinder::effective_mass(const mjModel* m, mjData* d) {
   const int address = d->moment_rowadr[actuator_], count = d->moment_rownnz[actuator_];
   int top = -1;

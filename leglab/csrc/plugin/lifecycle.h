@@ -111,7 +111,7 @@ void register_plugin(int capability) {
                            int instance) { instance_of<T>(d, instance)->visualize(m, d, scene); };
   }
   if constexpr (requires { &T::value_count; }) {
-    // Lengths are known at this stage; a later one would make MuJoCo compute body accelerations.
+    // Lengths are known at this stage; a later stage would make MuJoCo compute body accelerations.
     plugin.needstage = mjSTAGE_VEL;
     plugin.nsensordata = T::value_count;
   }

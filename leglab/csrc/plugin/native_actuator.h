@@ -34,7 +34,7 @@ struct NativeActuator {
   double gain(const mjModel* m, const mjData* d) const;
 };
 
-// The actuator that the attribute `actuator` names; rejects actuators like `require_native`.
+// The actuator that the attribute `actuator` names; rejects the same actuators as `require_native`.
 NativeActuator actuator_attribute(const mjModel* m, int instance);
 
 // Rejects an actuator that is a plugin itself, or has several inputs or a nonlinear gain or bias.

@@ -25,7 +25,7 @@ class Residual : public Instance<ResidualTable> {
   // The scaled and bounded sum of the splines at given inputs.
   double at(const mjModel* m, const mjData* d, const Inputs& inputs) const;
 
-  // Instance that acts on a cylinder, -1 if there is none; rejects several.
+  // Instance that acts on a cylinder, -1 if no instance does; rejects several instances.
   static int of_cylinder(const mjModel* m, int actuator);
   // Length of the plugin state: parameters, states and coefficients.
   static int state_count(const mjModel* m, int instance);
@@ -38,7 +38,7 @@ class Residual : public Instance<ResidualTable> {
   static Spline spline_attribute(const mjModel* m, int instance, const char* variable);
 
   std::array<Spline, kInputs> splines_;
-  int qpos_ = -1, dof_ = -1;  // of the joint; -1 at a cylinder
+  int qpos_ = -1, dof_ = -1;  // addresses of the joint; -1 at a cylinder
   int actuator_ = -1;         // actuator whose command is an input of the joint's force
 };
 

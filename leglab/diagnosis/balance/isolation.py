@@ -14,8 +14,8 @@ from leglab.diagnosis.result import Where
 def isolate(problem: Problem) -> tuple[Where, ...]:
     """Returns where the original model disagrees with the measured motion, largest first.
 
-    All inputs of a balance are measured, so a valve fault does not affect the mechanical residual,
-    nor a mechanical fault the hydraulic residual. Residuals are in multiples of their noise.
+    All inputs of a balance are measured, so valve faults do not affect mechanical residuals, and
+    mechanical faults do not affect hydraulic residuals. Residuals are in multiples of their noise.
     Without measured pressures, errors of the replayed motion of each joint are returned instead.
     """
     along = balances(problem, Hypothesis())

@@ -20,7 +20,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
     """Returns in words where an error, (samples,), is largest.
 
     A region is reported if the mean absolute error of a bin exceeds the overall mean by a third. It
-    includes adjacent bins with over half that excess. `states`: values, (samples,), and unit.
+    includes adjacent bins with over half of this excess. `states`: values, (samples,), and units.
     """
     finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
@@ -57,7 +57,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
 def _period(error: np.ndarray, position: np.ndarray) -> float | None:
     """Returns the period over the position with which an error repeats; None if it does not.
 
-    The period must fit into the range 2 to 8 times, and its sine explain 1/3 of the variance.
+    The period must fit into the range 2 to 8 times, and a sine must explain 1/3 of the variance.
     """
     low, high = np.quantile(position, [0.01, 0.99])
     span = float(high - low)

@@ -22,10 +22,10 @@ from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
 from leglab.diagnosis.thresholds import DEFAULT, FAR, FORCE_BLOCKS, SAME, SMALL, Thresholds
 
-# Number of replayed windows in total, and minimum and maximum per recording. Each trial replays all
-# windows, so many are slow; with fewer a mean is not significant.
+# Number of replayed windows in total, then minimum and maximum per recording. Each factor needs a
+# replay of all windows, so many are slow; the mean over fewer windows is not significant.
 _WINDOWS, _FEWEST, _MOST = 16, 4, 8
-# Gains of a weak and a strong drive, which are effects: a unit must explain the motion better.
+# Gains of a weak and a strong drive (effects). A unit must explain the motion better than both.
 _GAINS = (0.3, 3.0)
 # Upper limit of squared errors relative to the squared motion; diverged replays reach it.
 _BLOWN = 1e8
@@ -40,7 +40,7 @@ class Doubt:
     factor: float  #: Factor on the columns with which the model fits
     unit: str  #: Unit that the factor implies, or `OPPOSITE`
     times_better: float  #: RMS replay error without the factor over the RMS error with it
-    alike: tuple[str, ...] = ()  #: Columns whose opposite direction fits equally well
+    alike: tuple[str, ...] = ()  #: Columns that fit equally well with opposite sign
 
     @property
     def words(self) -> str:
@@ -205,8 +205,8 @@ class _Trials:
         """Yields columns, units and factors to try for joints whose motion is not explained.
 
         In most logs all hinge angles, or all commands, have one unit, so groups are tried as well.
-        If both angles and commands of position servos are in degrees, errors hardly show it, so
-        this is tried whenever a hinge turns farther than most hinges can.
+        If angles and commands of position servos are both in degrees, errors hardly show it, so
+        degrees are tried whenever a hinge turns farther than most hinges can.
         """
         # Motion is unexplained above half the RMS error of a straight line in time.
         unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
@@ -240,7 +240,7 @@ class _Trials:
     def clear(
         self, columns: tuple[str, ...], before: list[_Errors], after: _Errors
     ) -> Iterator[tuple[str, float]]:
-        """Yields names of recordings that a factor explains clearly better, with error ratios."""
+        """Yields recordings whose errors a factor clearly reduces, with the ratio of the errors."""
         if any(errors.recording.shape != after.recording.shape for errors in before):
             return
         own = {self.machine.joints.index(j) for column in columns for j in self.joints[column]}

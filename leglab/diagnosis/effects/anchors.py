@@ -65,7 +65,7 @@ class Anchors(TableEffect):
 
 
 def anchors(machine: Machine, cylinder: str) -> tuple[Anchor, ...]:
-    """Returns a cylinder's fixed and moving anchor; () unless it has two about one hinge."""
+    """Returns a cylinder's fixed and moving anchor; () unless both move about one hinge."""
     model, driven = machine.base.model, machine.driven[cylinder]
     actuator, joint = model.actuator(cylinder), model.joint(driven[0])
     on_tendon = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_TENDON)

@@ -15,13 +15,13 @@ from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 _BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-# Natural frequency of the motor alone on a flank in contact: rigid for any recording.
+# Natural frequency [Hz] of a motor on the flank that it touches: rigid for any recording.
 _FLANK_HZ = 500.0
 # Motor inertia as a share of the joint's inertia, if the model has no armature.
 _MOTOR_SHARE = 0.1
 # Negligible width [rad or m] of the play with elastic flanks that represents a flexibility.
 _NO_PLAY = 1e-9
-# Trials and lower bound of the joint's natural frequency on its spring with the motor fixed.
+# Trials and lower bound [Hz] of the joint's natural frequency on its spring, motor fixed.
 _TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
 # Time before a window in which the motor's motion in the play is simulated.
 _HISTORY = 0.4  # s

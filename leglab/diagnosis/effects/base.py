@@ -33,11 +33,11 @@ class EffectParameter:
             parameter with this prior, and only a larger change is named.
         role: A "strength" at its nominal value switches the effect off; a "shape" has no influence
             while all strengths are nominal.
-        faults: Side of the nominal value on which faults lie; on the other, the part is better.
-        limit_of: "command" or "force" if the parameter is its limit: the nominal value is then the
-            largest recorded value, and trials are shares of that value; "" for no limit.
-        inverse: Whether motion departs in proportion to 1/value: a bandwidth acts by its lag, a
-            stiffness by its compliance.
+        faults: Side of nominal on which faults lie; on the other side the machine is better.
+        limit_of: "command" or "force" if the parameter limits the drive's command or force: nominal
+            is then the largest recorded value, and trials are shares of it; "" for neither.
+        inverse: Whether the motion changes in proportion to 1/value, for example to the lag
+            1/bandwidth or to the compliance 1/stiffness.
     """
 
     name: str
@@ -180,7 +180,7 @@ Row = Callable[[Machine, str], EffectParameter]
 class TableEffect(Effect):
     """Base of effects with a table of parameters."""
 
-    #: Parameters, each either equal for all elements or a function of machine and element.
+    #: Parameters: each is equal for all elements, or a function of machine and element.
     rows: ClassVar[tuple[EffectParameter | Row, ...]] = ()
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:

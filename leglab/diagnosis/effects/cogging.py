@@ -11,7 +11,7 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.effects.spring import insert_spring
 from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 
-# Limits on the number of cycles over the recorded positions: fewer resemble a spring.
+# Limits on the number of cycles over the recorded positions; fewer cycles resemble a spring.
 _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
 # Step of the searched frequencies, in cycles over the recorded positions.
@@ -21,7 +21,7 @@ _CLIP = 6.0
 
 
 def _period(machine: Machine, joint: str) -> EffectParameter:
-    """Returns the period. Nominal is a short one, because steps grow with the distance from it."""
+    """Returns the period, nominally short, because steps grow with the distance from nominal."""
     travel = joints.travel(machine, joint)
     return EffectParameter(
         "period",
@@ -72,10 +72,10 @@ class Cogging(JointEffect):
 
 
 def wave(left: ForceLeft) -> Values | None:
-    """Returns the parameters of the wave at the highest peak of the spectrum; None without motion.
+    """Returns the wave at the highest peak of the force's spectrum over position, None if at rest.
 
-    The spectrum is a least-squares fit at uneven positions (Lomb 1976). Other effects are projected
-    out before: a cubic polynomial of the position, friction and inertia.
+    The spectrum is a least-squares fit at uneven positions (Lomb 1976). Before, the effects of
+    friction, inertia and a cubic polynomial of the position are projected out.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))

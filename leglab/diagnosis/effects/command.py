@@ -20,7 +20,7 @@ _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 # Least duration of the history of commands that a command path keeps.
 _SHORTEST_HISTORY = 0.05  # s
 _SERVO_BAND = "servo_dead_band"
-# Typical command of a servo over its joint's travel: smallest trials, 2 % of it, are 4 mrad.
+# Typical command of a servo, as a share of the travel: the smallest trial, 2 %, is 4 mrad.
 _SERVO_SHARE = 0.2
 
 
@@ -56,7 +56,7 @@ def write_command_path(
 
 
 def natives(machine: Machine, wanted: Callable[[Any], bool]) -> tuple[str, ...]:
-    """Returns the native actuators for whose MuJoCo view `wanted` holds."""
+    """Returns the native actuators that satisfy `wanted`, a test of MuJoCo's view of them."""
     model = machine.base.model
     return tuple(name for name in machine.native_actuators() if wanted(model.actuator(name)))
 
@@ -91,7 +91,7 @@ def command_size(machine: Machine, element: str) -> float:
 
 
 class CommandEffect(TableEffect):
-    """Base of effects that one parameter of `leglab.command_path` describes."""
+    """Base of effects that are parameters of a `leglab.command_path`."""
 
     group = "valve and command"
 
@@ -180,7 +180,7 @@ class ServoDeadband(TableEffect):
         return position_servos(machine)
 
     def apply(self, change: Change, element: str, values: Values) -> None:
-        """Sets the dead band of the servo's command path; inserts one if there is none."""
+        """Sets the dead band of the servo's command path, which is inserted if missing."""
         band = values["dead_band"]
         if band == 0.0:
             return

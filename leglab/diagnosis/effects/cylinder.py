@@ -96,7 +96,7 @@ class AsymmetricSealFriction(CylinderEffect):
     physics = "Seals: F_1 + b_1 v while the piston extends, F_2 + b_2 |v| while it retracts."
     source = "lip seals of one direction, a U-cup against a wiper; rod gland under pressure"
     excitation = "sliding in both directions at several speeds; reversals"
-    # Friction of the joint's bearing is included: it acts as seals do if the lever hardly varies.
+    # Friction of the joint's bearing is contained: with a constant lever it acts like the seals'.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_extending", "viscous_retracting"),
@@ -104,7 +104,7 @@ class AsymmetricSealFriction(CylinderEffect):
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns friction by direction; if the model has little, trials scale with stall force."""
+        """Returns friction by direction; trials scale with it, or with stall force if small."""
         pressure, bore = (machine.parameter(element, n) for n in ("supply_pressure", "bore"))
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
@@ -243,7 +243,7 @@ class SupplyDroop(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns one element "supply" if there are cylinders and none names a supply unit."""
+        """Returns "supply" if the machine has cylinders and none of them names a supply unit."""
         named = any(machine.base.drawn_by.values())
         return ("supply",) if machine.cylinders and not named else ()
 

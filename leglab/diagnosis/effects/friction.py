@@ -13,7 +13,7 @@ from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 # Natural frequency of LuGre bristles, half damped: stiff for a joint, yet stable at 1 ms steps.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
 
-# Impedance of MuJoCo's friction loss (solimp): share of a load held at rest; the rest creeps.
+# Impedance of MuJoCo's friction loss (solimp): share of a load that it holds without creep.
 _HOLDS = 0.9999
 
 
@@ -155,7 +155,7 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
-    # Friction of a cylinder's seals is included: it acts as the joint's if the lever hardly varies.
+    # Friction of cylinder seals is contained: with a constant lever it acts like the joint's.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_forward", "viscous_backward"),

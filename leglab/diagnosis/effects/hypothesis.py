@@ -9,7 +9,7 @@ import numpy as np
 from leglab.diagnosis.effects.base import Effect, EffectParameter, all_effects
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Number of bisections in the search for a bound: to the last bit of a double.
+# Number of bisections in the search for a bound, enough for the last bit of a double.
 _HALVINGS = 60
 
 # Name of an effect, and of the element of the machine that has it.
@@ -23,7 +23,7 @@ class Site:
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
-    #: Values of the calibrated specimen, (parameters,); None if they are the model's.
+    #: Values of the calibrated specimen, (parameters,); None: the model's values apply.
     own: np.ndarray | None = None
 
     @property
@@ -37,7 +37,7 @@ class Site:
         return np.array([p.nominal for p in self.parameters])
 
     def changes(self, values: np.ndarray) -> bool:
-        """Tests whether values, (parameters,), include a strength that is not the model's."""
+        """Tests whether a strength among values, (parameters,), differs from the model's value."""
         each = zip(self.parameters, values.tolist(), strict=True)
         return any(p.role == "strength" and value != p.nominal for p, value in each)
 
@@ -196,16 +196,16 @@ class Library:
         return tuple(sorted({name for name, _ in self.searched}))
 
     def contains(self, larger: Key, simpler: Key) -> bool:
-        """Tests whether an effect contains another at the same joint as a special case."""
+        """Tests whether `simpler` is a special case of `larger` at the same joint."""
         joints = {self._driven.get(element, (element,))[0] for _, element in (larger, simpler)}
         known = larger in self.sites and simpler[0] in self.sites[larger].effect.contains
         return known and len(joints) == 1
 
     def as_simpler(self, larger: tuple[Key, int], simpler: tuple[Key, int]) -> float:
-        """Returns the factor that converts a parameter of an effect to one of a simpler effect.
+        """Returns the factor that converts a parameter to a parameter of a simpler effect.
 
         Arguments are effect and parameter number; the factor is 0 if the parameters differ in kind.
-        From a joint to its cylinder forces scale by the lever, coefficients of speed by its square.
+        Between joint and cylinder, forces scale with the lever, damping with the lever squared.
         """
         if not self.contains(larger[0], simpler[0]) or larger[0] == simpler[0]:
             return 0.0
@@ -224,11 +224,11 @@ class Library:
         return other
 
     def neutral(self) -> Hypothesis:
-        """Returns the hypothesis that the machine equals its model, whatever the specimen is."""
+        """Returns the hypothesis that the machine equals its model, even with a specimen."""
         return Hypothesis({key: self.sites[key].model for key in self.specimen})
 
     def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
-        """Returns the values of a hypothesis, completed by those of the specimen."""
+        """Returns the values of a hypothesis, and of the specimen for all other effects."""
         return {**self.specimen, **hypothesis}
 
     def change(

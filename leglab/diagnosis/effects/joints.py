@@ -136,7 +136,7 @@ class SizedRow:
     #: MuJoCo's field that holds a joint's value, see `native`; half of this value is a trial.
     field: str = ""
     half_above: float = 0.0  #: Multiple of `size` above which half the value is a trial
-    own: Size = lambda machine, element: 0.0  #: The model's value if there is no field
+    own: Size = lambda machine, element: 0.0  #: The model's value if `field` is empty
 
     def __call__(self, machine: Machine, element: str) -> EffectParameter:
         """Returns the parameter on a joint or actuator."""

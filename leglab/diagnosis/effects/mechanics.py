@@ -12,7 +12,7 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
-# Least variation of a joint force, per rad of tilt and over its scale, by which a tilt is seen.
+# Least variation of a joint force per rad of tilt, relative to the force scale, that is visible.
 _SEEN = 1e-3
 
 

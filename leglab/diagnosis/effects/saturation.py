@@ -19,7 +19,7 @@ from leglab.diagnosis.plant.model import Change, Machine
 # Trials, as shares of the model's limit, until recordings show the magnitudes of commands and
 # forces: from a limit that clips only peaks to one that clips most of a motion.
 _SHARES = (0.98, 0.9, 0.5, 0.2)
-# Limit that stands for no limit, as a multiple of the usual command or force: never reached.
+# Limit that is never reached (no limit), as a multiple of the usual command or force.
 _UNLIMITED = 1e6
 # Lowest limit, as a multiple of the usual command or force: below it a drive moves nothing.
 _LEAST = 0.01

@@ -40,7 +40,7 @@ class _Gain(CommandEffect):
     def write(self, change: Change, element: str, values: Values) -> None:
         """Writes both gains into the actuator's command path, and narrows `ctrlrange` accordingly.
 
-        A replay clips the command that reaches the actuator, MuJoCo the command that is sent.
+        MuJoCo clips commands before the path, whereas replays clip commands after the path.
         """
         super().write(change, element, values)
         model = change.machine.base.model.actuator(element)

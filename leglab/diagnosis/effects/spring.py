@@ -33,7 +33,7 @@ def _size(machine: Machine, joint: str, slide: float) -> float:
 
 
 def set_spring(change: Change, joint: str, effect: str, parameter: str, value: float) -> None:
-    """Shifts a parameter of a joint's spring-damper; inserts one for a value other than 0."""
+    """Shifts a joint's spring-damper parameter to a value; inserts the element if missing."""
     machine = change.machine
     if spring := machine.spring_of(joint):
         change.add_parameter(spring, parameter, value - machine.parameter(spring, parameter))

@@ -57,7 +57,7 @@ def admit(
     refuse_shared(doubted, len(entries))
     fastest = min(entry.clock.period for entry in usable.values())
     for name, period in [(name, entry.clock.period) for name, entry in usable.items()]:
-        # If a recording has two samples per bin, all others need at least one per two bins.
+        # If a recording has two samples per bin, others need at least one sample in two bins.
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
             del usable[name]
@@ -250,7 +250,7 @@ class _Entry:
         if finite.size < 0.5 * values.size:
             return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
         sizes, highest = np.abs(finite), np.abs(finite).max()
-        if highest >= self.limits.vapour_pressure:  # A chamber may be open to the tank: check both.
+        if highest >= self.limits.vapour_pressure:  # One chamber may be open to the tank.
             both = (columns.get(f"{one.element}_{c}", finite) for c in CHAMBERS)
             sizes = np.abs(np.concatenate([*both]))
         if found := other_unit(sizes, one):
@@ -282,7 +282,7 @@ class _Entry:
             if low == high:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield text, f"{column!r} {low:.6g}"
-            # A signal that rests as long at values in between is not saturated.
+            # A signal that rests as long at values between its extremes is not saturated.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
             for limit, word in ((low, "smallest"), (high, "largest")):

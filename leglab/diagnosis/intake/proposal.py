@@ -48,7 +48,7 @@ _PLAIN = {
     "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
     "values", "data", "filtered", "sensor", "robot", "observation",
 }  # fmt: skip
-# Similarity at which a line of the map is applied, and at which it is proposed as a guess.
+# Least similarity of a line of the map that is applied, and of a line that is proposed as a guess.
 _SURE, _NEAR = 0.6, 0.3
 _TIME = UsableColumn("time", "", "time", "s")
 
@@ -62,7 +62,7 @@ class Line:
     sure: bool  #: Whether the line is applied without confirmation
     factor: float = 1.0  #: The model's value per recorded value
     offset: float = 0.0  #: Added after multiplication by the factor
-    why: str = ""  #: Reason for name and unit, and other columns with a similar score
+    why: str = ""  #: Reason for name and unit, and other similar columns
 
     def __str__(self) -> str:
         theirs, ours = (json.dumps(name, ensure_ascii=False) for name in (self.theirs, self.ours))
@@ -216,7 +216,7 @@ def _assigned(
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
         name, score = columns[k].name, float(scores[i, k])
-        # Columns nearly as similar to this model column that do not fit another one better.
+        # Columns nearly as similar to this model column that fit no other model column better.
         order = np.argsort(-scores[i], kind="stable").tolist()
         near = [j for j in order if j != k and scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9

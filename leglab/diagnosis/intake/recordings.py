@@ -1,4 +1,4 @@
-"""Reading of recordings for a diagnosis, and choice of those to hold out."""
+"""Reading of recordings for a diagnosis, and choice of the recordings to hold out."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -122,7 +122,7 @@ def split_held_out(
     wanted: Sequence[str],
     thresholds: Thresholds = DEFAULT,
 ) -> tuple[dict[str, Recording], tuple[str, ...]]:
-    """Returns the recordings and the held-out names; a single recording's end is cut off for this.
+    """Returns the recordings and the held-out names; the end of a single recording is held out.
 
     `wanted` are names to hold out, with or without suffix; if empty, `held_out_choice` decides.
 
@@ -171,9 +171,9 @@ def _fit(entry: str, name: str) -> int:
 
 
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
-    """Chooses the recording to hold out, of at least two: the one most within the others' ranges.
+    """Chooses the recording, of at least two, whose values lie most within the others' ranges.
 
-    So the model is judged by an excitation that was not fitted, but not by extrapolation. If
+    Held out, it judges the model by another excitation, but not by extrapolation. If
     several are equal, the recording with the fastest motion is chosen as the most informative.
     """
     tables = {}

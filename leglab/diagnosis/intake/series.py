@@ -21,7 +21,7 @@ from leglab.diagnosis.thresholds import CERTAIN, DEFAULT, NEGLIGIBLE, NEIGHBOURS
 _ON_GRID = NEGLIGIBLE
 # Share of the largest value below which differences are rounding errors of floats.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
-# Relative uncertainty of a clock's period if jitter and lost samples hide the ticks.
+# Relative uncertainty of a clock's period if jitter and lost samples hide its ticks.
 _UNCLEAR = CERTAIN * SAME
 
 
@@ -52,7 +52,7 @@ class UniformSeries:
         *,
         period: float | None = None,
     ) -> "UniformSeries":
-        """Resamples the needed columns of a recording to a period [s], by default its usual one.
+        """Resamples the needed columns of a recording to a period [s], by default its own.
 
         Columns that end with "_command" are held between samples; NaN marks missing samples.
         """
@@ -148,7 +148,7 @@ def usual_interval(time: np.ndarray) -> float:
     """
     intervals = np.diff(time)
     period = float(np.median(intervals))
-    if np.abs(intervals - period).min() > 0.5 * period:  # Half short, half long.
+    if np.abs(intervals - period).min() > 0.5 * period:  # Half of them short, half long.
         period = usual_step(time)
     for _ in range(50):
         close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
@@ -163,7 +163,7 @@ def usual_interval(time: np.ndarray) -> float:
 def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = DEFAULT) -> float:
     """Returns the period of the grid for all recordings [s]: the longest of their periods.
 
-    If several long periods differ only by errors of clocks, their median is returned.
+    If several of the longest periods differ only by errors of clocks, their median is returned.
     """
     clocks = [Clock.of(recording.time) for recording in recordings.values()]
     clear = [c.period for c in clocks if c.clear] or [c.period for c in clocks]
@@ -285,7 +285,7 @@ class _Log:
         known = (number > 0) | self._known(smooth)
         # Filters reach into gaps, so gaps are filled by linear interpolation.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
-        # Weight of each sample in the sum of the values of all known grid points.
+        # Weight of each sample in the values of all known grid points together.
         share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
         given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
         weight = np.bincount(fit.neighbours.ravel(), given.ravel(), minlength=self.times.size)
@@ -312,7 +312,7 @@ class _Log:
         times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
         impulse = np.append(0.0, np.cumsum(values * np.diff(times)))
         mean = np.diff(np.interp(period * np.arange(grid.size + 1), times, impulse)) / period
-        # Differences of the integral have rounding errors, so held values are copied if possible.
+        # The mean is a difference with rounding errors, so values held for a period are copied.
         at = np.searchsorted(times, grid + near, side="right") - 1
         stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
         whole = stays & (np.abs(times[at] - grid) <= near)

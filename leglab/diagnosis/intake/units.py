@@ -7,7 +7,7 @@ from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
 
-# Factors >= 10 or <= 0.1 only: factors closer to 1 are effects (gain, encoder scale).
+# Factors >= 2 pi or <= 0.1 only: factors closer to 1 are effects (gain, encoder scale).
 ANGLES, _LENGTHS, _PRESSURES = (
     {unit: split(f"x [{unit}]").factor for unit in units.split()}
     for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
@@ -16,7 +16,7 @@ _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
 DEGREES = ("degrees", ANGLES["degrees"])
-# Encoder counts per turn to try; other resolutions are close enough to one to raise a doubt.
+# Encoder counts per turn to try; any other number is near enough to one of them for a doubt.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
 

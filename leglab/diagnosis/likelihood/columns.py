@@ -1,4 +1,4 @@
-"""Linearisation of errors at a hypothesis: tangents of all unknowns, and changes by jumps."""
+"""Linearisation of errors: derivatives by all unknowns, and changes by finite steps (jumps)."""
 
 import gc
 import signal
@@ -25,7 +25,7 @@ from leglab.diagnosis.thresholds import BLOWN, LOUDER, NEGLIGIBLE
 DRIVE_GAIN = "actuator_gain"
 # Names of the effects that limit a drive's command, and a drive's force on a joint.
 COMMAND_LIMIT, FORCE_LIMIT = "command_saturation", "force_saturation"
-# Index of an unknown, and a finite step of this unknown in smallest trials.
+# Finite step of an unknown: index of the unknown, and step in smallest trials.
 Jump = tuple[int, float]
 
 
@@ -40,10 +40,10 @@ class Columns:
     base: Hypothesis  #: Hypothesis at which the errors are linearised
     x: np.ndarray  #: Departures of `base`, (unknowns,)
     errors: np.ndarray  #: Errors of `base`, (windows, rows)
-    tangents: np.ndarray  #: Change of the errors per smallest trial, (windows, rows, unknowns)
+    tangents: np.ndarray  #: Derivatives of the errors by unknowns, (windows, rows, unknowns)
     jumps: tuple[Jump, ...]  #: Finite steps of unknowns, see `changes`
     changes: np.ndarray  #: Change of the errors by each jump, (windows, rows, jumps)
-    #: Whether the tangents of all unknowns that matter in the data are over small (`FINE`) steps.
+    #: Whether derivatives by unknowns that the data determine are over small (`FINE`) steps.
     fine: bool = False
 
 
@@ -76,7 +76,7 @@ class Errors:
         return Errors(self.problem, self.unknowns, chosen)
 
     def each(self, hypotheses: Sequence[Hypothesis]) -> list[np.ndarray]:
-        """Computes errors of hypotheses in parallel processes, as half of a replay is Python."""
+        """Computes errors of hypotheses in parallel processes, since half of a replay is Python."""
         count = min(self.problem.threads, len(hypotheses))
         if count < 2 or current_process().daemon:  # a worker of Dask cannot start processes
             return [self.at(h) for h in hypotheses]
@@ -109,8 +109,8 @@ class Errors:
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Computes errors of a hypothesis, (windows, rows).
 
-        `louder` names an actuator whose force is multiplied by `LOUDER`, or is None: by its gain if
-        the library has that effect (a servo's motion does not grow with it), else by its command.
+        `louder` names an actuator whose gain is multiplied by `LOUDER`, or its command if the gain
+        is no effect of the library. A servo's motion grows with its command, hardly with its gain.
         """
         problem = self.problem
         gain = (DRIVE_GAIN, louder or "")
@@ -142,7 +142,7 @@ class Errors:
 
     @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
-        """RMS residual force and RMS influence of commands, unchanged model, (joints,) each."""
+        """RMS of residual forces and of commands' influence, unchanged model, (joints,) each."""
         problem = self.problem
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
@@ -156,10 +156,10 @@ class Errors:
         return np.maximum(self._own[0], 1e-300)
 
     def _influence(self, pushed: np.ndarray) -> np.ndarray:
-        """Computes the influence of commands on joint forces over the unchanged model's, (joints,).
+        """Computes commands' influence on joint forces relative to the unchanged model, (joints,).
 
-        Residual forces are divided by this ratio, so that they count in units of the drive. If not,
-        a gain of 0, or friction that absorbs the drive's force, would leave no residual force.
+        Residual forces are divided by this ratio, so that they count in units of the drive.
+        Otherwise a gain of 0, or friction as large as the drive's force, would leave no residual.
         """
         own = self._own[1]
         influence = np.maximum(_size(pushed), NEGLIGIBLE * own)
@@ -186,10 +186,10 @@ class Errors:
         Args:
             base: Hypothesis at which errors are differentiated.
             errors: Errors of `base`.
-            which: Single unknowns to differentiate by; a tied one's tangent is their sum.
+            which: Single unknowns to differentiate by; tangents of tied unknowns are sums.
             step: Smallest step in trials, and smallest step as a share of the present departure.
             known: Tangents that all other unknowns keep.
-            most: Largest steps, (single,), without effect on moving parts; None for no limit.
+            most: Largest steps, (single,), of `gradual` unknowns; None for no limit.
         """
         u = self.unknowns
         out, x = known.copy(), u.departures(base)
@@ -211,7 +211,7 @@ class Errors:
         return out
 
     def jumped(self, columns: Columns, jumps: Sequence[Jump], *, near: bool = False) -> Columns:
-        """Returns the columns with changes by jumps, 0 in windows where a replay blows up.
+        """Adds changes by jumps to a linearisation, 0 in windows where a replay blows up.
 
         If `near`, the changes by `gradual` unknowns are predicted by tangents, not replayed.
         """
@@ -224,7 +224,7 @@ class Errors:
         return replace(columns, jumps=tuple(jumps), changes=changes)
 
     def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
-        """Returns the columns of the hypothesis without one effect; None if its replay blows up.
+        """Returns the linearisation without one effect; None if a replay without it blows up.
 
         Tangents are not computed anew: they belong to the hypothesis with the effect.
         """
@@ -264,7 +264,7 @@ def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
 
 
 def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
-    """Multiplies those of `limits` that the hypothesis contains by `LOUDER`."""
+    """Multiplies the values of effects `limits` in the hypothesis, if any, by `LOUDER`."""
     for key in limits:
         if key in hypothesis:
             hypothesis = hypothesis.with_values(key, LOUDER * hypothesis[key])
@@ -284,10 +284,10 @@ def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def trials(unknowns: Unknowns) -> list[Jump]:
-    """Returns jumps of possible faults to trial values; tangents cover the smallest trials."""
+    """Returns jumps to trial values of faults; the smallest trials are left to tangents."""
     found: list[Jump] = []
     for u in np.flatnonzero(unknowns.nameable).tolist():
-        # A tied unknown has the trials of its first element.
+        # An unknown that several elements share has the trial values of the first element.
         key, i = unknowns.places[u][0]
         p = unknowns.library.sites[key].parameters[i]
         found += [

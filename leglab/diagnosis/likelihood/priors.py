@@ -24,8 +24,8 @@ class Priors:
 
     #: Candidate standard deviations of good machines' parameters from the specimen, in smallest
     #: trials, all equally probable. A parameter with a tolerance has its tolerance instead, widened
-    #: for larger candidates. Those beyond `SPREADS` need healthy recordings and a large fault: else
-    #: naming any large fault would allow a rough machine its large deviations.
+    #: for larger candidates. Those beyond `SPREADS` need healthy recordings and a large
+    #: fault of the set; without this limit they would explain faults by deviations.
     spreads: tuple[float, ...] = SPREADS
     tolerances: float = 1.0  #: Factor on the tolerances
     #: Covariance of single unknowns from healthy recordings, (single, single); None without these.
@@ -41,16 +41,16 @@ class Priors:
         return self.covariance is not None
 
     def force_size(self, place: int) -> float:
-        """Returns the model-error scale of forces if that of replays is `sizes[place]`."""
+        """Returns the model-error scale of forces for the scale `sizes[place]` of replay errors."""
         return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Tests which `spreads` apply if the largest fault is `largest` trials, (..., spreads)."""
+        """Tests which `spreads` a largest fault, in smallest trials, allows, (..., spreads)."""
         most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
     def precision(self, unknowns: Unknowns, spread: float) -> tuple[np.ndarray, float]:
-        """Computes single unknowns' prior precision, (single, single), and log determinant."""
+        """Computes single unknowns' prior precision, (single, single), and its log determinant."""
         n = unknowns.single
         known = self.tolerances * unknowns.tolerance[:n]
         wider = max(1.0, spread / self.spreads[0] * USUAL)
@@ -67,10 +67,10 @@ class Priors:
 
 
 def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Computes the log prior density of fault magnitudes x in smallest trials, shaped as x.
+    """Computes the log prior density of fault magnitudes x of unknowns `which`, shaped as x.
 
-    It is a Cauchy density on the sides on which faults lie, times a factor that vanishes at 0, so
-    that evidence for "no fault" also grows with the data (Johnson and Rossell 2010).
+    It is a Cauchy density, in smallest trials, on the sides on which faults lie. A factor vanishes
+    at 0, so that evidence for "no fault" also grows with the data (Johnson and Rossell 2010).
     """
     sides = unknowns.above[which].astype(int) + unknowns.below[which]
     square = x**2
@@ -80,5 +80,5 @@ def log_fault(unknowns: Unknowns, which: np.ndarray, x: np.ndarray) -> np.ndarra
 
 
 def slab_curvature(x: np.ndarray) -> np.ndarray:
-    """Approximates the curvature of the negative log Cauchy density at x by its weight, > 0."""
+    """Returns slope / x of the negative log Cauchy density: an approximate curvature > 0."""
     return np.asarray(2.0 / (FAULT_SIZE**2 + x**2))

@@ -25,13 +25,13 @@ class Motion:
     """Largest recorded values of a joint."""
 
     position: float  #: Half the range of the joint's positions [rad or m]
-    deflection: float  #: From the rest position of its spring, if any or missing [rad or m]
+    deflection: float  #: Distance from the rest position, with or without spring [rad or m]
     velocity: float  #: [rad/s or m/s]
     acceleration: float  #: [rad/s^2 or m/s^2]
-    force: float  #: Of the drive, of gravity and other bias forces, or of inertia [N m or N]
+    force: float  #: Force of drive, gravity and other bias, or inertia [N m or N]
 
     def of_unit(self, unit: str) -> float:
-        """Returns the recorded magnitude of a quantity by its unit; 0 for units without one."""
+        """Returns the recorded magnitude of the quantity of a unit; 0 for all other units."""
         q, y = max(self.position, 1e-12), max(self.deflection, 1e-12)
         v, a = max(self.velocity, 1e-12), max(self.acceleration, 1e-12)
         f = self.force
@@ -145,7 +145,7 @@ def correlation_time(x: np.ndarray, period: float) -> float:
 
 
 def sized(library: Library, machine: Machine, seen: Shown) -> Library:
-    """Returns the library with trials and bounds scaled to the recorded quantities."""
+    """Returns the library with trial values and bounds scaled to the recorded quantities."""
     sites = {}
     for key, site in library.sites.items():
         joint = None if site.effect.on_bodies else seen.joints.get(site.element)
@@ -161,10 +161,10 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
 
 
 def _limited(p: EffectParameter, largest: float) -> EffectParameter:
-    """Returns a limit with trials below the largest recorded command or force."""
+    """Returns a limit with trial values below the largest recorded command or force."""
     most = min(p.nominal, largest)
     if most <= p.lower:
-        return p  # no recorded value comes near a limit
+        return p  # recorded values stay below every possible limit
     # Trial limits cut off a little, some or most of the largest recorded value.
     shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
     trials = tuple(most * share for share in shares if most * share > p.lower)
@@ -180,7 +180,7 @@ def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen:
 
 
 def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
-    """Returns a strength with bounds and trials scaled to `size`, on the sides of its trials."""
+    """Returns a strength with bounds and trial values scaled to `size`, on its trials' sides."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
     # A delay below two periods is no fault: a controller computes for up to a period and holds the
@@ -195,7 +195,7 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     sides = [s for s in (-1.0, 1.0) if any((t - p.nominal) * s > 0.0 for t in p.trials)]
     lower = p.nominal - far if p.lower < p.nominal else p.lower
     if p.lower >= 0.0:
-        lower = p.lower  # a bound set by physics stays
+        lower = p.lower  # a physical bound stays
     upper = p.nominal + far if p.upper > p.nominal else p.upper
     if p.unit in ("rad", "m"):  # zeros and rest positions lie anywhere in the joint's travel
         lower, upper = min(lower, p.lower), max(upper, p.upper)
@@ -207,6 +207,6 @@ def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
     trials = sorted(t for t in trials if lower <= t <= upper and t != p.nominal)
     if not trials:
         return p
-    # A model acts at once, a controller computes and holds: delays differ by up to a period.
+    # Good controllers' delays differ by up to a period, since they compute and hold commands.
     tolerance = max(p.tolerance, period / math.sqrt(3.0))
     return replace(p, lower=lower, upper=upper, trials=tuple(trials), tolerance=tolerance)

@@ -19,8 +19,8 @@ from leglab.diagnosis.thresholds import FORCE_BLOCKS, SMALL
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
     """Returns orthonormal directions in which errors are independent, (channels, channels).
 
-    They are the channels. For a cylinder's two chambers, one direction changes the cylinder's force
-    (its errors come from the mechanism), the other does not (its errors come from valves and oil).
+    They are the channels, except for the two chambers of a cylinder. Of these, one direction is the
+    cylinder's force, with errors of the mechanism; the other has only errors of valves and oil.
     """
     found = np.eye(len(channels))
     for cylinder in machine.cylinders:
@@ -66,8 +66,8 @@ def _pattern(
 class Spread:
     """Covariance of the model error in each recording, at scale 1."""
 
-    replays: np.ndarray  #: Of replay errors, (recordings, size, size)
-    forces: np.ndarray  #: Of residual forces, (recordings, joints x blocks, joints x blocks)
+    replays: np.ndarray  #: Covariance of replay errors, (recordings, size, size)
+    forces: np.ndarray  #: Covariance of residual forces, (recordings, joints x blocks, same)
 
     @classmethod
     def of(cls, at: Errors, errors: np.ndarray) -> "Spread":
@@ -88,7 +88,7 @@ class Spread:
         forces = np.zeros((count, joints, blocks, joints, blocks))
         if joints:
             shape, variance = _pattern(left.reshape(-1, joints, blocks), at.recording, count)
-            # A joint at rest has no residual force, but no force is that exact: a minimum applies.
+            # A joint at rest has no residual force, but no force is exact: a minimum is needed.
             least = SMALL**2 * variance.max(axis=0)
             variance = np.maximum(variance, least + 1e-12)
             for j in range(joints):
@@ -97,7 +97,7 @@ class Spread:
         return cls(*(x.reshape(count, n, n) for x, n in zip((replays, forces), sizes, strict=True)))
 
     def of_recordings(self, which: Sequence[int]) -> "Spread":
-        """Returns covariances for other recordings; the i-th is that of recording `which[i]`."""
+        """Returns covariances of other recordings; the i-th is copied from recording `which[i]`."""
         return Spread(self.replays[list(which)], self.forces[list(which)])
 
     def whitening(self, at: Errors) -> "Whitening":
@@ -151,7 +151,7 @@ class Whitening:
 
         `size` and `forces` are the model-error scales of replays and of residual forces. Residual
         forces have no noise covariance. Their weight is the model error's share of the replays'
-        variance, because residual forces of an exact model are noise and have to count 0.
+        variance: if the model is exact, residual forces are noise of unknown size and count 0.
         """
         n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
         variance = 1.0 + size**2 * self.ratio

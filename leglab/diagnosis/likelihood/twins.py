@@ -1,8 +1,8 @@
 """Effects that recordings of some channels cannot distinguish, whatever the motion.
 
 A late command and a late position sensor shift the same motion against the same command. Only a
-third signal distinguishes the two effects: a pressure, or the motion of a coupled joint. A delay of
-a command that is constant in all recordings changes nothing, so it has no twin.
+third signal distinguishes these "twins": a pressure, or the motion of a coupled joint. If a command
+is constant in all recordings, its delay changes nothing and has no twin.
 
 A common factor on all forces does not change the motion either: a heavier weight is equivalent to
 less inertia, friction and stiffness. Only a drive with a known gain, hence force, resolves this.
@@ -24,7 +24,7 @@ _DELAYS = ("command_delay", "sensor_delay")
 
 
 def twins(problem: Problem, key: Key) -> tuple[Key, ...]:
-    """Returns the effects of the search that no recording can distinguish from the effect `key`."""
+    """Returns the searched effects that no recording can distinguish from the effect `key`."""
     machine = problem.machine
     if key[0] not in _DELAYS or any(c.chamber for c in problem.channels):
         return ()
@@ -66,20 +66,20 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
 def scale_twins(
     problem: Problem, u: Unknowns, own: np.ndarray, members: tuple[int, ...], x: np.ndarray
 ) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
-    """Yields sets with a fitted set's motion, all forces scaled, and no more parameters.
+    """Yields sets, not larger than a fitted set, with its motion and all forces scaled.
 
-    Each factor returns one member (parameter of the fitted set) to the specimen's value. Unknowns
-    whose departure is then too small to be noticed, or within tolerance, are no members.
+    For each parameter of the fitted set, that factor is used which returns it to the specimen's
+    value. Unknowns whose departure is then within tolerance or unnoticeable are left out.
 
     Args:
         problem: Recordings and machine.
         u: Unknowns.
         own: Values of the specimen, see `own_forces`, (single,).
-        members: Members of the fitted set.
+        members: Unknowns of the fitted set.
         x: Departures of all unknowns in the fitted set, (unknowns,).
 
     Yields:
-        Members of the new set, and the moves of unknowns from `x` to this set.
+        Unknowns of the new set, and the moves of all unknowns from `x` to this set.
     """
     now = x[: u.single]
     scaling = np.array([_is_force(u, i) for i in range(u.single)]) | (own != 0.0)
@@ -101,8 +101,8 @@ def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
     """Returns the specimen's values that scale with all forces, in trials; 0 for other unknowns.
 
     They are inertia, friction, stiffness, masses and gains, (single,). Each counts under one effect
-    only: effects that contain another effect as a special case have 0. All values are 0 if an
-    acting drive has no unknown gain.
+    only: effects that contain another effect as a special case have 0. All values are 0 if a force
+    is known, of a cylinder or of an acting drive whose gain is no unknown.
     """
     machine, library, own = problem.machine, problem.library, np.zeros(u.single)
     acting = {a for a in machine.actuators if _acts(problem, a)}
@@ -121,7 +121,7 @@ def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
 
 
 def _is_force(u: Unknowns, i: int) -> bool:
-    """Tests whether a single unknown is a force, or a force per motion, but not a limit."""
+    """Tests whether a single unknown is a force or its ratio to a motion, but not a limit."""
     (key, n) = u.places[i][0]
     p = u.library.sites[key].parameters[n]
     return p.unit.startswith(("N", "kg")) and p.role == "strength" and not p.inverse

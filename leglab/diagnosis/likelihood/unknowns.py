@@ -20,20 +20,20 @@ EVERY = "every"
 class Unknowns:
     """Departures from the specimen, in smallest trials; all arrays have shape (unknowns,).
 
-    The first unknowns are single: one parameter on one element. The others are tied: each moves one
-    parameter on all like elements by the same number of trials, as a bus that delays all commands.
-    The departure of a single unknown is added to that of a tied unknown.
+    "Single" unknowns come first, each for one parameter of one element. A "tied" unknown moves one
+    parameter of all like elements by the same number of trials, as a bus delays all commands. A
+    parameter's departure is the sum of its single and its tied unknown.
     """
 
     library: Library  #: Effects whose parameters are the unknowns
     places: tuple[tuple[Place, ...], ...]  #: Parameters that each unknown moves
     keys: tuple[Key, ...]  #: Effect and element; the element of a tied unknown is `EVERY`
     scale: np.ndarray  #: Smallest trial in units of `from_nominal`; 1 for tied unknowns
-    #: Standard deviation between good machines, in trials; 0 if none is known.
+    #: Standard deviation between good machines, in smallest trials; 0 if unknown.
     tolerance: np.ndarray
-    lower: np.ndarray  #: Least departure, in trials
-    upper: np.ndarray  #: Largest departure, in trials
-    shape: np.ndarray  #: Whether it has no influence while the effect's strengths are nominal
+    lower: np.ndarray  #: Least departure, in smallest trials
+    upper: np.ndarray  #: Largest departure, in smallest trials
+    shape: np.ndarray  #: Whether it is a shape: no influence while strengths are nominal
     nameable: np.ndarray  #: Whether it can be a fault
     gradual: np.ndarray  #: Whether a good machine may have a small amount of the effect
     above: np.ndarray  #: Whether its faults lie above nominal
@@ -95,7 +95,7 @@ class Unknowns:
         return frozenset(self.keys[q] for q in unknowns)
 
     def effect(self, unknown: int) -> Effect:
-        """Returns the effect of an unknown; for a tied unknown that on the first element."""
+        """Returns the effect of an unknown, for a tied unknown the effect on its first element."""
         return self.library.sites[self.places[unknown][0][0]].effect
 
     def library_keys(self, unknown: int) -> frozenset[Key]:
@@ -142,9 +142,9 @@ class Unknowns:
 
 
 def _tied(library: Library, rows: list[dict]) -> list[dict]:
-    """Returns rows of the unknowns that at least three like elements share, as `rows`.
+    """Returns the rows of tied unknowns, which at least three like elements share.
 
-    For two elements a shared unknown would gain little over two single ones, so none is made.
+    For two elements a tied unknown would save little over two single unknowns, so none is made.
     """
     groups: dict[tuple[str, str, str, int], list[dict]] = {}
     for row in rows:

@@ -122,14 +122,14 @@ def determined(
 ) -> frozenset[str]:
     """Returns the unmeasured joints whose positions equalities and measured joints determine.
 
-    A joint is determined if no motion of the unmeasured joints alone that satisfies all equalities
-    moves it: its component in the null space of their Jacobian is zero.
+    With measured joints at rest, no motion that satisfies all equalities moves a determined joint:
+    its component in the null space of the unmeasured joints' Jacobian is zero.
     """
     if not unmeasured or not model.neq:
         return frozenset()
     own = copy_of_equalities(model)
     data = mujoco.MjData(own)
-    # Any non-singular pose will do, because the rank does not depend on the residual.
+    # The pose need not satisfy the equalities, because the rank does not depend on residuals.
     data.qpos[:] = model.qpos0 + 0.1
     _, jacobian = _residual(own, data)
     names = [name for name in joints if name in unmeasured]

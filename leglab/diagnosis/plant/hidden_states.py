@@ -12,7 +12,7 @@ T = TypeVar("T")
 class HiddenStates:
     """Cache `found` of the last three results per name with their inputs, least recent first.
 
-    It returns the same array objects again, so that results which depend on them are found fast.
+    Because it returns the same array objects again, results that depend on them are found fast.
     """
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 class MomentForces:
     """Forces at moments; arrays that were not requested are empty."""
 
-    #: Residual forces: those that accelerations need beyond the modelled forces, (moments, nv).
+    #: Residual forces, which accelerations need beyond the modelled forces, (moments, nv).
     lacking: np.ndarray
     load: np.ndarray  #: Actuator forces on joints, (moments, nv)
     bias: np.ndarray  #: Gravity, Coriolis and centrifugal forces, (moments, nv)

@@ -37,8 +37,8 @@ class Term:
 class Form:
     """Variables and functions that describe one balance's remainder, with a first estimate.
 
-    The unknowns of all terms are concatenated. If one term consists of sines, it is the last one,
-    `period` is its period (else None), and the last unknown is the change of this period. `gain` is
+    The unknowns of all terms are concatenated. A term of sines is the last term, `period` is its
+    period (None without sines), and the last unknown is the change of this period. `gain` is
     the share of the balance's squares that the form explains in cross-validation.
 
     Attributes:
@@ -52,7 +52,7 @@ class Form:
         self.balance, self.period, self.gain = fits.balance, period, gain
         values = fits.solved(terms)
         rest = fits.target - fits.design(terms) @ values
-        # Correlated neighbouring windows count as fewer independent ones (Bartlett 1935).
+        # Correlated neighbouring windows count as fewer independent windows (Bartlett 1935).
         memory = _neighbours(rest * np.sqrt(fits.weight), fits.balance)
         variance = float(fits.weight @ rest**2) / fits.target.size
         variance *= (1.0 + memory) / max(1.0 - memory, 0.1)
@@ -245,13 +245,13 @@ class _Fits:
             terms = (*chosen, replace(new, smoothing=smoothing))
             tried.append((terms, self.errors(terms, sums)))
         best = min(tried, key=lambda t: float(t[1].sum()))[1]
-        # The smoothest whose error is within one standard error of the best (Breiman et al. 1984).
+        # The smoothest term within one standard error of the least error (Breiman et al. 1984).
         return next(t for t in reversed(tried) if (t[1] - best).sum() <= _chance(t[1] - best))
 
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
     ) -> Term:
-        """Replaces the position's spline by sines; with `amplitudes`, the period is fitted too."""
+        """Replaces the position's spline by sines, and adds the period's slope for `amplitudes`."""
         low, high = own.knots[0], own.knots[-1]
 
         def waves(x: np.ndarray) -> np.ndarray:
@@ -326,7 +326,7 @@ def _periodic(
     for harmonics, repeats in ((1, 0.0), (2, 1.3), (3, 1.8)):
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
-        # Half the frequency with every second harmonic fits equally: the highest is tried first.
+        # Half the true frequency fits equally by its even harmonics, so the highest is tried first.
         least = costs.min()
         near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
         best = np.inf, chosen, 0.0

@@ -12,8 +12,8 @@ from leglab.diagnosis.thresholds import SMALL
 Parity = Literal["odd", "even", "mixed"]
 Side = Literal["positive", "negative"]
 
-# Share below which these are negligible: a term relative to the largest term, the even or odd part
-# of a curve, its change on one side of zero, or its change in an outer quarter of the range.
+# Negligible share: of a term relative to the largest term, of the even or odd part of a curve, of
+# the curve's change on one side of zero, or of its change in an outer quarter of the range.
 _HARDLY = SMALL
 
 

@@ -37,7 +37,7 @@ def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str,
 def lacking_forces(
     change: Change, measured: Measured, states: np.ndarray, half: int
 ) -> MomentForces:
-    """Computes the forces that the measured motion needs beyond those of the changed model.
+    """Computes the forces that the measured motion needs beyond the forces of the changed model.
 
     `states` are the full physics states at the samples of `measured`, (samples, nstate).
     Accelerations are means over `half` samples before and after each sample.
@@ -66,7 +66,7 @@ def comparable_forces(
     although its motion is equally wrong. So a residual force f is converted to the acceleration it
     causes, in units of the sensor, and then to the force that causes this acceleration on the
     unmodified machine: M_0 M^-1 f with joint-space inertias M_0 (unmodified) and M (hypothesis).
-    `found` has the hypothesis's residual forces; `joints` are those of `balanced_joints`.
+    `found` has the hypothesis's residual forces; `joints` is the result of `balanced_joints`.
     """
     machine, base, k = change.machine, change.machine.base, measured.samples
 

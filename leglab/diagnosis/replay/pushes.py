@@ -1,4 +1,4 @@
-"""Motion caused by commands of MuJoCo's native actuators, the fast part of which filters remove.
+"""Motion that commands of MuJoCo's native actuators cause, and whose fast part filters remove.
 
 Smoothed positions do not show how a noisy command moves a light joint from sample to sample. This
 motion is therefore computed from the commands, and its filtered-out part is added again.

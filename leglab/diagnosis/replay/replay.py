@@ -33,7 +33,7 @@ _CACHED_VARIANTS = 8
 # Maximum memory for the states of the windows in one batch of a replay [bytes].
 _MEMORY = 50_000_000
 
-# Windows of one recording, its measured series, and its corrected columns.
+# Windows of one recording, its measured series, and its columns after sensor corrections.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
 # Windows of one recording, its series at the samples of interest, and full physics states there.
 Along = tuple[Cut, Measured, np.ndarray]
@@ -131,7 +131,7 @@ class Replay:
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
         self._room = np.empty(0)  # buffer of states
-        self.rollouts = 0.0  #: replays so far; one of some windows counts as a fraction
+        self.rollouts = 0.0  #: number of replays; of some windows: a fraction
 
     @property
     def windows(self) -> int:
@@ -170,7 +170,7 @@ class Replay:
         left: np.ndarray | None = None
         pushed: np.ndarray | None = None
         if forces and not self.blind:
-            # Hidden states are reconstructed once for window starts and the samples inside windows.
+            # Hidden states at window starts and inside windows are reconstructed together.
             along = list(self._along(change, parts, starts=True))
             starts = np.concatenate([states[: cut.firsts.size] for cut, _, states in along])
             inside = [
@@ -337,7 +337,7 @@ class Replay:
         unknown = [None] * len(parts)
         if not self.blind:
             return states(0, unknown)
-        # The final pressures of a replay of the time before each window are its start pressures.
+        # A replay of the time before each window ends with the window's start pressures.
         controls = [
             self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts

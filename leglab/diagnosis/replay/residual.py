@@ -1,4 +1,4 @@
-"""Recordings and machine as a least-squares problem: whitened errors, noise model and priors."""
+"""Recordings and machine as a least-squares problem: whitened errors and their noise model."""
 
 from collections.abc import Iterable, Sequence
 from copy import copy
@@ -25,7 +25,7 @@ _ROUNDING = 1e-9
 class NoiseModel:
     """Noise of a correct model's replay errors, linearised at one hypothesis."""
 
-    defect: np.ndarray  #: Errors at time step zero minus actual ones, (windows, channels, bins)
+    defect: np.ndarray  #: Errors at time step zero minus replay errors, (windows, channels, bins)
     #: Inverse Cholesky factors of the windows' covariances, which turn errors into numbers of unit
     #: variance, shape (windows, size, size).
     whitening: np.ndarray
@@ -144,7 +144,7 @@ class Problem:
         """Returns the joint that the time step makes unstable in replays, or None.
 
         Its position errors, of (windows, channels, bins), exceed a hundred times its travel in more
-        than half of the windows: wrong models stay below, an unstable step amplifies by 1e6.
+        than half of the windows. Wrong models stay below; unstable steps amplify errors by 1e6.
         """
         for k, channel in enumerate(self.channels):
             if channel.chamber:
@@ -233,7 +233,7 @@ class Problem:
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Computes whitened errors, (chosen windows, size); 0 where an effect begins inside."""
+        """Computes whitened errors, (chosen windows, size); 0 in windows of an onset."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)

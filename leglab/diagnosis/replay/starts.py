@@ -1,8 +1,8 @@
 """Start states of windows: measured motion, and hidden states reconstructed from this motion.
 
 At rest the measured velocity is only noise. Dry friction is then computed from the balance of
-forces; several bristles on one joint (a cylinder's seals, a bearing) share it in proportion to
-their friction limits. A joint in contact keeps the bristle deflection of its last slide.
+forces; several bristles on one joint (a cylinder's seals, a bearing) share this friction in
+proportion to their limits. A joint in contact keeps the bristle deflection of its last slide.
 """
 
 from collections.abc import Mapping
@@ -136,9 +136,9 @@ class Instances:
             self._seat(element, velocity, level)
 
     def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
-        """Places a piston at that flank of the pin's play against which it pressed last.
+        """Places a piston at the flank of the pin's play against which it pressed last.
 
-        A piston crosses the play within milliseconds, and stays inside only if friction holds it.
+        A piston crosses the play within milliseconds; only friction can hold it in between.
         """
         samples, play = self.measured.samples, self.value(element, "play")
         pressures = self.chambers(element)
@@ -212,7 +212,7 @@ class Instances:
         measured, machine, model = self.measured, self.machine, self.variant.model
         count = measured.velocity[machine.joints[0]].size
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
-        # Only cylinder states are set: the cached forces then serve any change of joint friction.
+        # Only cylinder states are set, so that cached forces are valid for any joint friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
         for cylinder in machine.cylinders:
             start, table = self.variant.elements[cylinder]
@@ -283,7 +283,7 @@ class Instances:
                     self.state[rests, one.slot] = 0.0
         if not still:
             return
-        # A bristle acts on one joint only, so one evaluation with all at zero serves every joint.
+        # Each bristle acts on one joint, so one evaluation with all at 0 serves all joints.
         rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
         left = self._unbalanced(rows, [*still])
         for held, (acting, resting) in zip(left.T, still.values(), strict=True):
@@ -352,7 +352,7 @@ def measure(
         else:
             position[channel.joint], velocity[channel.joint] = level, slope
     pushed: dict[str, np.ndarray] = {}
-    # Not if a hypothesis puts a body between motor and joint: commands then accelerate that body.
+    # If a hypothesis puts a body between motor and joint, commands do not accelerate the joint.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
         driven = _driven(cut, channels, command, position, velocity)
         for joint, own in zip(machine.joints, driven, strict=True):
@@ -433,7 +433,7 @@ def _with_integrators(
         other = replace(instances, measured=replace(at, activation=moved))
         return other._unbalanced(rows, joints).ravel()
 
-    # With limits, a new initial value saturates other samples, so the estimate is repeated once.
+    # With limits, other samples saturate after a step, so the estimate is repeated once.
     for _ in range(2 if model.actuator_actlimited.any() else 1):
         step, force = 1e-4, left()
         slopes = np.stack([(left(name, step) - force) / step for name in own], axis=1)
@@ -485,9 +485,9 @@ def _driven(
     position: dict[str, np.ndarray],
     velocity: dict[str, np.ndarray],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Adds to smoothed motion the motion by native actuators' commands that filters removed.
+    """Adds to the smoothed motion the part that filters removed of the motion by commands.
 
-    Returns position, velocity and the velocity due to commands, each (n,), for each joint.
+    Commands are of native actuators. Returns position, velocity and commanded velocity by joint.
     """
     period, filters = cut.series.period, [c.filter for c in channels if not c.chamber]
     given = [command[name] for name in cut.pushes.actuators]
@@ -537,7 +537,7 @@ def start_states(
     states = moments.states_at(machine, variant.model, measured, firsts, plugin)
     states[:, 0] = cut.series.time[firsts]
     for joint in (*machine.joints, *machine.follower_names):
-        # MuJoCo's velocity is half a step older than its position, so the slope before is used.
+        # MuJoCo's velocity is half a step older than its position, so earlier slopes are used.
         v = measured.velocity[joint]
         pushed = measured.pushed.get(joint, np.zeros_like(v))
         calm = v - pushed

@@ -23,7 +23,7 @@ class Channel:
     """One measured output that a replay predicts."""
 
     column: str  #: Column of the recordings
-    joint: str  #: Joint whose position it is, or which the cylinder drives
+    joint: str  #: Joint of the position, or joint that the cylinder drives
     cylinder: str | None = None  #: Cylinder of the chamber; None for a position
     chamber: str | None = None  #: "pressure_a" or "pressure_b"; None for a position
     #: Length in samples and order of the Savitzky-Golay filter that smooths the channel.
@@ -131,7 +131,7 @@ def smoothed(
 def filter_difference(
     samples: np.ndarray, window: tuple[int, int], period: float | None = None
 ) -> np.ndarray:
-    """Computes the smoothed samples minus those of a filter with an order lower by two, (n,)."""
+    """Computes the samples smoothed by a filter minus by a filter of an order lower by 2, (n,)."""
     less = window[0], max(window[1] - 2, 0 if period is None else 1)
     return smoothed(samples, window, period) - smoothed(samples, less, period)
 

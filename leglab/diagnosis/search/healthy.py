@@ -1,4 +1,4 @@
-"""Calibration of the model to healthy recordings of the same machine."""
+"""Calibration of the model to healthy recordings of the individual machine (specimen)."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
@@ -30,7 +30,7 @@ class Specimen:
     values: Hypothesis  #: Values of all strengths and shapes of the fit
     priors: Priors  #: Priors of departures of the same machine on another day
     kappa: float  #: Factor on log likelihoods, 1/design effect
-    left_out: tuple[Hypothesis, ...]  #: Values fitted without one part of the recordings, by part
+    left_out: tuple[Hypothesis, ...]  #: Fitted values with each part left out in turn
 
     @property
     def problem(self) -> Problem:
@@ -39,7 +39,7 @@ class Specimen:
 
     @cached_property
     def errors(self) -> np.ndarray:
-        """Cross-validated errors: a part's windows by the fit without the part, (windows, rows)."""
+        """Errors of each window by the fit without the window's part, (windows, rows)."""
         out, part = np.zeros_like(self.columns.errors), parts_of(self.at.recording)
         for r, hypothesis in enumerate(self.left_out):
             own = part == r
@@ -55,7 +55,7 @@ class Specimen:
     def _squares(self) -> np.ndarray:
         """Mean square error of each window by the fit without the window's part, (windows,)."""
         at, problem = self.at, self.problem
-        # A window that is not fitted belongs to the part of the next fitted window.
+        # A window that was not fitted belongs to the part of the next fitted window.
         fitted = parts_of(at.recording)
         place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
         part = fitted[np.minimum(place, fitted.size - 1)]
@@ -97,7 +97,7 @@ class Specimen:
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
         """Tests whether new errors are as small as the healthy specimen's on another day.
 
-        Every recording has to pass, because one with motion is more informative than three at rest.
+        Every recording has to pass, because one with motion shows more than several at rest.
         `at` are the specimen's values. They are not refitted, because a refit could hide a fault.
         """
         level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
@@ -111,7 +111,7 @@ class Specimen:
         """Builds the evidence of sets on the healthy recordings, treated as new recordings.
 
         Each part of the healthy recordings is compared with the fit to the other parts, just as new
-        recordings are compared with the specimen. Departures are from the specimen.
+        recordings are compared with the specimen. Departures are relative to the specimen.
 
         Args:
             library: Effects on the specimen.
@@ -122,7 +122,7 @@ class Specimen:
         problem.library = library
         own = sorted({i for q in members for i in u.singles(q)})
         here = self.values, self.columns.errors
-        # Tangents hold for the specimen's unknowns too: only the zero of departures differs.
+        # The fit's tangents are also valid here: only the zero of the departures differs.
         single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
         tangents = np.zeros((*self.errors.shape, len(u)))
         for q in range(len(u)):
@@ -144,10 +144,10 @@ def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
 def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> Specimen:
     """Fits the model to healthy recordings, under the priors of good machines.
 
-    If this fit leaves more than noise, and the new recordings have larger errors than the healthy
-    ones have in cross-validation, sets of effects that describe the healthy recordings are sought.
-    Several may do so, and only errors that none of them explains are a change. So the specimen is
-    the first of the best sets that explains the new recordings too, or else the most probable set.
+    If this fit leaves more than noise, and new errors exceed the cross-validated healthy errors,
+    sets of effects that describe the healthy recordings are sought. New errors that one of the best
+    sets explains are no change. So the first of the best sets that also explains the new recordings
+    becomes the specimen; if none does, the most probable set.
 
     Args:
         problem: Healthy recordings and machine.
@@ -178,7 +178,7 @@ def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> S
 def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
     """Builds the specimen from a fit to its healthy recordings."""
     at, unknowns = fitter.at, fitter.at.unknowns
-    # The scale 1 of the model error is, from now on, that of the errors which this fit leaves.
+    # From here on, the model error has the scale 1 if it equals the errors that this fit leaves.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
     own = Spread.of(at, fit.columns.errors)
     evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)

@@ -16,7 +16,7 @@ from leglab.diagnosis.thresholds import EXPLAINED
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
-    """Finds the times at which recordings, explained at first, cease to be explained [s].
+    """Finds the times [s] at which a model stops to explain recordings that it explained at first.
 
     Returns (recordings,) times, inf for a recording without a change; None if none has a change.
     """
@@ -32,7 +32,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(thresholds.COARSE)
     nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
-    # In most cases the fit ends early: its first turns show that it cannot explain the beginnings.
+    # Most fits are given up early, once the first iterations show that these windows do not fit.
     hopeless = thresholds.HOPELESS * EXPLAINED
     fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
     if fit.level > EXPLAINED:
@@ -79,7 +79,7 @@ def begun(
             if not after.size:
                 continue
             met = present < max(EXPLAINED, thresholds.ONSET_RISE * float(np.median(after)))
-            # If the error without the effect is far larger than with it, the effect is present.
+            # A bad fit with the effect shows absence, unless the fit without it is far worse.
             missed = ~met & (absent < thresholds.ONSET_RISE * present)
             out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
@@ -99,7 +99,7 @@ def begun(
 
 
 def _change_point(values: np.ndarray) -> int | None:
-    """Finds the index after the most likely rise of the mean (Page 1954); None without a rise."""
+    """Finds the first index after the likeliest rise of a mean (Page 1954); None without rise."""
     count = values.size
     places = np.arange(thresholds.FEWEST_WINDOWS, count - thresholds.FEWEST_WINDOWS + 1)
     rise = np.array([values[k:].mean() - values[:k].mean() for k in places])
@@ -115,7 +115,7 @@ def _change_point(values: np.ndarray) -> int | None:
 
 
 def _refined(problem: Problem, errors: np.ndarray, windows: np.ndarray, onset: float) -> float:
-    """Finds the time near a coarse onset at which errors exceed those of healthy windows."""
+    """Finds the time near a coarse onset at which errors exceed the errors of healthy windows."""
     replay = problem.replay
     start, length = replay.start[windows], replay.window
     healthy = windows[start + length < onset - length]

@@ -107,7 +107,7 @@ def _problem(
 
     problem = posed(at_replay_step(machine, period))
     if problem.blown and problem.machine.timestep > machine.file_timestep:
-        # The replay's step exceeds the model's and may be the cause, so the model's is tried.
+        # A time step above the model file's may be the cause, so the file's time step is tried.
         steps = int(np.ceil(period / machine.file_timestep - 1e-9))
         problem = posed(machine.at_timestep(period / steps))
     _check_stable(problem)
@@ -170,7 +170,7 @@ def searched(
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
-    """Returns the problem with trials scaled to recordings, and shapes from residual forces."""
+    """Scales trial values to the recorded magnitudes; guesses shapes from residual forces."""
     sites = dict(sized(problem.library, problem.machine, seen).sites)
     guessing = {k: s for k, s in sites.items() if type(s.effect).guess is not Effect.guess}
     left = forces_left(problem, Hypothesis()) if guessing else {}

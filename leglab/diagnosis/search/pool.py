@@ -25,7 +25,7 @@ from leglab.diagnosis.thresholds import (
 )
 
 Members = frozenset[int]
-# Names of the moves that propose further sets, after those by first order and by force balance.
+# Names of the moves to further sets, whose number is limited, see `Pool.exhausted`.
 FURTHER = ("both ways", "neighbours")
 
 
@@ -36,8 +36,8 @@ class Proposal:
     move: str  #: Name of the move
     candidate: Candidate  #: The set, and the start of its fit
     reason: str  #: Reason in words
-    beside: bool = True  #: Argument `beside` of `Fitter.fit`
-    renewals: int = 0  #: Argument `renewals` of `Fitter.fit`
+    beside: bool = True  #: Whether other parameters move at once, see `Fitter.fit`
+    renewals: int = 0  #: Number of times that all tangents may be computed anew
     finishes: Fit | None = None  #: The unfinished fit that the fit of this proposal replaces
     once: Hashable = None  #: Key of a proposal that is made only once
     late: bool = False  #: Whether it counts as an attempt to find a rival of the best set
@@ -70,9 +70,9 @@ class Scene:
     aim: Aim
     first: Columns  #: Linearisation of the unchanged model, with jumps to all trials
     compared: Compared
-    #: Linearisations without an effect, see `Errors.without`, by fit and effect.
+    #: Linearisations of fits without one effect, by fit and effect, see `Errors.without`.
     removed: dict[tuple[Fit, Key], Columns | None] = field(default_factory=dict)
-    #: Linearisations of fits with the jumps `limits`.
+    #: Linearisations of fits with changes by the jumps `limits`, by fit.
     limited: dict[Fit, Columns] = field(default_factory=dict)
 
     @property
@@ -82,12 +82,12 @@ class Scene:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Values of the specimen that scale with all forces, see `own_forces`, (single,)."""
+        """Inertias, frictions, gains etc. of the specimen, see `own_forces`, (single,)."""
         return own_forces(self.fitter.at.problem, self.fitter.at.unknowns)
 
     @cached_property
     def limits(self) -> list[Jump]:
-        """Jumps of command and force limits, because tangents far from a limit vanish."""
+        """Jumps of command and force limits, as a limit that is not reached has tangents of 0."""
         u = self.fitter.at.unknowns
         return [jump for jump in trials(u) if u.limits[jump[0]]]
 
@@ -174,8 +174,8 @@ class Pool:
         """Sets that may turn out to be better than the best set.
 
         Their evidence is at most `BEHIND * NEAR` below the best set's. While no set explains the
-        recordings, the margin grows with the best set's gain, because predictions err by a share of
-        it. A set that leaves only noise, with no more parameters than the best set, is also near.
+        recordings, the margin grows with the best set's gain over the empty set, because predicted
+        gains err by a share. Sets that leave only noise with as few parameters are also included.
         """
         top, rivals = self.best.score.log, self.scene.aim.rivals
         behind = BEHIND * NEAR if rivals else 0.0
@@ -191,7 +191,7 @@ class Pool:
         ]
 
     def needed(self, fit: Fit, there: Evidence | None = None) -> bool:
-        """Tests whether every effect of a fit contributes, or the set of contributing ones is new.
+        """Tests whether all effects of a fit contribute, or the contributing ones were not fitted.
 
         `there` is the evidence to use; None for the evidence at the fit.
         """
@@ -203,7 +203,7 @@ class Pool:
 
     @property
     def sound(self) -> list[Ranked]:
-        """Sets to compare with others: those without a parameter at a bound, or else all sets."""
+        """Sets without a parameter at a bound; all sets if each has one."""
         return [r for r in self.ranks if not r.fit.ended] or list(self.ranks)
 
     def knows(self, members: Members) -> bool:
@@ -217,7 +217,7 @@ class Pool:
 
     @cached_property
     def vain_now(self) -> int:
-        """Number of consecutive attempts without a rival of the best set, with the present one."""
+        """Value of `vain` after the last further set; 0 if that set is a rival of the best set."""
         last = self.further[-1].keys if self.further else frozenset[Key]()
         top = self.best.score.log
         rival = last in {r.fit.keys for r in self.near if r.score.log > top - NEAR}
@@ -225,16 +225,16 @@ class Pool:
 
     @property
     def exhausted(self) -> bool:
-        """Tests whether enough further sets were fitted, or too many in a row without a rival."""
+        """Tests whether enough further sets were fitted, or too many in a row are no rivals."""
         return self.vain_now > FRUITLESS or len(self.further) >= FURTHER_FITS
 
     @property
     def ended(self) -> bool:
         """Tests whether the search can stop.
 
-        If the unchanged model leaves only noise, linearised evidence is exact, so the search stops
-        if the empty set leads or no fit clearly lessens the errors. If no rivals are wanted, the
-        search stops when the best set leaves only noise.
+        If the unchanged model leaves only noise, linearised evidence is exact. The search then
+        stops if the empty set is the best or no fit clearly lessens the errors. If no rivals are
+        wanted, it stops when the best set leaves only noise.
         """
         fitter, best = self.scene.fitter, self.best.fit
         if self.scene.clear:
@@ -250,7 +250,7 @@ class Found:
 
     pool: Pool
     level: float  #: Median error of the unchanged model, in noise levels
-    onsets: np.ndarray | None = None  #: Argument `onsets` of `search`
+    onsets: np.ndarray | None = None  #: Times [s] at which missing effects begin, see `search`
 
     @property
     def fitter(self) -> Fitter:

@@ -23,7 +23,7 @@ class Ranked:
     fit: Fit  #: The fit
     evidence: Evidence  #: Evidence at the linearisation of this fit or of another fit
     score: Score  #: Score of the set by this evidence
-    gain: float  #: Log evidence of `score` less that at the linearisation of this fit [nats]
+    gain: float  #: Log evidence of `score` less the log evidence at this fit [nats]
 
 
 class Compared:
@@ -61,9 +61,9 @@ class Compared:
 def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     """Ranks sets by evidence, best first; of several fits of one set, the best one counts.
 
-    The model-error covariance is unknown, so each set is scored with the covariance of its fit and
-    with those of the fits with the smallest errors, at its own linearisation and at those of these
-    fits. The best score counts, so a larger set is never worse than a set that it contains.
+    Each set is scored at its own fit and at the fits with the smallest errors. The covariances of
+    all these fits are tried, since the model error is unknown without healthy recordings. The best
+    score counts, so a larger set is never worse than a set that it contains.
     """
     near = sorted(fits, key=lambda f: f.level)[:SURE_FITS]
     fixed = compared.fitter.fixed

@@ -31,12 +31,12 @@ class Balanced:
     """A set of effects that reduces the residual forces of one joint."""
 
     start: dict[int, float]  #: Departures of the set's unknowns
-    #: Gain over no effect [nats], as if a window were one datum, less log(windows)/2 per parameter.
+    #: Gain over no effect [nats] with one datum per window, less log(windows)/2 per parameter.
     gain: float
 
 
 def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]]:
-    """Returns the sets with the smallest residual forces of each joint, best first."""
+    """Returns for each joint the sets that leave the smallest residual forces, best first."""
     u, base, joints = at.unknowns, Hypothesis(), at.problem.balanced
     jumps = [jump for jump in jumps if jump[0] < u.single]
     if not joints or not jumps:
@@ -48,7 +48,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     loud = _forces(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
-        # The scale of weights is a recording's median residual force, raised for joints at rest.
+        # Forces are divided by their median size in a recording, bounded below for joints at rest.
         size = np.sqrt((left[:, j] ** 2).mean(axis=1))
         least = max(NEGLIGIBLE * float(np.median(size)), 1e-12)
         scale = np.ones(len(size))
@@ -62,19 +62,19 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
             own = change[:, j]
             share = _proportion(own.ravel(), drive[:, j].ravel()) if louder else 0.0
             if share and jump[0] not in louder:
-                # A force in proportion to the drive's grows with the drive's gain; other friction
-                # does not grow.
+                # Friction in proportion to the drive's force grows with the drive's gain; dry and
+                # viscous friction do not.
                 both = _forces(at, u.moved(base, {**louder, jump[0]: jump[1]}))[0] - loud
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
                 share = share if abs(grown - stronger) < SMALL * stronger else 0.0
             if share:
-                # A gain of 0, or friction that absorbs the drive's force, would leave no residual
-                # force. So the force that the motion takes replaces the drive's force.
+                # A multiple of the drive's force could cancel this force and leave no residual. So
+                # the change is fitted as a multiple of the force that the measured motion takes.
                 own = np.sign(own * drive[:, j]) * share * (left[:, j] + drive[:, j])
             columns.append((own * weight[:, None]).ravel())
             scaling.append(share)
         x = np.stack(columns, axis=1)
-        # A weaker or late drive imitates resistance: friction and mechanics are also fitted alone.
+        # A weak or late drive resembles resistance, so friction and mechanics are also tried alone.
         resists = [u.effect(q).group in ("friction", "mechanics") for q, _ in jumps]
         machine = [i for i, share in enumerate(scaling) if share == 0.0 and resists[i]]
         sets: dict[frozenset[int], Balanced] = {}
@@ -118,7 +118,7 @@ def _subsets(
     windows: int,
     allowed: Iterable[int],
 ) -> list[Balanced]:
-    """Returns sets of x's columns, (numbers, jumps), that fit y best with positive factors."""
+    """Returns sets of columns of `x`, (numbers, jumps), whose positive multiples best cancel y."""
     gram, slope, total = x.T @ x, -x.T @ y, float(y @ y)
     every = [i for i in allowed if 1e-8 * total < gram[i, i] < 1e20]
 

@@ -1,7 +1,7 @@
 """Renewal of the noise model of a search at the most probable set.
 
-Replays propagate errors of start states. Far from the unchanged model these errors grow otherwise,
-so under the old noise model even the right set would leave errors of several noise levels.
+The noise model contains how errors of start states grow in replays of the unchanged model. Under a
+very different model they grow otherwise, so even the right set would leave several noise levels.
 """
 
 from collections.abc import Hashable
@@ -24,7 +24,7 @@ def wanted(pool: Pool) -> bool:
 
 
 def renewed(pool: Pool) -> Pool:
-    """Returns the ranked pool with the noise model at the best set; all fits are unfinished."""
+    """Ranks the pool by the noise model at the best set; all but the empty set are unfinished."""
     scene, best = pool.scene, pool.best.fit
     old = scene.fitter
     new = Fitter(old.at.about(best.columns.base), old.priors, old.fixed)
@@ -43,14 +43,14 @@ def _about(fit: Fit) -> Hashable:
 
 
 def _moved(columns: Columns, by: np.ndarray) -> Columns:
-    """Adds `by`, a change of the time-step error, (windows, replay errors), to the errors."""
+    """Adds the change `by` of the time-step error, (windows, replay errors), to the errors."""
     errors = columns.errors.copy()
     errors[:, : by.shape[1]] += by
     return replace(columns, errors=errors)
 
 
 def _judged(fitter: Fitter, fit: Fit, columns: Columns, kappa: float) -> Fit:
-    """Scores a fit at its parameters under a noise model; unless empty, it becomes unfinished."""
+    """Scores a fit under a new noise model; the fit of a non-empty set becomes unfinished."""
     spread = fitter.own_spread(columns.errors)
     weight = fitter.weights(columns.errors, spread, fit.score.size)
     evidence = fitter.evidence(columns, spread, weight, kappa)

@@ -43,7 +43,7 @@ CAUSES = Aim(
     rivals=True,
     ahead=-thresholds.NEAR,
 )
-#: Aim to find a good description of recordings; only clear improvements are fitted.
+#: Aim to find one good description of recordings; only sets that clearly improve it are fitted.
 DESCRIPTION = Aim(
     moves=(finish.propose, another_point.propose, neighbours.propose),
     rivals=False,
@@ -70,10 +70,10 @@ def search(
     """Finds and fits the sets of effects that can cause the misfit of recordings.
 
     Args:
-        problem: Recordings and machine, with the library about the specimen.
+        problem: Recordings, machine, and the library of effects on the specimen.
         priors: Priors of parameters and model error; None for the default, without healthy data.
         fixed: Covariance of the model error from healthy recordings; None without these.
-        kappa: Initial 1/design effect.
+        kappa: Initial factor on log likelihoods, 1/design effect.
         onsets: Times at which the missing effects begin [s], (recordings,); None for no onset.
         log: Called with what is being done.
     """
@@ -85,19 +85,19 @@ def search(
     fitter = Fitter(at, priors or Priors(), fixed)
     log(f"tangents and trials of {len(u)} unknowns")
     errors = at.at(Hypothesis())
-    # A large fault would leave more than noise. If only noise is left, small steps are accurate.
+    # If the unchanged model leaves only noise, no fault is large, and small steps are accurate.
     first = at.columns(thresholds.FINE if fitter.clear(errors) else thresholds.COARSE)
     return Found(_searched(fitter, first, CAUSES, kappa, log), fitter.level(errors), onsets)
 
 
 def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -> Pool:
-    """Finds sets that describe recordings, starting from the fit of the empty set.
+    """Finds sets of effects that describe recordings, starting from the fit of the empty set.
 
     Args:
         fitter: Fits the sets.
-        first: Linearisation of the unchanged model, without jumps.
+        first: Linearisation of the unchanged model, without changes by jumps.
         fit: The fit of the empty set.
-        kappa: Initial 1/design effect.
+        kappa: Initial factor on log likelihoods, 1/design effect.
         log: Called with what is being done.
     """
     return _searched(fitter, first, DESCRIPTION, kappa, log, fit)
@@ -106,7 +106,7 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
 def _searched(
     fitter: Fitter, first: Columns, aim: Aim, kappa: float, log: Log, nothing: Fit | None = None
 ) -> Pool:
-    """Fits the proposals of all moves; `nothing` is the fit of the empty set, if made before."""
+    """Fits the proposals of all moves; `nothing` is the fit of the empty set, None if not made."""
     at, clear = fitter.at, fitter.clear(first.errors)
     first = at.jumped(replace(first, fine=clear), trials(at.unknowns), near=clear)
     pool = Pool(Scene(fitter, aim, first, Compared(fitter)), kappa)
@@ -130,7 +130,7 @@ def _searched(
 
 
 def _moved(pool: Pool, log: Log) -> Pool:
-    """Fits the proposals of the moves until none is left."""
+    """Fits the proposals of the moves until none is left or the search has ended."""
     while not pool.ended:
         proposal = next((p for move in pool.scene.aim.moves for p in move(pool)), None)
         if proposal is None:
@@ -153,10 +153,10 @@ def _fitted(pool: Pool, proposal: Proposal, log: Log) -> Pool:
 
 
 def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -> Pool:
-    """Fits the proposals of first order and of the balance of forces.
+    """Fits the sets that the first linearisation and the balance of forces propose.
 
-    Once a set explains the recordings, only simpler sets or sets of nearly its predicted evidence
-    are fitted. The margin is wide, since first order errs much far from the unchanged model.
+    Once a set explains the recordings, other sets are fitted only if they are simpler or if their
+    predicted evidence is lower by `room` at most. First-order predictions of large faults err much.
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
@@ -189,13 +189,13 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             continue
         begins, other = scene.begins(seed), wanted.get(names)
         if other is None:
-            # The balance predicts no evidence, so a set that starts near noise is always fitted.
+            # The balance predicts no evidence. A set that starts near noise is fitted anyway.
             if begins < thresholds.HOPELESS * level:
                 near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed
                 wanted[names] = Proposal("balance", one, reason, beside=scene.clear)
         elif begins < scene.begins(other.candidate):
-            # Of two starts of a set, the one with the smaller error is taken.
+            # If both sources propose a set, its fit starts where the error is smaller.
             one = replace(seed, promise=other.candidate.promise)
             wanted[names] = replace(other, candidate=one)
     return list(wanted.values())

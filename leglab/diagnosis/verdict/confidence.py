@@ -27,10 +27,10 @@ class Judged:
     """Judgement of one effect, or of several effects of which one may be the cause."""
 
     confidence: float  #: Probability that the effect is the cause
-    among: float  #: Mean probability over parts left out, by sets without a parameter at a bound
-    possible: float  #: Largest probability over parts of the recordings left out
+    among: float  #: Mean probability with each part left out, without sets at a bound
+    possible: float  #: Largest probability with one part of the recordings left out
     evidence: float  #: Probability by the evidence of sets from all recordings alone
-    ties: tuple[frozenset[Key], ...]  #: Rival effects that the data do not distinguish from it
+    ties: tuple[frozenset[Key], ...]  #: Rivals that the data do not distinguish from the effect
 
 
 class Judgement:
@@ -49,7 +49,7 @@ class Judgement:
             return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
         named = most("confidence", thresholds.NAMED, "confidence")
-        # Three equal rivals have a probability of a third each, so the largest one sets the limit.
+        # The limit is relative: of three equal rivals each has a probability of only a third.
         top = max((e.possible for e in effects.values()), default=0.0)
         confused = not named and top > thresholds.POSSIBLE
         confusion = (
@@ -84,10 +84,10 @@ class Judgement:
 
 
 def _unchanged(sets: Sets, specimen: Specimen) -> bool:
-    """Tests whether a specimen's errors are as in the healthy recordings, whatever sets gain.
+    """Tests whether errors are as small as in healthy recordings, whatever sets of effects gain.
 
-    The parameters are those of the healthy recordings. If the empty set is more probable than all
-    others together, its fit is tried too: it moves them within the healthy recordings' uncertainty.
+    Errors are computed with the specimen's parameters and, if the empty set is more probable than
+    all other sets together, with its fit, which moves them within the healthy data's uncertainty.
     """
     problem = sets.at.problem
     own = _shares(np.array([r.score.log for r in sets.rows]))
@@ -110,7 +110,7 @@ def _as_noise(sets: Sets) -> bool:
 
 
 def _within_tolerances(row: Row) -> bool:
-    """Tests whether all parameters are within tolerances that 19 of 20 good machines keep."""
+    """Tests whether all parameters are within limits that 19 of 20 good machines keep."""
     u = row.evidence.unknowns
     known = np.flatnonzero(u.tolerance[: u.single])
     away = u.departures(row.hypothesis)[known] / u.tolerance[known]
@@ -120,7 +120,7 @@ def _within_tolerances(row: Row) -> bool:
 def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
     """Tests whether the errors of every single recording are noise alone.
 
-    `squares` are windows' mean squared errors in noise variances, `recording` has their recordings.
+    `squares` are the mean squared whitened errors of windows, `recording` the windows' recordings.
     """
     largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
     return largest**0.5 <= EXPLAINED
@@ -163,9 +163,9 @@ def _effect(sets: Sets, names: frozenset[Key], impostor: tuple[float, float]) ->
 
 
 def _stands(sets: Sets, row: Row, key: Key, impostor: tuple[float, float]) -> float:
-    """Computes the probability that an effect of a set is the cause and is rightly so named.
+    """Computes the probability that an effect of a set is the cause and has the right name.
 
-    It follows from the share of the errors that the effect explains, and from `_claimed`.
+    It depends on the share of the errors that the effect explains, and on `_claimed`.
     """
     (share, _), *elsewhere = (_explained(sets, *shown) for shown in sets.shown(row, key))
     for explains, acts in elsewhere:
@@ -197,7 +197,7 @@ def _ties(rows: Sequence[Row], first: Row, key: Key) -> tuple[frozenset[Key], ..
 
 
 def _claimed(row: Row, key: Key) -> float:
-    """Computes the probability that directions differ noticeably; 1 if no difference is claimed."""
+    """Computes the probability that directions differ noticeably; 1 for a symmetric effect."""
     u, score = row.evidence.unknowns, row.score
     places = [] if key in row.renamed.values() else row.places(key)
     if not places:
@@ -214,7 +214,7 @@ def _claimed(row: Row, key: Key) -> float:
 
 
 def impostors(sets: Sets) -> tuple[float, float]:
-    """Computes mean and standard deviation of the logit of the share a best impostor explains."""
+    """Computes mean and standard deviation of the logit of the best impostors' shares."""
     u, first, best = sets.unknowns, sets.found.first, sets.best
     evidence = sets.fitter.evidence(first, best.spread, best.weight, best.kappa, places=[sets.size])
     product = evidence.likeness(sets.found.ranks[0].score)
@@ -242,7 +242,7 @@ def _explained(sets: Sets, at: Errors, blocks: np.ndarray) -> tuple[float, float
     """Computes the share of errors beyond noise that an effect explains, and the effect's action.
 
     The action c/(c + e), with the effect's change of errors c and the errors left e, is the weight
-    of the share: effects that act much but explain little are wrong; others are undecided.
+    of the share: an effect that acts much but explains little is wrong, weak action tells nothing.
     """
     with_, without, change = blocks
     count = np.array([(at.recording == r).sum() for r in np.unique(at.recording)])

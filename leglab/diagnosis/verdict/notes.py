@@ -17,7 +17,7 @@ from leglab.diagnosis.thresholds import NEGLIGIBLE
 
 # Minimum number of windows with a state's value, and of windows without it, to compare them.
 _FEWEST = 5
-# Significance level of this comparison: one irrelevant state in a thousand is reported.
+# Significance level of the comparison: one irrelevant state in a thousand is reported.
 _CHANCE = 1e-3
 
 
@@ -52,8 +52,8 @@ def by_states(
         squares: Mean squares of the errors of all windows, (windows,).
 
     Returns:
-        One line for each value whose median RMS error is more than twice that of the other windows
-        and whose ranks differ significantly (Mann and Whitney 1947).
+        One line for each value during which the median RMS error is more than twice as large as in
+        the other windows, with significantly different ranks (Mann and Whitney 1947).
     """
     replay = problem.replay
     values: dict[str, np.ndarray] = {}

@@ -30,7 +30,7 @@ class Outcome:
     def __init__(self, judged: Judgement, specimen: Specimen | None) -> None:
         self.judged, self.specimen, self.found = judged, specimen, judged.sets.found
         rows, fitter = judged.rows, judged.sets.fitter
-        # Reported values come from a fit of the effect itself, not of its twin.
+        # Values come from a fit of the reported effect, not of a twin with the same motion.
         fitted = {key for row in rows if not row.renamed for key in row.keys}
         names = judged.named or tuple(k for k in judged.confusion if k in fitted)[:1]
         self.problem = problem = fitter.at.problem
@@ -44,7 +44,7 @@ class Outcome:
         self.final = row.hypothesis  #: the reported set with all other parameters as fitted
         #: The problem with the noise model linearised at the reported set.
         self.about = problem.about(self.final)
-        #: Covariance of all single unknowns at the reported set, in trials, (single, single).
+        #: Covariance of single unknowns at the reported set, in smallest trials, (single, single).
         self.spread = _scatter(row.evidence, row.score)
         if specimen is not None:  # both values of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
@@ -57,7 +57,7 @@ class Outcome:
                 if key[0] == name and element in (key[1], EVERY)
             )
         )
-        #: Recalibrated model: parameters within tolerances, those of named effects at nominal.
+        #: Recalibrated model: parameters refitted within tolerances; named effects are nominal.
         self.baseline = self.nothing
         #: Improved model: only reported effects, and parameters with a tolerance, are changed.
         if specimen is not None:
@@ -74,7 +74,7 @@ class Outcome:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
             tuning = _within(problem.library, tuned.columns.base).without(*self.named)
-            # With a gross fault, recalibration may worsen some windows: the better of both is used.
+            # Recalibration may worsen some windows under a gross fault: the better model is used.
             self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
         #: Earliest and latest possible onset [s] of each effect that begins during a recording,
         #: (recordings, 2), inf in recordings in which the effect does not begin.
@@ -102,7 +102,7 @@ class Outcome:
         return self.about.beside(fixed.replays) if fixed else self.about
 
     def floors(self) -> np.ndarray:
-        """Computes windows' mean squares by noise or by the healthy specimen, (windows,)."""
+        """Returns mean squared errors expected from noise or the healthy specimen, (windows,)."""
         problem = self.problem
         if self.specimen is None:
             return np.ones(problem.replay.windows)
@@ -113,7 +113,7 @@ class Outcome:
 def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
     """Sets parameters that are not named and have no tolerance to the model's values.
 
-    Otherwise the small values would remain that the fit leaves in every effect it has tried.
+    Otherwise the model would contain the small values that a fit gives to all effects.
     """
     values = {}
     for key, value in fitted.items():
@@ -181,7 +181,7 @@ def _scatter(evidence: Evidence, score: Score) -> np.ndarray:
     """Computes the single unknowns' covariance, (single, single), by posterior and jackknife.
 
     The posterior ignores errors that all windows of a recording share. So a parameter of the set
-    has the larger of the variances by the posterior and by a jackknife over parts.
+    gets the larger of two variances: by the posterior, or by a jackknife over recordings' parts.
     """
     spread, u = evidence.posterior(score), evidence.unknowns
     parts = int(evidence.part.max()) + 1

@@ -19,9 +19,9 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.machine.mjcf_patch import MjcfPatch, difference_lines, differences
 
-# Number of patching passes: first changes, then values the compiler derives (a servo's damping).
+# Number of patching passes: changes, then values that the compiler derives (a servo's damping).
 _PASSES = 2
-# Maximum number of lines of a model difference in the terminal; a longer one is in the file only.
+# Maximum number of lines of a model difference in the terminal; diagnosis.json has longer ones.
 _SHOWN = 20
 
 
@@ -39,7 +39,7 @@ def write_model(
     """Writes DIR/improved.xml, the model under a hypothesis with learned parts, and loads it.
 
     The file's text is patched. MuJoCo writes a new text instead if the file is no MJCF, or
-    replicates or attaches changed elements. Learned parts of the problem's library are left out.
+    replicates or attaches changed elements. Of learned parts, only `parts` are written.
 
     Returns:
         Path of the file, and its differences from the model, as a unified diff.

@@ -1,4 +1,4 @@
-"""Evidence of sets of effects for a verdict: total, with parts left out, in units of the drive.
+"""Evidence of sets of effects for a verdict, from all recordings and with parts left out.
 
 Each good set is also fitted without each of its effects, so that every named effect has a rival.
 """
@@ -25,15 +25,15 @@ class Row:
 
     keys: frozenset[Key]  #: Effects of the set
     ended: frozenset[Key]  #: Effects of the set with a parameter that ended at a bound
-    score: Score  #: Score at the linearisation where the set is most probable
+    score: Score  #: Score at the linearisation (fit) at which the set is most probable
     evidence: Evidence  #: Evidence at this linearisation
     apart: np.ndarray  #: Log evidence with each part of the recordings left out in turn, (parts,)
     left: np.ndarray  #: Errors that the set leaves, (windows, rows)
     hypothesis: Hypothesis  #: Hypothesis whose errors are `left`
     level: float  #: Median of `left` in noise levels
-    #: New names of effects that are called by their twin's or a simpler effect's name, by old name.
+    #: New names, by old name, of effects that are named as a twin (same motion) or simpler effect.
     renamed: Mapping[Key, Key] = field(default_factory=dict)
-    drive: float = 0.0  #: Change of log evidence if errors are in units of the drive [nats], <= 0
+    drive: float = 0.0  #: Change of log evidence by `Sets._in_units_of_the_drive` [nats], <= 0
 
     def places(self, key: Key) -> list[int]:
         """Returns the indices of an effect's parameters among the parameters of the set."""
@@ -42,7 +42,7 @@ class Row:
         return [i for i, name in enumerate(names) if name == key]
 
     def size(self, key: Key) -> float:
-        """Returns the largest departure of an effect's parameters, in trials."""
+        """Returns the largest departure of an effect's parameters, in smallest trials."""
         return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
 
 
@@ -68,15 +68,15 @@ class Sets:
         self.rows = [replace(row, drive=float(v)) for row, v in zip(rows, lost, strict=True)]
 
     def _whiteners(self, at: Errors) -> np.ndarray:
-        """Computes inverse roots of the noise covariance, plus healthy errors' if known."""
+        """Computes inverse roots of the covariance of noise, and of healthy errors if known."""
         if self.fitter.fixed:
             return inverse_roots(at.covariance + self.fitter.fixed.replays[at.recording])
         return at.problem.noise.whitening[at.chosen]
 
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
-        """Yields the `Errors` of fitted windows, then of held-out ones, with median squares.
+        """Yields fitted windows, then held-out windows, with medians of squared whitened errors.
 
-        Median squares, (3, recordings, channels), are with the effect, without it, of the change.
+        The medians, (3, recordings, channels), are with the effect, without it, of the difference.
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:
@@ -105,8 +105,8 @@ class Sets:
     def _row(self, evidence: Evidence, members: Sequence[int], ended: Sequence[int]) -> Row:
         """Builds the `Row` of a set, with its evidence corrected by the errors of a replay.
 
-        The replay is at the first-order fit, or at the linearisation point with each deviation of
-        machines. Its loss of log likelihood against first order is subtracted. The best one counts.
+        The replay is at the first-order fit, or at the linearisation point under each deviation of
+        machines; the best counts. Its loss of log likelihood against first order is subtracted.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
@@ -118,11 +118,11 @@ class Sets:
             tries.append((score, None, there, led, 0.0))
         for spread in range(len(evidence.priors.spreads)):
             score = evidence.score(chosen, spread=spread)
-            if not np.isfinite(score.log):  # this deviation needs a larger fault
+            if not np.isfinite(score.log):  # not allowed: the set's faults are too small
                 continue
             precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
-            for q in score.unknowns:  # the prior does not pull members from their fitted values
+            for q in score.unknowns:  # the prior does not pull parameters of the set
                 stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
             moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
@@ -180,13 +180,13 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
-                # If several sets leave the same set, it is fitted once, from the most probable one.
+                # If several sets without an effect are the same set, it is fitted only once.
                 if frozenset(members) in rivals:
                     continue
                 rivals.add(frozenset(members))
                 less = Candidate(members, {}, columns, pattern, best.weight)
                 rest = fitter.fit(less, best.kappa, renewals=0, beside=True)
-                # Without the effect, the errors have another covariance, which is tried as well.
+                # The covariance of the errors without the effect is tried as well.
                 for spread in [pattern] if fitter.fixed else [pattern, rest.spread]:
                     there = fitter.evidence(rest.columns, spread, best.weight, best.kappa)
                     enter(self._row(there, members, fit.ended))
@@ -203,9 +203,9 @@ class Sets:
         return sorted(rows.values(), key=lambda r: -r.score.log)
 
     def _since(self, rows: Sequence[Row], specimen: Specimen) -> list[Row]:
-        """Ranks sets by log evidence less what each set gains on healthy recordings.
+        """Ranks sets by log evidence less the log evidence that each gains on healthy recordings.
 
-        Healthy windows are weighted to the number of new windows. Only new ones get prior odds.
+        Healthy windows get the total weight of the new windows. Prior odds are not subtracted.
         """
         count = self.at.recording.size / specimen.at.recording.size
         members = {q for row in rows for q in row.score.unknowns}
@@ -220,7 +220,7 @@ class Sets:
         return sorted(found, key=lambda r: -r.score.log)
 
     def _alike(self, row: Row) -> Row | None:
-        """Gives a direction-dependent effect with like directions the symmetric effect's name.
+        """Renames a direction-dependent effect, if both directions agree, to the symmetric effect.
 
         No friction law is exactly the machine's, so a relative difference of directions below `LAW`
         is not reported. Returns None if the difference is larger, or no effect has directions.
@@ -258,11 +258,11 @@ class Sets:
         return np.asarray(errors)
 
     def _in_units_of_the_drive(self, rows: Sequence[Row]) -> np.ndarray:
-        """Computes changes of log evidence if errors are in units of the drive, (sets,), at most 0.
+        """Computes the change of each set's log evidence for a weakened drive, (sets,), <= 0.
 
-        A fit with any misfit predicts too small an influence of the drive on the motion, as noise
-        in a regressor shrinks its slope. Errors in units of the drive, motion error over the motion
-        by a command, as in inverse regression, do not gain. Only errors beyond sensor noise count.
+        A misfit makes a fit weaken the drive, as noise in a regressor shrinks the slope, because a
+        weak drive leaves small errors. So errors are divided by the motion that commands cause (as
+        in inverse regression); a set with less such motion loses. Only errors beyond noise count.
         """
         at, size = self.at, self.fitter.priors.sizes[self.size]
         noise = at.covariance

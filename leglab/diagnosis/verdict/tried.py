@@ -7,7 +7,7 @@ from leglab.diagnosis.search.pool import Found
 
 
 def ranking(found: Found) -> tuple[Rank, ...]:
-    """Ranks effects by evidence as the only fault, linearised at the unchanged model [nats]."""
+    """Ranks effects by first-order gain in log evidence [nats] if each is the only fault."""
     fitter, best = found.fitter, found.ranks[0].evidence
     evidence = fitter.evidence(found.first, best.spread, best.weight, best.kappa)
     gains = dict.fromkeys(sorted(fitter.at.problem.library.searched), 0.0)
@@ -22,7 +22,7 @@ def ranking(found: Found) -> tuple[Rank, ...]:
 
 
 def _added(found: Found) -> dict[Key, float]:
-    """Returns log evidence, over the best set's, of the best neighbour with each effect [nats]."""
+    """Returns for each effect the best neighbour set's log evidence over the best set's [nats]."""
     pool, best = found.pool, dict[Key, float]()
     for one in neighbours(pool):
         ahead = one.score.log - pool.sound[0].score.log

@@ -86,7 +86,7 @@ def diagnose(
         outcome = Outcome(judgement.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judgement.as_it_was:
-        # The named effects explain less than half of the errors, which are as small as if healthy.
+        # The named effects explain less than half of errors that are as small as in healthy data.
         outcome = Outcome(judgement.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
@@ -105,7 +105,7 @@ def _lacks_nothing(outcome: Outcome) -> bool:
 def _clear_elsewhere(outcome: Outcome) -> bool:
     """Tests whether the empty set's fit leaves only noise on held-out recordings.
 
-    True without held-out recordings; with healthy ones, since `as_it_was` compared all recordings.
+    Returns True without held-out recordings, and if all were compared with healthy recordings.
     """
     problem = outcome.problem
     if outcome.specimen or not problem.held.any():
@@ -127,7 +127,7 @@ def _told(
         unnamed = result.root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
-            # Slow held-out motion does not show effects of fast motion: all windows are compared.
+            # Slow held-out motion hides effects of fast motion, so all windows are compared.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
@@ -156,7 +156,7 @@ def _told(
 
 
 def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict[str, Any]:
-    """Computes errors of a model before, recalibrated and after, as fields of a `Diagnosis`."""
+    """Computes errors of the nominal, recalibrated and final model, as fields of a `Diagnosis`."""
     models = {"before": Hypothesis(), "baseline": baseline, "after": final}
     squares = {name: problem.noise_levels(h) for name, h in models.items()}
 
@@ -266,7 +266,7 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > EXPLAINED else 0.0) * change
-    # For limits at most the share `LAW` of the value, as the change is from the largest record.
+    # A limit's change is from the largest recorded value; `law` is at most `LAW` of the limit.
     limits = [i for i, p in enumerate(parameters) if p.limit_of]
     law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
@@ -303,7 +303,7 @@ def _rivals(rows: Sequence[Row]) -> result.Rivals:
 
 
 def _remaining(problem: Problem, final: Hypothesis) -> tuple[result.Remaining, ...]:
-    """Computes RMS errors at the end of the judged windows, of the model before and after."""
+    """Computes RMS errors of the nominal and the final model at the end of the judged windows."""
     before, after = (problem.raw_errors(h)[problem.judged][:, :, -1] for h in (Hypothesis(), final))
     noise = np.median(problem.sensor_noise, axis=0)
     return tuple(
@@ -367,7 +367,7 @@ def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
 
 
 def traces(problem: Problem, final: Hypothesis) -> tuple[result.ResidualTrace, ...]:
-    """Returns replay errors of the model before and after, of every recording and channel."""
+    """Returns replay errors of the nominal and the final model by recording and channel."""
     replay = problem.replay
     before, after = (problem.raw_errors(h) for h in (Hypothesis(), final))
     # A replay predicts the samples after each step, so the first sample is left out.

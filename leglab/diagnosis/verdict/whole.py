@@ -36,7 +36,7 @@ def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | Non
         time=before.time,
         measured=measured,
         before=before.simulated[joint],
-        # The simulated deviation is added, as a faulty sensor does not measure the true position.
+        # `after.measured` is corrected for a faulty sensor, `measured` is as recorded.
         after=measured + after.simulated[joint] - after.measured[joint],
         correction_before=before.correction[actuator] / spread,
         correction_after=after.correction[actuator] / spread,

@@ -34,7 +34,7 @@ def figures_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def made(settings: dict[str, Any], model_digest: str) -> Run:
-    """Makes a run; each process makes the preparation that runs of one machine share only once.
+    """Makes a run; runs of one machine share a preparation, which each process makes once.
 
     Args:
         settings: Fields of `RunSettings`.

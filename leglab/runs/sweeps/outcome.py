@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat
 from leglab.runs.metrics import sliding_rms
 from leglab.runs.run import Run
 
-# Sampling period of the traces [s], and length of the sliding window of the worst error [s].
+# `TRACE_PERIOD`: sampling period of traces [s]. `WORST_WINDOW`: window of the worst error [s].
 TRACE_PERIOD, WORST_WINDOW = 0.02, 2.0
 
 

@@ -122,13 +122,13 @@ class PlanFile(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """The consecutive runs of one block: every point in every combination of the grid."""
+    """The consecutive runs of one block: each combination of grid values with each point."""
 
     block: Block  #: The block
     number: int  #: Number of the block, from 0
     first: int  #: Number of its first run
     settings: Mapping[str, Any]  #: Settings of all runs of the block, by dotted name
-    grid: Mapping[str, Sequence[Any]]  #: Values of each setting, which are combined
+    grid: Mapping[str, Sequence[Any]]  #: Values by setting; all combinations are run
     ranges: Mapping[str, Range]  #: Ranges from which points are drawn or proposed
     #: Proposed points of a tuned block: values of the ranges by number of the point, from 1.
     proposals: dict[int, dict[str, float]] = field(default_factory=dict)
@@ -388,7 +388,7 @@ class _Checks:
         self._once(
             ("reference", reference, _key(config)), lambda: REFERENCES.configured(reference, config)
         )
-        # The key omits `parameters`: they change no part, and `placed_parameters` checks values.
+        # The key omits `parameters`, which `placed_parameters` checks and nothing here depends on.
         machine = (settings.model, settings.timestep, _key(settings.sensors))
         if machine not in self._preparations:
             plain = replace(settings, parameters={}, tolerance=0.0)

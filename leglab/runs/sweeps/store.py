@@ -4,13 +4,13 @@
     FOLDER/rows.sqlite      rows so far, and proposed points of tuned blocks
     FOLDER/dataset.json     list of the Parquet files with checksums, once all runs are made
     FOLDER/runs/scenario=NAME/controller=NAME/part-0.parquet
-    FOLDER/.earlier         sweep that this one replaces, until this one is complete
+    FOLDER/.earlier         earlier sweep, until the sweep that replaces it is complete
 
 A row is stored when its transaction is committed: a process killed at any moment loses the runs in
 progress but no row; a power cut may lose the last rows, whose runs are made again. If there is a
-`dataset.json`, its files are the valid data, otherwise the database. Only one process writes,
-however many make runs. Readers of the database must run on the writer's machine, since SQLite's
-write-ahead log needs shared memory.
+`dataset.json`, the files it lists are the valid data, otherwise the database. A single process
+writes, also if several processes make runs. Readers of the database must run on the writer's
+machine, since SQLite's write-ahead log needs shared memory.
 """
 
 import json
@@ -40,7 +40,7 @@ from leglab.runs.sweeps.rows import FAILED, PARTITION, row_of, schema
 
 SWEEP, DATASET, ROWS = "sweep.json", "dataset.json", "rows.sqlite"
 _RUNS, _PART = "runs", "part-0.parquet"
-# Folder of the sweep that is being replaced, and the folder's name while files are moved into it.
+# `_EARLIER`: folder of the sweep that is being replaced. `_MOVING`: its name during the move.
 _EARLIER, _MOVING = ".earlier", ".earlier.partial"
 # Number of rows that are converted to columns at a time.
 _BATCH = 5000
@@ -480,6 +480,6 @@ def own(folder: Path) -> list[Path]:
 
 
 def is_own(name: str) -> bool:
-    """Tests whether a file of this name belongs to a sweep, also one of an earlier version."""
+    """Tests whether a file of this name belongs to a sweep of this or an earlier version."""
     own = (SWEEP, DATASET, _RUNS, "recordings", "proposals.jsonl")
     return name in own or name.startswith((ROWS, "journal-"))

@@ -1,9 +1,9 @@
 """Tuning of a sweep's block by Optuna, which proposes each point from the figures of earlier ones.
 
-A point is a trial: it has one run per combination of the block's grid, and its value is the mean or
-the worst of one figure over these runs. Point 0, the baseline, is without values of ranges. Each
+A point (a trial of Optuna) has one run per combination of the block's grid; its value is the mean
+or the worst of one figure over these runs. Point 0, the baseline, sets none of the ranges. Each
 proposal uses a new sampler with its own seed and depends only on earlier proposals and figures, so
-a sweep that continues after a kill proposes the same points as an uninterrupted one.
+a sweep that continues after a kill proposes the same points as an uninterrupted sweep.
 """
 
 import statistics
@@ -58,7 +58,7 @@ def propose(points: Runs, figures: Figures) -> dict[str, float]:
 
     Args:
         points: Runs of the block, with the proposals so far.
-        figures: The tuned figure by number of the run, None for a run without one. Figures of the
+        figures: The tuned figure by number of the run, None if a run lacks it. Figures of the
             current batch are ignored.
 
     Returns:
@@ -87,7 +87,7 @@ def propose(points: Runs, figures: Figures) -> dict[str, float]:
                 value, state = None, TrialState.RUNNING
                 if earlier in before(points):
                     value = value_of(points, earlier, figures)
-                    # Optuna ranks a pruned trial, here one without a value, below all others.
+                    # A point without a value is a pruned trial, which Optuna ranks below others.
                     state = TrialState.PRUNED if value is None else TrialState.COMPLETE
                 study.add_trial(
                     create_trial(state=state, params=values, distributions=kinds, value=value)
@@ -117,8 +117,8 @@ class Tuned:
     over: str  #: "mean" or "worst" of the column over the grid
     runs: int  #: Number of runs of a point
     points: int  #: Number of points with a value, including the baseline
-    given_up: int  #: Number of points without a value, since a run failed or has no such figure
-    as_it_is: float | None  #: Value of the baseline, point 0; None if it has none
+    given_up: int  #: Number of points without a value, since a run failed or lacks the figure
+    as_it_is: float | None  #: Value of the baseline, point 0; None if a run of it lacks the figure
     best: float | None  #: Value of the best point
     point: int  #: Number of the best point; 0 if none is better than the baseline
     values: dict[str, float]  #: Settings of the best point by dotted name

@@ -1,4 +1,4 @@
-"""Move that refits a good set from the parameters of another fit where it is more probable."""
+"""Move that refits a good set from another fit, at whose parameters the set is more probable."""
 
 from collections.abc import Iterator
 

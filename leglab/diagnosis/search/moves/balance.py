@@ -9,7 +9,7 @@ from leglab.diagnosis.search.settle import Candidate
 
 
 def candidates(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candidate]:
-    """Returns unions of the joints' best sets; if only one joint is balanced, all good sets."""
+    """Unites the best sets of all joints, by number of effects; adds all sets of a single joint."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
     for sets in found.values():

@@ -1,4 +1,4 @@
-"""Move that replaces a direction-dependent effect by the symmetric one."""
+"""Move that replaces a direction-dependent effect by the symmetric effect."""
 
 from collections.abc import Iterator, Sequence
 

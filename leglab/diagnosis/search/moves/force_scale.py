@@ -9,7 +9,7 @@ from leglab.diagnosis.thresholds import RENEWALS
 
 
 def propose(pool: Pool) -> Iterator[Proposal]:
-    """Proposes good sets with all forces scaled (`scale_twins`), if no force is known."""
+    """Proposes good sets with all forces scaled (`scale_twins`), if no drive's gain is known."""
     fitter = pool.scene.fitter
     problem, u = fitter.at.problem, fitter.at.unknowns
     for fit in [r.fit for r in pool.near]:
