@@ -1,6 +1,7 @@
 """A model with its data: loading, hydraulic states by name, stepping."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +23,8 @@ SPEED_LIMIT = 1e3
 # `_LEAST_LEVER`: least lever arm of a cylinder over its largest in the joint's range. `_LOOKED_AT`:
 # number of positions in the range at which it is checked.
 _LEAST_LEVER, _LOOKED_AT = 1e-3, 9
+# A NaN among the numbers of an attribute; MuJoCo warns of it and reports whatever it leads to.
+_NAN = re.compile(rb'\b(?!name|class)(\w+)="[-+.\deE\s]*nan\b', re.IGNORECASE)
 # Joint types with one coordinate, and whether they slide.
 _SLIDES = {int(mujoco.mjtJoint.mjJNT_HINGE): False, int(mujoco.mjtJoint.mjJNT_SLIDE): True}
 
@@ -51,6 +54,10 @@ def load_model(
     leglab.machine.plugin.load_plugin()
     path = model_path(model)
     spec = None
+    if path.is_file() and (found := _NAN.search(content := path.read_bytes())):
+        line, name = content[: found.start()].count(b"\n") + 1, found[1].decode()
+        told = f"{path.name}, line {line}: attribute {name!r} is NaN; allowed: "
+        raise ModelError(told, given="nan", allowed="a finite number")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if timestep is not None:

@@ -68,6 +68,7 @@ def edited_bench(tmp_path, old: str, new: str):
         ),
         ('tendon="knee_cylinder"', 'tendon="knee_cylindr"', "did you mean 'knee_cylinder'"),
         ("</mujoco>", "", "edited.xml"),
+        ('axis="0 1 0"', 'axis="0 nan 0"', r"edited.xml, line \d+: attribute 'axis' is NaN"),
     ],
 )
 def test_bad_models_get_one_line(tmp_path, old, new, message):
