@@ -240,7 +240,9 @@ def test_a_sweep_goes_on_where_it_was_and_knows_its_folder(tmp_path, monkeypatch
     assert run_sweep(plan, folder, workers=1).made == 0
     # Another sweep, another folder.
     other = plan_of(block=[{"grid": {"seed": {"count": 3}}}])
-    with pytest.raises(LeglabError, match="holds another sweep: give another folder, or --overw"):
+    with pytest.raises(
+        LeglabError, match="run 3 is not in the new plan: give another folder, or -"
+    ):
         run_sweep(other, folder)
     monkeypatch.setattr(engine, "fingerprint", lambda: "other")
     with pytest.raises(LeglabError, match="was begun with other code"):
@@ -283,6 +285,20 @@ def test_a_sweep_that_is_replaced_stays_until_the_new_one_is_whole(tmp_path, mon
     assert run_sweep(other, folder, workers=1).made == 2
     assert len(rows(folder)) == 3
     assert page.read_text() == "a page of this folder"
+    assert not list(folder.glob(".*"))
+
+
+def test_a_sweep_grows_by_seeds_and_settings(tmp_path):
+    folder = tmp_path / "s"
+    less = plan_of(block=[{"grid": {"seed": [0, 2]}}])
+    added = {"grid": {"seed": [0, 1, 2], "severity": [5.0, 20.0]}}
+    more = plan_of(block=[added, {"grid": {"seed": [2, 0]}}])
+    before = run_sweep(less, folder, workers=1).table().to_pylist()
+    grown = run_sweep(more, folder, workers=1)
+    assert (grown.made, grown.done) == (6, 8)
+    assert rows(folder) == rows(run_sweep(more, tmp_path / "anew", workers=1).folder)
+    kept = {row["seed"]: row["made_at"] for row in grown.table().to_pylist()[6:]}
+    assert kept == {row["seed"]: row["made_at"] for row in before}
     assert not list(folder.glob(".*"))
 
 

@@ -18,6 +18,7 @@ from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.files import model_digest
 from leglab.runs.folder import make_runs
 from leglab.runs.sweeps import store, tuning
+from leglab.runs.sweeps.growth import grow
 from leglab.runs.sweeps.making import figures_of
 from leglab.runs.sweeps.outcome import recording_folder
 from leglab.runs.sweeps.plan import SweepPlan
@@ -33,13 +34,6 @@ _HEAD = (
     "scenario", "controller", "runs", "failed", "whole [mrad or mm]", "end [mrad or mm]",
     "undone [%]", "90 % undone [s], where it was",
 )  # fmt: skip
-
-# Error messages by entry of the stored record that differs from the new sweep's record.
-_OTHER = {
-    "digest": "holds another sweep",
-    "code": "was begun with other code of leglab or of a plug-in",
-    "models": "was begun with other files of its models",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +124,8 @@ def run_sweep(
     """Makes all runs of a plan that a folder does not hold yet.
 
     A row is stored as soon as its run is over: an interruption loses only the runs in progress,
-    and the same call makes exactly the missing ones. A failed run (figures that are not finite, an
+    and the same call makes exactly the missing ones. A plan that contains all runs of the folder's
+    sweep keeps their rows and makes the others. A failed run (figures that are not finite, an
     exception, a time-out, too much memory, a process that dies twice) gets a row with its failure
     and does not stop the sweep.
 
@@ -146,9 +141,9 @@ def run_sweep(
         progress: Called with the number of rows, the number of all runs, and a status text.
 
     Raises:
-        LeglabError: A run cannot be set up; the folder holds another sweep, was begun with other
-            code, or is being written to by another process; a process cannot be started; the
-            scheduler cannot be reached.
+        LeglabError: A run cannot be set up; the folder holds a run that is not in the plan, was
+            begun with other code, or is being written to by another process; a process cannot be
+            started; the scheduler cannot be reached.
         KeyboardInterrupt: The user interrupts; finished runs are kept.
     """
     folder = Path(folder)
@@ -169,7 +164,7 @@ def run_sweep(
         load=[source for source, named in plugins.carried()["sources"].items() if named],
     )
     with claimed_folder(folder):
-        _begin(folder, record, overwrite=overwrite)
+        _begin(folder, record, plan, overwrite=overwrite)
         kept = store.Store(folder, plan)
         try:
             if retry_failed and kept.failed:
@@ -245,17 +240,26 @@ def read_sweep(folder: str | Path) -> SweepResult:
     return SweepResult(folder=folder, plan=plan, made=0, done=len(status), failed=failed)
 
 
-def _begin(folder: Path, record: store.SweepRecord, *, overwrite: bool) -> None:
-    """Writes the record of a new sweep, or checks that the folder holds the same sweep."""
+def _begin(folder: Path, record: store.SweepRecord, plan: SweepPlan, *, overwrite: bool) -> None:
+    """Writes the record of a new sweep; an existing sweep must be the same, or it grows."""
     store.bring_back(folder)
     if overwrite and store.is_sweep(folder):
         store.put_aside(folder)
     if store.is_sweep(folder):
         there = store.read_record(folder)
-        for name, problem in _OTHER.items():
-            if getattr(there, name) != getattr(record, name):
-                other = "give another folder, or --overwrite to begin anew"
-                raise FileError(f"{str(folder)!r} {problem}: {other}", given=folder)
+        other = "give another folder, or --overwrite to begin anew"
+        changed = {
+            "code of leglab or of a plug-in": there.code != record.code,
+            "files of its models": any(
+                record.models.get(model, digest) != digest for model, digest in there.models.items()
+            ),
+        }
+        for what in (name for name, differs in changed.items() if differs):
+            told = f"{str(folder)!r} was begun with other {what}: {other}"
+            raise FileError(told, given=folder)
+        if there.digest != record.digest and (reason := grow(folder, record, plan)):
+            told = f"{str(folder)!r} holds another sweep, and {reason}: {other}"
+            raise FileError(told, given=folder)
         return
     try:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]

@@ -97,7 +97,7 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
         by: Name of the worker that made it.
     """
     row = {
-        **_settings_row(plan, number),
+        **settings_row(plan, number),
         "status": FAILED,
         "failure": str(answer.get("kind", "died")),
         "error": str(answer.get("error", "it gave no answer")),
@@ -118,7 +118,8 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
     return row
 
 
-def _settings_row(plan: SweepPlan, number: int) -> dict[str, Any]:
+def settings_row(plan: SweepPlan, number: int) -> dict[str, Any]:
+    """Returns number and settings of a run, with the columns of the plan's varied settings."""
     settings, given = plan.settings(number), plan.values(number)
     row: dict[str, Any] = {name: getattr(settings, name) for name in _SETTINGS if name != "run"}
     row["run"] = number
