@@ -8,6 +8,7 @@ import numpy as np
 
 from leglab.base.errors import RecordingError
 from leglab.base.recording import Recording
+from leglab.base.threads import one_blas_thread
 from leglab.identification.features import Constant, Signal
 from leglab.identification.settings import Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
@@ -290,14 +291,15 @@ def identify(
     out = {}
     for k, output in enumerate(learned.outputs):
         problem = _problem(learned, k)
-        found = search.search(
-            problem,
-            jobs=jobs,
-            progress=progress,
-            kept=(kept or {}).get(output),
-            keep=None if keep is None else partial(keep, output),
-        )
-        out[output] = _identified(problem, found, learned, tested, k)
+        with one_blas_thread():
+            found = search.search(
+                problem,
+                jobs=jobs,
+                progress=progress,
+                kept=(kept or {}).get(output),
+                keep=None if keep is None else partial(keep, output),
+            )
+            out[output] = _identified(problem, found, learned, tested, k)
     return out
 
 
