@@ -197,14 +197,16 @@ def test_garbage_is_named_and_left_out():
     assert np.abs(found.records[0][0].u).max() <= 1
 
 
-def test_a_recording_is_split_where_inputs_are_missing():
+def test_a_recording_is_split_where_straight_lines_tell_no_inputs():
     rng = np.random.default_rng(6)
-    u = levels(rng, 300)
+    u, slow = rng.normal(size=300), np.sin(0.05 * np.arange(300))
     y = oscillator(u)
     u_gap, y_gap = u.copy(), y.copy()
-    u_gap[90:93], y_gap[100:110] = np.nan, np.nan
+    u_gap[90:93], slow[40:45], y_gap[100:110] = np.nan, np.nan, np.nan
     keep = np.r_[0:200, 210:300]
-    data = Recording(time=keep * 0.01, columns={"u": u_gap[keep], "y": y_gap[keep]})
+    data = Recording(
+        time=keep * 0.01, columns={"u": u_gap[keep], "u2": slow[keep], "y": y_gap[keep]}
+    )
     found = signals_of({"a": data})
     parts = found.records[0]
     assert [(r.name, len(r)) for r in parts] == [
@@ -213,10 +215,14 @@ def test_a_recording_is_split_where_inputs_are_missing():
         ("a, part 3", 90),
     ]
     assert (parts[1].u[:, 0] == u[93:200]).all()
+    np.testing.assert_allclose(parts[0].u[:, 1], np.sin(0.05 * np.arange(90)), atol=0.02)
     assert np.isnan(parts[1].y).sum() == 10
     notes = "\n".join(found.notes)
     assert "10 rows are missing" in notes
-    assert "inputs are missing in 13 samples; split there into 3 parts" in notes
+    assert (
+        "inputs are missing in 18 samples; 5 of them are bridged by straight lines; split into 3 "
+        "parts, which hold 287 of 300 samples" in notes
+    )
     assert "20 samples of 'y' are missing" in notes
     # Gaps that leave no parts are bridged.
     u_gap[::40] = np.nan
@@ -224,7 +230,7 @@ def test_a_recording_is_split_where_inputs_are_missing():
     found = signals_of({"a": data})
     (record,) = found.records[0]
     assert np.isfinite(record.u).all()
-    assert "bridged by straight lines" in "\n".join(found.notes)
+    assert "11 of them are bridged by straight lines" in "\n".join(found.notes)
 
 
 def test_irregular_sampling_is_refused_with_the_remedy():

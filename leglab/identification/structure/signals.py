@@ -233,26 +233,46 @@ def _sound(
 def _records(
     name: str, table: Mapping[str, Array], inputs: Sequence[str], output: str
 ) -> list[Record]:
-    """Splits one recording into records, at the samples where an input is missing.
-
-    Without an input the free run is unknown from that sample on. Missing inputs are interpolated
-    instead if records of sufficient length would contain less than half of the samples.
-    """
-    u = np.column_stack([table[column] for column in inputs])
-    good = np.asarray(np.isfinite(u).all(axis=1))
-    parts = _parts(good)
-    if good.all() or not parts:
-        return [Record(_bridged(u), table[output], name)]
+    """Splits one recording into records, where inputs are missing and straight lines do not do."""
+    u, parts = _inputs(table, inputs)
+    if len(parts) == 1:
+        return [Record(u[parts[0]], table[output][parts[0]], name)]
     return [
         Record(u[part], table[output][part], f"{name}, part {k}") for k, part in enumerate(parts, 1)
     ]
 
 
-def _parts(good: NDArray[np.bool_]) -> list[slice]:
-    """Returns sequences of >= `SHORTEST` good samples; none if they hold less than half of all."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
-    runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST]
-    return runs if sum(r.stop - r.start for r in runs) >= len(good) / 2 else []
+def _inputs(table: Mapping[str, Array], inputs: Sequence[str]) -> tuple[Array, list[slice]]:
+    """Returns the inputs with interpolated gaps, (N, M), and the samples that can be used.
+
+    The free run is unknown from a missing input on, so a recording is split at a gap; but a gap is
+    interpolated if straight lines over such gaps explain more than half of the input's variance,
+    and all gaps are if parts of sufficient length would contain less than half of the samples.
+    """
+    u = np.column_stack([table[column] for column in inputs])
+    known = np.ones(len(u), dtype=bool)
+    for column in u.T:
+        for a, b in _runs(~np.isfinite(column)):
+            known[a:b] &= a > 0 and b < len(u) and _is_smooth(column, b - a)
+    parts = [slice(a, b) for a, b in _runs(known) if b - a >= SHORTEST]
+    if sum(part.stop - part.start for part in parts) < len(u) / 2:
+        parts = [slice(0, len(u))]
+    return _bridged(u), parts
+
+
+def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Returns start and end of each sequence of chosen samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(int), [0]])))
+    return [(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+
+
+def _is_smooth(column: Array, gap: int) -> bool:
+    """Tests whether straight lines over a gap explain more than half of a signal's variance."""
+    half = (gap + 2) // 2  # from an end of the gap to its middle, where a line errs most
+    middle = column[half:-half] if len(column) > 2 * half else column[:0]
+    errors = middle - 0.5 * (column[: len(middle)] + column[2 * half :][: len(middle)])
+    errors = errors[np.isfinite(errors)]
+    return bool(len(errors)) and float(np.mean(errors**2)) < 0.5 * float(np.nanvar(column))
 
 
 def _bridged(u: Array) -> Array:
@@ -275,12 +295,16 @@ def _note_gaps(
         if lost := int((~np.isfinite(table[column])).sum()):
             notes.append(f"{name}: {lost} samples of {column!r} are missing and left out")
     u = np.column_stack([table[column] for column in inputs])
-    good = np.asarray(np.isfinite(u).all(axis=1))
-    if not good.all():
-        parts = _parts(good)
-        lost = int((~good).sum())
-        how = f"split there into {len(parts)} parts" if parts else "bridged by straight lines"
-        notes.append(f"{name}: inputs are missing in {lost} samples; {how}")
+    missing = np.asarray(~np.isfinite(u).all(axis=1))
+    if missing.any():
+        _, parts = _inputs(table, inputs)
+        used = sum(part.stop - part.start for part in parts)
+        bridged = sum(int(missing[part].sum()) for part in parts)
+        told = f"{name}: inputs are missing in {missing.sum()} samples"
+        told += f"; {bridged} of them are bridged by straight lines" * (bridged > 0)
+        if used < len(u):
+            told += f"; split into {len(parts)} parts, which hold {used} of {len(u)} samples"
+        notes.append(told)
     for column in inputs:
         if len(np.unique(table[column][np.isfinite(table[column])])) == 2:
             notes.append(
