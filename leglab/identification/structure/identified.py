@@ -14,7 +14,7 @@ from leglab.identification.settings import Rls
 from leglab.identification.spline_narx import SplineNarx, SplineNarxSettings
 from leglab.identification.spline_state_space import SplineStateSpace
 from leglab.identification.structure import library, plans, search
-from leglab.identification.structure.blocks import stretches
+from leglab.identification.structure.blocks import Held, stretches
 from leglab.identification.structure.fit import (
     Array,
     Model,
@@ -311,15 +311,7 @@ def _identified(
     k: int,
 ) -> Identified:
     """Refits the chosen structure to more samples of all records, and collects the results."""
-    best = found[0]
-    plan, features = best.plan, best.fit.features
-    if plan.kind == plans.STATES:
-        best = replace(best, fit=refitted(problem, best.fit, plan.strength, plans.LAST))
-    elif plan.kind != "one step":
-        lags = problem.model(features).lags
-        own = stretches(problem, lags, plan.length, plans.LAST)
-        last = fit(problem, problem.lagged(features).features, best.fit.theta, own, plan.strength)
-        best = replace(best, fit=last)
+    candidates = _settled(problem, found)
     output, tests = learned.outputs[k], tested.records[k] if tested else ()
     notes = (*learned.notes, *(tested.notes if tested else ()))
     notes += _drift(problem.records, tests, learned.inputs, output)
@@ -327,12 +319,42 @@ def _identified(
         output=output,
         inputs=learned.inputs,
         period=learned.period,
-        model=_going_on(problem, best),
-        candidates=(best, *found[1:]),
+        model=_going_on(problem, candidates[0]),
+        candidates=candidates,
         problem=problem,
         tests=tests,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _settled(problem: Problem, found: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Returns the candidates, first the best one whose fit to all records holds.
+
+    A fit has ended in a wrong minimum if its free run over the records that it has seen is worse
+    than the best linear model's over held-out blocks.
+    """
+    limit = next(c.score for c in found if c.plan.kind in plans.LINEAR)
+    for k, candidate in enumerate(found):
+        if candidate.plan.kind in (*plans.LINEAR, plans.CONSTANT):
+            break
+        for tried in () if candidate.plan.sketch else (_refitted(problem, candidate), candidate):
+            held = Held(problem, problem.model(tried.fit.features).lags)
+            if plans.mean_score(held.errors([tried.fit] * len(held.all))) <= limit:
+                return tried, *found[:k], *found[k + 1 :]
+    return _refitted(problem, candidate), *found[:k], *found[k + 1 :]
+
+
+def _refitted(problem: Problem, candidate: Candidate) -> Candidate:
+    """Refits a structure, from its present parameters, to more samples of all records."""
+    plan, features = candidate.plan, candidate.fit.features
+    if plan.kind == plans.STATES:
+        return replace(candidate, fit=refitted(problem, candidate.fit, plan.strength, plans.LAST))
+    if plan.kind == "one step":
+        return candidate
+    settings = problem.lagged(features)
+    own = stretches(problem, settings.lags, plan.length, plans.LAST)
+    last = fit(problem, settings.features, candidate.fit.theta, own, plan.strength)
+    return replace(candidate, fit=last)
 
 
 def _problem(learned: Signals, k: int) -> Problem:

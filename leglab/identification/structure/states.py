@@ -131,8 +131,7 @@ class StatePath:
         self.ended = False
         theta = realised(problem, structure, self._of) if start is None else start
         theta = np.append(theta, np.zeros(len(self._of) * structure.states))
-        if start is None:
-            theta = self._scaled(structure, theta)
+        theta = self._scaled(structure, theta) if start is None else self._begun(structure, theta)
         self._model, error = self._fitted(_Model(structure, theta), ITERATIONS)
         if start is None:
             scaled = self._scaled(structure, self._model.theta)
@@ -197,6 +196,20 @@ class StatePath:
             sums, model.theta, form, self._problem.variance, iterations, centre=centre
         )
         return replace(model, theta=theta), error
+
+    def _begun(self, structure: StateSpace, theta: Array) -> Array:
+        """Fits the initial states of all segments alone: zeros could lead to another minimum."""
+        runs, own = self._runs(structure), slice(structure.count, None)
+
+        def sums(starts: Array, sensitivities: bool) -> Sums:
+            found = Sums(*runs.sums(np.append(theta[: structure.count], starts), sensitivities))
+            if not sensitivities:
+                return found
+            return found._replace(products=found.products[own, own], gradient=found.gradient[own])
+
+        form = self._strength / self._problem.count * _LINEAR * np.eye(len(theta[own]))
+        starts, _ = descend(sums, theta[own], form, self._problem.variance, ITERATIONS)
+        return np.append(theta[: structure.count], starts)
 
     def _prior(self, model: _Model) -> Array:
         count = model.structure.count
