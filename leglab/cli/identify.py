@@ -24,7 +24,7 @@ def identify(
         list[Path],
         typer.Argument(
             metavar="DATA...",
-            help="Recordings to learn from: .csv, .parquet, .mat, .npz, .mcap.",
+            help="Recordings to learn from: .csv, .parquet, .mat, .npz, .mcap, or folders of them.",
         ),
     ],
     input_: Annotated[
@@ -117,8 +117,9 @@ def _identified(
                 keep=journal.keep,
             )
     except KeyboardInterrupt:
-        if journal.path.exists():
-            complain(f"the same command goes on from {journal.path}", "warning")
+        kept = journal.path.exists()
+        told = f"the same command goes on from {journal.path}" if kept else "no result is kept yet"
+        complain(told, "warning")
         raise
     return models, journal
 
@@ -130,25 +131,28 @@ def _read(
     salvage: bool,
     period: float | None,
 ) -> "dict[str, Recording]":
-    """Returns recordings by name; without a time column, rows are `period` or 1 s apart."""
+    """Returns recordings by name; without a time column, rows are a period or 1 s apart."""
     import numpy as np
 
     from leglab import data
     from leglab.data.checks import to_recording
+    from leglab.diagnosis.intake.recordings import recording_files
 
     out: dict[str, Recording] = {}
-    for path in paths:
+    files, notes = recording_files(paths)
+    for note in notes:
+        complain(note, "warning")
+    for path in files:
         tables = data.read_tables(path, columns=columns, partial=True, timed=False, salvage=salvage)
         for name, (table, metadata) in tables.items():
             source = f"{path.name}: {name}" if name else path.name
             if "time" not in table:
+                apart = period or metadata.get("period", 1.0)
                 if period is None:
-                    told = (
-                        f"{source} has no time: samples count as 1 s apart; --period S tells theirs"
-                    )
-                    complain(told, "warning")
+                    told = f"{source} has no time: samples count as {apart:g} s apart; "
+                    complain(told + "--period S sets another period", "warning")
                 length = len(next(iter(table.values()), ()))
-                table = {"time": np.arange(length) * (period or 1.0), **table}
+                table = {"time": np.arange(length) * apart, **table}
             recording = to_recording(table, metadata, source=str(path), repair=True)
             for column, why in metadata.get("unreadable", {}).items():
                 complain(f"{source}: {column!r} is left out: {why}", "warning")

@@ -18,6 +18,7 @@ from leglab.data.files import LeftOut
 
 _TIMES, _VALUES = ("time", "Time"), ("values", "Values", "data", "Data")
 _PLAIN_TIMES = ("time", "tout", "t")
+_PERIODS = ("Ts", "ts", "dt", "sampling_time")  # names of a sampling period [s]
 
 
 def table_of(
@@ -33,6 +34,9 @@ def table_of(
         left_out: Gets duplicate columns and columns of a different length.
         columns: Map to the names that identify commands; None: the variables' names do.
 
+    Returns:
+        The columns, and metadata: `left_out`, and `period` [s] if a number `Ts` or `dt` gives it.
+
     Raises:
         RecordingError: Lengths differ, or a series' time does not fit its values.
     """
@@ -43,7 +47,10 @@ def table_of(
     samples = {n: np.asarray(v) for n, v in variables.items() if _is_samples(v)}
     others = {n for n, v in variables.items() if not _is_series(v)} - samples.keys()
     if not series:
-        return _vectors(samples, left_out), {"left_out": sorted(others)} if others else {}
+        metadata: dict[str, Any] = {"left_out": sorted(others)} if others else {}
+        periods = [float(variables[n]) for n in _PERIODS if _is_number(variables.get(n))]
+        metadata |= {"period": periods[0]} if periods and periods[0] > 0 else {}
+        return _vectors(samples, left_out), metadata
     time = next((samples.pop(t) for t in _PLAIN_TIMES if t in samples), np.empty(0)).ravel()
     beside = {n: x for n, x in samples.items() if time.size in x.shape}
     series += [(n, time, dict(elements(n, x, time.size))) for n, x in beside.items()]
@@ -117,6 +124,10 @@ def _vectors(samples: Mapping[str, np.ndarray], left_out: LeftOut) -> dict[str, 
     table = {key: column for key, column in table.items() if key not in left_out}
     check_lengths(table, left_out)
     return table
+
+
+def _is_number(value: Any) -> bool:
+    return np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu"
 
 
 def _is_samples(value: Any) -> bool:

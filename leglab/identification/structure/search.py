@@ -49,6 +49,7 @@ from leglab.identification.structure.states import StatePath, refitted
 # _PROGRESS times that score; these features are dropped.
 _PATIENCE, _PROGRESS = 3, 0.99
 _DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32)
+_STAGES = 7  # number of stages of a search, for the progress
 Each = Callable[..., Iterable]  # the function `map`, or the method `map` of a thread pool
 
 
@@ -199,10 +200,11 @@ def search(
         kept: Results of an interrupted search, which are not computed again.
         keep: Function called with each new result.
     """
-    known = dict(kept or {})
+    known, stages = dict(kept or {}), []
 
     def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
         wanted = list(plans)
+        stages.append(stage)
         done = []
         # Fits without a block run in a second pool: a stage's last structures occupy all threads.
         pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
@@ -212,7 +214,7 @@ def search(
                 if candidate.plan not in known and keep is not None:
                     keep(candidate)
                 if progress is not None:
-                    progress(number, len(wanted), stage)
+                    progress(number, len(wanted), f"{stage} ({len(stages)} of {_STAGES})")
                 done.append(candidate)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -281,6 +281,7 @@ def sections(found: Identified) -> tuple[Section, ...]:
     tests = tests_of(found)
     white = tests[0].white
     driven = [t.name for t in tests[1:] if t.outside > 0.1]
+    untold = [t.name for t in tests[1:] if t.band >= 1.0]
     exact = max(e.one_step for e in (found.tested or found.trained)) <= _ROUNDING * deviation
     residual = (
         "One-step residuals are white at 99 %"
@@ -292,6 +293,8 @@ def sections(found: Identified) -> tuple[Section, ...]:
         if driven
         else "; they do not depend on past inputs."
     )
+    if untold:
+        residual += f" Too few samples to tell it of {', '.join(untold)}."
     if exact:
         residual = "One-step residuals are rounding errors."
     use = "test" if found.tested else "training"
@@ -308,12 +311,27 @@ def sections(found: Identified) -> tuple[Section, ...]:
     )
     by = "the free run's" if simulates else "the one-step"
     online.append(f"The model goes on learning by {by} error.")
+    structure, largest = [f"{found.kind}."], float(np.abs(found.model.poles()).max(initial=0.0))
+    if largest > 1.0 and found.chosen.plan.kind not in LINEAR:
+        structure.append(
+            f"The linear part alone is unstable (pole of modulus {largest:.4g}): the model is "
+            "stable only as far as its curves or features keep it so."
+        )
+    data, records = list(found.notes), found.problem.records
+    for use, all_, shown in (
+        ("training", records, found.trained),
+        ("test", found.tests, found.tested),
+    ):
+        if short := len(all_) - len(shown):
+            data.append(
+                f"{short} of {len(all_)} {use} parts are too short to start a free run from"
+            )
     return (
-        Section(title="Structure", lines=(f"{found.kind}.",)),
+        Section(title="Structure", lines=tuple(structure)),
         Section(title="Unseen parts of the training data", lines=(held,)),
         Section(title="Residuals", lines=(residual,)),
         Section(title="Learned online", lines=tuple(online)),
-        Section(title="Data", lines=found.notes),
+        Section(title="Data", lines=tuple(data)),
     )
 
 
