@@ -23,8 +23,8 @@ from leglab.identification import (
     Spline,
     SplineNarxSettings,
 )
-from leglab.studies.replication.paper import Array
 from leglab.studies.shared_data import shared_data
+from replication.paper import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from leglab.jobs.fingerprint import fingerprint
 # What a file of docs/data says of itself, beside its results.
 RECORD = ("command", "date", "commit", "versions", "machine")
 # Folders whose changes can change a result.
-_CODE = ("leglab", "benchmarks", "controllers", "models", "scenarios")
+_CODE = ("leglab", "benchmarks", "replication", "controllers", "models", "scenarios")
 _WIDTH = 800  # longest line of a file; most cases of a benchmark are one
 _DIGITS = 6  # significant; tables show at most four
 

@@ -1,1 +1,1 @@
-"""Studies: adaptation benchmark, replication of the paper, verification of the plugin's physics."""
+"""Studies: adaptation benchmark and verification of the plugin's physics."""
