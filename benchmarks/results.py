@@ -15,8 +15,15 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+if find_spec("joblib") is None:
+    raise ImportError(
+        "benchmarks needs the environment of the clone: make .venv/installed, then "
+        "source .venv/bin/activate"
+    )
 
 import numpy as np
 from joblib import Parallel, delayed

@@ -127,8 +127,8 @@ def benchmark(
     and leglab query and report know it.
     """
     from leglab.runs.sweeps.engine import run_sweep
-    from leglab.studies import adaptation
 
+    adaptation = _from_clone("benchmarks.adaptation_faults")
     check_jobs(workers, "workers")
     plan, missing = adaptation.adaptation_plan(
         split(controllers),
@@ -155,14 +155,12 @@ def benchmark(
 
 def verify(as_json: Json = False) -> None:
     """Checks the physics against closed forms and recordings; status 1 where a check fails."""
-    from leglab.studies.verification import checks_as_json
-    from leglab.studies.verification import verify as run_checks
-
+    verification = _from_clone("benchmarks.verification")
     if as_json:
-        found = checks_as_json()
+        found = verification.checks_as_json()
         print_json(found)
         passed = found["passed"]
     else:
-        passed = run_checks()
+        passed = verification.verify()
     if not passed:
         raise typer.Exit(FAILED)

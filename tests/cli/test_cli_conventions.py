@@ -97,13 +97,28 @@ def test_verbose_anywhere(place, flag, capsys):
 
 
 def test_status_1_where_a_check_fails(monkeypatch, capsys):
-    import leglab.studies.verification
-
     found = {"passed": False, "checks": [], "replays": [], "left_out": None}
-    monkeypatch.setattr(leglab.studies.verification, "checks_as_json", lambda: found)
+    monkeypatch.setattr("benchmarks.verification.checks_as_json", lambda: found)
     status, printed, _ = call("verify", "--json", capsys=capsys)
     assert status == 1
     assert parse(printed) == found
+
+
+@pytest.mark.parametrize(
+    ("words", "module"),
+    [
+        (("verify",), "benchmarks.verification"),
+        (("benchmark", "adaptation"), "benchmarks.adaptation_faults"),
+        (("replicate",), "replication"),
+    ],
+)
+def test_status_2_where_the_source_tree_is_missing(words, module, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, module, None)
+    status, _, errors = call(*words, capsys=capsys)
+    assert status == 2
+    package = module.partition(".")[0]
+    assert errors.startswith(f"error: the package {package} is missing: it comes with leglab's")
+    assert errors.count("\n") == 1
 
 
 def test_status_130_when_interrupted(monkeypatch, capsys):

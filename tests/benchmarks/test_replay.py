@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.measured import shared_data
+from benchmarks.verification.replay import LIMITS, replay
 from leglab.base.errors import LeglabError
 from leglab.data import read
 from leglab.diagnosis.replay.starts import bristle, spool
-from leglab.studies.shared_data import shared_data
-from leglab.studies.verification.replay import LIMITS, replay
 
 WALK = Path(__file__).parents[1] / "data" / "knee_bench_walk.parquet"  # 3 s of nominal/walk
 

@@ -1,1 +1,0 @@
-"""Studies: adaptation benchmark and verification of the plugin's physics."""
