@@ -1,16 +1,21 @@
 """Forces and speeds that squat and stride need of the cylinders, and those that 160 bar gives.
 
-`python -m leglab.models.authority` prints the tables of docs/concepts/leg_design.md. The weight of
-leg and trunk share stands on the foot as a vertical force without friction; a stride is the
+`python docs/_tools/leg_authority.py` prints the tables of docs/concepts/leg_design.md. The weight
+of leg and trunk share stands on the foot as a vertical force without friction; a stride is the
 sagittal motion below at one stride a second with 60 % stance, the force rolling from heel to ball.
 """
 
 import mujoco
 import numpy as np
+from leg_linkage import (
+    JOINTS,
+    SUPPLY_PRESSURE,
+    cylinders,
+    lever_rows,
+    load_with_motors,
+    print_tables,
+)
 from scipy.interpolate import CubicSpline
-
-from leglab.models.linkage import JOINTS, SUPPLY_PRESSURE, cylinders, lever_rows, print_tables
-from leglab.models.swap import load_with_motors
 
 STANCE = 0.6  # of the stride
 HEEL, BALL = -0.04, 0.12  # m before the ankle; the ball is at 73 % of the foot

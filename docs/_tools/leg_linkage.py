@@ -1,24 +1,45 @@
 """Cylinder linkages of the leg: levers, piston positions, effective masses.
 
-`python -m leglab.models.linkage` prints the tables of docs/concepts/leg_design.md.
+`python docs/_tools/leg_linkage.py` prints the tables of docs/concepts/leg_design.md.
 """
 
 import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
-from leglab.models.swap import FOLDER, load_with_motors
-
+FOLDER = Path(__file__).parents[2] / "models"
+REPLACED = {
+    "parts/cylinders.xml": "parts/motors.xml",
+    "parts/springs_hydraulic.xml": "parts/springs_native.xml",
+}
 JOINTS = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
 BULK_MODULUS = 1.4e9  # Pa, oil without air, the stiffest case
 SUPPLY_PRESSURE = 16e6  # Pa
 RATED_PRESSURE_DROP = 7e6  # Pa over both edges
 # Angles, rad, that walking and squatting stay in; joints in the order of JOINTS.
 USUAL = np.array([(-0.3, 0.3), (-0.15, 0.3), (-0.3, 1.2), (0.05, 1.6), (-0.35, 0.5), (-0.2, 0.2)])
+
+
+def load_with_motors(name: str) -> mujoco.MjModel:
+    """Compiles `models/NAME.xml` after replacing the plugin parts by the native ones, in memory.
+
+    Args:
+        name: Model name without the suffix, for instance "leg_rail".
+
+    Returns:
+        The compiled model: same bodies, joints, sites and tendons, motors named `<joint>_valve`.
+    """
+    text = (FOLDER / f"{name}.xml").read_text()
+    for hydraulic, native in REPLACED.items():
+        text = text.replace(hydraulic, native)
+    files = [*FOLDER.glob("parts/*.xml"), *FOLDER.glob("meshes/*.obj")]
+    assets = {path.relative_to(FOLDER).as_posix(): path.read_bytes() for path in files}
+    return mujoco.MjModel.from_xml_string(text, assets)
 
 
 @dataclass(frozen=True, kw_only=True)
