@@ -6,7 +6,7 @@ import leg_meshes
 import mujoco
 import numpy as np
 import pytest
-from leg_linkage import FOLDER, JOINTS, cylinders, lever_rows, place, sample_poses
+from leg_design import FOLDER, JOINTS, cylinders, lever_rows, place, sample_poses
 
 from leglab.machine.simulation import load_model
 

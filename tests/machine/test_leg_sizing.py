@@ -3,8 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from leg_authority import squat, stride, walk
-from leg_linkage import (
+from leg_design import (
     JOINTS,
     USUAL,
     CylinderSize,
@@ -14,6 +13,9 @@ from leg_linkage import (
     load_with_motors,
     place,
     resonance,
+    squat,
+    stride,
+    walk,
 )
 
 
