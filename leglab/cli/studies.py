@@ -1,7 +1,4 @@
-"""The commands `leglab tune`, `benchmark`, `replicate` and `verify`: gains and fixed questions.
-
-Only a clone of leglab has the packages `benchmarks` and `replication`, which the last three call.
-"""
+"""The commands `tune`, and `benchmark`, `replicate` and `verify`, whose code only a clone has."""
 
 import importlib
 from enum import StrEnum

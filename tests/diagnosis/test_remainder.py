@@ -30,6 +30,7 @@ from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
 from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record
 from rigs.bench import FaultyBench, references
+from tests.helpers.measured import or_skip
 from tests.helpers.unpleasant import of_kinds
 
 KINDS = ("multisine", "fast", "slow", "stairs")
@@ -461,13 +462,6 @@ def test_coefficients_have_names_in_a_machine(knee, tmp_path):
 
 
 # --- Measured and rough machines.
-
-
-def or_skip(read, *arguments):
-    try:
-        return read(*arguments)
-    except LeglabError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.slow("whole diagnosis of a rough bench")
