@@ -15,7 +15,7 @@ from typing import Any
 
 from rich.progress import Progress
 
-from benchmarks import results
+from benchmarks import adaptation_faults, results
 from benchmarks.adaptation_tables import ADAPTIVE, CALIBRATED, Cells, by_rig, claims
 from benchmarks.specimens import TOLERANCE
 from leglab import RunSettings
@@ -23,7 +23,6 @@ from leglab.base.errors import SimulationError
 from leglab.base.scenario import get_scenario, scenario_names
 from leglab.runs.comparison import run_all
 from leglab.runs.sweeps.engine import run_sweep
-from leglab.studies import adaptation
 
 PEERS = ("pid", "arx", "bsnn_arx_paper", "adaptive_backstepping")
 NEEDED = (CALIBRATED, ADAPTIVE, "oracle")
@@ -104,10 +103,10 @@ RIGS = {
 def measure(options: argparse.Namespace) -> Any:
     """Makes what the folder lacks; by rig a dictionary a run, with `--faults` rows of text."""
     if options.faults:
-        plan, _ = adaptation.adaptation_plan(FAULTY, specimens=1)
+        plan, _ = adaptation_faults.adaptation_plan(FAULTY, specimens=1)
         found = run_sweep(plan, options.out / "benchmark", workers=options.jobs)
-        scores = adaptation.scores(found.table().to_pylist())
-        return [[score.fault, *adaptation.cells(score)] for score in scores]
+        scores = adaptation_faults.scores(found.table().to_pylist())
+        return [[score.fault, *adaptation_faults.cells(score)] for score in scores]
     return {name: _runs(name, options) for name in options.rigs}
 
 
@@ -171,7 +170,7 @@ def _safety(run: dict[str, Any], statics: list[dict[str, Any]]) -> tuple[float, 
             continue
         pairs = zip(run["time"], run["safety_error_rad"], other["safety_error_rad"], strict=False)
         for t, ours, theirs in pairs:
-            if t >= adaptation.SAFE_FROM and ours is not None and theirs:
+            if t >= adaptation_faults.SAFE_FROM and ours is not None and theirs:
                 worst = max(worst, (ours / theirs, t, 1e3 * ours, 1e3 * theirs))
     return worst
 
@@ -182,9 +181,10 @@ def tables(kept: Any) -> str:
         return "\n\n".join(
             table for name, cells in by_rig(kept).items() for table in claims(cells, name)
         )
-    together = results.table(list(adaptation.HEAD), [row[1:] for row in kept if row[0] == "all"])
+    head, every = list(adaptation_faults.HEAD), [row[1:] for row in kept if row[0] == "all"]
+    together = results.table(head, every)
     controllers = list(dict.fromkeys(row[1] for row in kept))
-    median, never = (1 + adaptation.HEAD.index(name) for name in ("90 % after, s", "never"))
+    median, never = (1 + head.index(name) for name in ("90 % after, s", "never"))
     cells = {(row[0], row[1]): (row[median], row[never]) for row in kept}
     lines = []
     for fault in dict.fromkeys(row[0] for row in kept if row[0] != "all"):

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.io import loadmat
 
+from benchmarks.measured import shared_data
 from leglab.identification import (
     Basis,
     Constant,
@@ -23,8 +24,7 @@ from leglab.identification import (
     Spline,
     SplineNarxSettings,
 )
-from leglab.studies.replication.paper import Array
-from leglab.studies.shared_data import shared_data
+from replication.paper import Array
 
 
 @dataclass(frozen=True, kw_only=True)

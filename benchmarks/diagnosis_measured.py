@@ -16,9 +16,9 @@ from time import perf_counter
 from typing import Any
 
 from benchmarks import results
+from benchmarks.measured import shared_data
 from benchmarks.registry import ROOT
 from leglab.base.errors import LeglabError, SettingsError
-from leglab.studies.shared_data import shared_data
 
 HEAD = ("machine", "known", "said", "names and sets", "judged", "s")
 # A name above this is held to be true.

@@ -17,13 +17,13 @@ import mujoco
 import numpy as np
 
 from benchmarks import results
+from benchmarks.measured import shared_data
 from leglab.diagnosis.effects.hypothesis import Hypothesis
 from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Change
 from leglab.diagnosis.replay import starts
 from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
-from leglab.studies.shared_data import shared_data
 
 KEY = ("valve_gain", "knee_valve")
 NAME = "rated_flow"

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
+from benchmarks.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, shared_data
 from leglab import data
 from leglab.base.recording import Recording
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
@@ -26,10 +27,8 @@ from leglab.diagnosis.intake.recordings import read_recordings, split_held_out
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.search.pipeline import DiagnosisSettings, set_up
 from leglab.machine.plugin import library_path, to_xml
-from leglab.studies.shared_data import shared_data
 from rigs import PENDULUM, Truth, record
 from rigs.bench import FaultyBench, references
-from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps
 
 # Effects that would name a torque of position, so that nothing that is looked for describes it.
 EXCLUDED = ("position_torque", "harmonic_torque", "cogging", "torque_ripple")

@@ -26,9 +26,9 @@ from benchmarks import data_sets, results
 from benchmarks.data_sets import SILVERBOX, Dataset
 from leglab.base.scale import rms
 from leglab.identification import BsnnArx, SplineNarx
-from leglab.studies.replication import deployed, paper
-from leglab.studies.replication.online import OnlineSettings
-from leglab.studies.replication.plant import simulate
+from replication import deployed, paper
+from replication.online import OnlineSettings
+from replication.plant import simulate
 
 LAGS = 3
 INITIAL_GAIN = 1e4

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 
 from benchmarks import results
-from leglab.studies.replication import deployed, paper
-from leglab.studies.replication.page import free_run_table, recovery_table
-from leglab.studies.replication.run import CHANGE_SEEDS, REALISATIONS
+from replication import deployed, paper
+from replication.page import free_run_table, recovery_table
+from replication.run import CHANGE_SEEDS, REALISATIONS
 
 REPLICATE, IDENTIFY = "`leglab replicate`", "`benchmarks/identify.py`"
 

@@ -18,12 +18,12 @@ import numpy as np
 from scipy.io import loadmat
 
 from benchmarks import bsnn_arx_speed, data_sets, results, structure_peers
+from benchmarks.measured import shared_data
 from benchmarks.simulated_machines import MACHINES, drawn
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.identification import Identifier, StateSpace
 from leglab.identification.structure import Identified, identify
-from leglab.studies.shared_data import shared_data
 
 # Published, or computed for the set's description: free run on the test part, unit of the table.
 KNOWN = {

@@ -270,7 +270,7 @@ def _load_packages(tests: tuple[str, ...]) -> None:
     sys.path.insert(0, str(ROOT))
     for test in tests:
         importlib.import_module(test.removesuffix(".py").replace("/", "."))
-    own = ("leglab", "tests", "rigs", "benchmarks")
+    own = ("leglab", "tests", "rigs", "benchmarks", "replication")
     for name in [n for n in sys.modules if n.split(".")[0] in own]:
         if "._native" not in name:  # Python loads a compiled module once.
             del sys.modules[name]

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import results
+from benchmarks.adaptation_faults import SAFE_FROM
 from benchmarks.live_names import t90_cells
 from benchmarks.specimens import KINDS, drawn_size, first_change, run_specimen
 from leglab.base.scale import rms
 from leglab.causes.table import CAUSES
 from leglab.runs.clock import adaptation
 from leglab.runs.metrics import sliding_rms
-from leglab.studies.adaptation import SAFE_FROM
 
 FAULTS = tuple(dict.fromkeys(cause.name for cause, _ in KINDS))
 FIRST_SEED = 6000  # of no run that a setting was chosen by

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import results
-from leglab.studies.replication import paper, replicate
-from leglab.studies.replication.experiments import Order
-from leglab.studies.replication.page import order_table
-from leglab.studies.replication.run import REALISATIONS
+from replication import paper, replicate
+from replication.experiments import Order
+from replication.page import order_table
+from replication.run import REALISATIONS
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

@@ -15,8 +15,15 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+if find_spec("joblib") is None:
+    raise ImportError(
+        "benchmarks needs the environment of the clone: make .venv/installed, then "
+        "source .venv/bin/activate"
+    )
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -28,7 +35,7 @@ from leglab.jobs.fingerprint import fingerprint
 # What a file of docs/data says of itself, beside its results.
 RECORD = ("command", "date", "commit", "versions", "machine")
 # Folders whose changes can change a result.
-_CODE = ("leglab", "benchmarks", "controllers", "models", "scenarios")
+_CODE = ("leglab", "benchmarks", "replication", "controllers", "models", "scenarios")
 _WIDTH = 800  # longest line of a file; most cases of a benchmark are one
 _DIGITS = 6  # significant; tables show at most four
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from leglab.base.recording import Recording
 from leglab.identification import Basis, BsnnArx
-from leglab.studies.replication.online import OnlineSettings
+from replication.online import OnlineSettings
 
 LAGS, DEGREE = 4, 2
 SAMPLES = 5000  # of FROLS, whose time grows with samples and candidates

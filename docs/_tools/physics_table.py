@@ -3,8 +3,8 @@
 A row a case: what comes closest to its limit, in MuJoCo at 1 ms or, without a motion, in the core.
 """
 
-from leglab.studies.verification.cases import CASES
-from leglab.studies.verification.report import closest
+from benchmarks.verification.cases import CASES
+from benchmarks.verification.report import closest
 
 ROUNDING = 1e-11  # What is left of it differs between processors.
 

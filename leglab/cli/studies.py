@@ -1,12 +1,14 @@
-"""The commands `leglab tune`, `leglab replicate` and `leglab verify`: gains and fixed questions."""
+"""The commands `tune`, and `benchmark`, `replicate` and `verify`, whose code only a clone has."""
 
+import importlib
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from leglab.base.errors import LeglabError
 from leglab.base.output import claimed_folder
 from leglab.cli.options import Jobs, Json, Load, Model, ReplaceSweep, Scheduler, check_jobs, split
 from leglab.cli.terminal import (
@@ -49,6 +51,25 @@ def tune(
         typer.echo(PD.text(tables), nl=False)
 
 
+def _from_clone(module: str) -> Any:
+    """Imports a module that a clone of leglab has and an installed wheel lacks.
+
+    Raises:
+        LeglabError: The package of the module is not installed.
+    """
+    package = module.partition(".")[0]
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != package:
+            raise
+        raise LeglabError(
+            f"the package {package} is missing: it comes with leglab's source tree, not with a "
+            "wheel; run `pip install --editable .` in a clone of leglab",
+            given=package,
+        ) from error
+
+
 def replicate(
     instances: Annotated[int, typer.Option(help="Instances of each model.")] = 100,
     seed: Annotated[int | None, typer.Option(help="Default: the seed of the paper mode.")] = None,
@@ -58,12 +79,10 @@ def replicate(
     as_json: Json = False,
 ) -> None:
     """Replicates the BSNN-ARX paper: Table 1, figures, sensitivities, on one page."""
-    from leglab.studies.replication import paper
-    from leglab.studies.replication import replicate as run_replication
-
-    chosen = paper.SEED if seed is None else seed
+    replication = _from_clone("replication")
+    chosen = replication.paper.SEED if seed is None else seed
     with claimed_folder(out), progress("replicating") as show:
-        result = run_replication(
+        result = replication.replicate(
             instances, out, chosen, progress=lambda line: show(description=line)
         )
     if as_json:
@@ -105,8 +124,8 @@ def benchmark(
     and leglab query and report know it.
     """
     from leglab.runs.sweeps.engine import run_sweep
-    from leglab.studies import adaptation
 
+    adaptation = _from_clone("benchmarks.adaptation_faults")
     check_jobs(workers, "workers")
     plan, missing = adaptation.adaptation_plan(
         split(controllers),
@@ -133,14 +152,12 @@ def benchmark(
 
 def verify(as_json: Json = False) -> None:
     """Checks the physics against closed forms and recordings; status 1 where a check fails."""
-    from leglab.studies.verification import checks_as_json
-    from leglab.studies.verification import verify as run_checks
-
+    verification = _from_clone("benchmarks.verification")
     if as_json:
-        found = checks_as_json()
+        found = verification.checks_as_json()
         print_json(found)
         passed = found["passed"]
     else:
-        passed = run_checks()
+        passed = verification.verify()
     if not passed:
         raise typer.Exit(FAILED)

@@ -6,13 +6,7 @@ from benchmarks import data_sets
 from benchmarks.data_sets import ACTUATOR, SILVERBOX
 from leglab.base.errors import LeglabError
 from leglab.identification import SplineNarx
-
-
-def recording(load):
-    try:
-        return load()
-    except LeglabError as reason:
-        pytest.skip(str(reason))
+from tests.helpers.measured import or_skip
 
 
 def free_run_errors(data, structure):
@@ -21,14 +15,14 @@ def free_run_errors(data, structure):
 
 
 def test_silverbox_after_one_online_pass():
-    errors = free_run_errors(recording(data_sets.silverbox), SILVERBOX)
+    errors = free_run_errors(or_skip(data_sets.silverbox), SILVERBOX)
     assert errors["multisine"] <= 0.50  # mV
     assert errors["arrow, no extrapolation"] <= 0.50
     assert errors["arrow"] <= 2.3
 
 
 def test_silverbox_without_splines_stays_linear():
-    data = recording(data_sets.silverbox)
+    data = or_skip(data_sets.silverbox)
     structure = {**SILVERBOX, "output_lags": (), "output_error_after": 0}
     errors = free_run_errors(data, structure)
     linear = dict(zip(data.tests, data.published["ARX"], strict=True))
@@ -36,7 +30,7 @@ def test_silverbox_without_splines_stays_linear():
 
 
 def test_actuator_after_one_online_pass():
-    errors = free_run_errors(recording(data_sets.actuator), ACTUATOR)
+    errors = free_run_errors(or_skip(data_sets.actuator), ACTUATOR)
     assert errors["second half"] <= 0.55
 
 

@@ -40,7 +40,7 @@ def test_every_file_is_of_a_benchmark_and_shown():
 def test_every_script_can_be_run_by_its_name():
     scripts = {p for p in DATA.parents[1].glob("benchmarks/*.py") if p.stem[0] != "_"}
     helpers = {
-        *("data_sets", "registry", "results", "specimens"),
+        *("adaptation_faults", "data_sets", "measured", "registry", "results", "specimens"),
         *("simulated_machines", "structure_peers"),
     }
     assert {one.path for one in BENCHMARKS.values()} == {

@@ -158,7 +158,7 @@ from leglab.cli.catalogue import catalogue_page, cause_rows
 from leglab.diagnosis.effects import all_effects
 from leglab.diagnosis.plant.model import Machine
 from leglab.runs.loop import Loop
-from leglab.studies.adaptation import faults
+from benchmarks.adaptation_faults import faults
 sys.path.insert(0, "docs/_tools")
 from make_effect_table import markdown_table
 from make_scenarios import index

@@ -97,13 +97,23 @@ def test_verbose_anywhere(place, flag, capsys):
 
 
 def test_status_1_where_a_check_fails(monkeypatch, capsys):
-    import leglab.studies.verification
-
     found = {"passed": False, "checks": [], "replays": [], "left_out": None}
-    monkeypatch.setattr(leglab.studies.verification, "checks_as_json", lambda: found)
+    monkeypatch.setattr("benchmarks.verification.checks_as_json", lambda: found)
     status, printed, _ = call("verify", "--json", capsys=capsys)
     assert status == 1
     assert parse(printed) == found
+
+
+def test_status_2_where_the_source_tree_is_missing(monkeypatch, capsys):
+    for words, module in (
+        ("verify", "benchmarks.verification"),
+        ("benchmark adaptation", "benchmarks.adaptation_faults"),
+        ("replicate", "replication"),
+    ):
+        monkeypatch.setitem(sys.modules, module, None)
+        status, _, errors = call(*words.split(), capsys=capsys)
+        assert (status, errors.count("\n")) == (2, 1)
+        assert f"the package {module.partition('.')[0]} is missing: it comes with" in errors
 
 
 def test_status_130_when_interrupted(monkeypatch, capsys):

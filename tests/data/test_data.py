@@ -1,6 +1,3 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -9,21 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from benchmarks.measured import shared_data
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.base.recording import Recording
 from leglab.data.checks import drop_redundant_rows
+from tests.helpers.measured import or_skip
 
 FORMATS = ["csv", "parquet"]
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def measured_folder():
-    candidates = [os.environ.get("LEGLAB_DATA"), ROOT / "../shared/data"]
-    for folder in candidates:
-        if folder and (Path(folder) / "knee_bench").is_dir():
-            return Path(folder) / "knee_bench"
-    return None
 
 
 def example(n=100, **metadata):
@@ -225,10 +215,7 @@ def test_nothing_is_repaired_that_would_be_a_guess():
 
 
 def test_the_measured_knee_bench_is_clean():
-    folder = measured_folder()
-    if folder is None:
-        pytest.skip("no knee_bench in ../shared/data or $LEGLAB_DATA")
-    paths = sorted(folder.glob("*/*.parquet"))
+    paths = sorted(or_skip(shared_data, "knee_bench").glob("*/*.parquet"))
     assert paths
     for path in paths:
         recording = data.read(path)

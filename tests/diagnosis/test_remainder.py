@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 from typer.testing import CliRunner
 
+from benchmarks.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
 from leglab import data
 from leglab.base.errors import LeglabError
 from leglab.cli.app import app
@@ -29,7 +30,7 @@ from leglab.diagnosis.verdict.verdict import diagnose
 from leglab.machine import plugin
 from rigs import PENDULUM, SERVO_JOINT, Hidden, Truth, record
 from rigs.bench import FaultyBench, references
-from rigs.measured import EMPS_HELD_OUT, EMPS_MODEL, emps, rough_bench
+from tests.helpers.measured import or_skip
 from tests.helpers.unpleasant import of_kinds
 
 KINDS = ("multisine", "fast", "slow", "stairs")
@@ -461,13 +462,6 @@ def test_coefficients_have_names_in_a_machine(knee, tmp_path):
 
 
 # --- Measured and rough machines.
-
-
-def or_skip(read, *arguments):
-    try:
-        return read(*arguments)
-    except LeglabError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.slow("whole diagnosis of a rough bench")

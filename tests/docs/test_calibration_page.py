@@ -9,7 +9,6 @@ from leglab.base.registry import FactoryRegistry
 from leglab.base.settings import Configuration
 from leglab.control import Foreknowledge, Measurement, NominalMachine, controller_names
 from leglab.control.contract import CONTROLLERS
-from tests.tables import ROOT
 
 pytestmark = pytest.mark.slow("our own figures")
 YARDSTICKS = {"exact_inverse", "frozen", "oracle"}
@@ -17,8 +16,7 @@ CHANGES = {field.name for field in fields(Foreknowledge)}
 
 
 @pytest.fixture
-def page(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "docs" / "_tools")
+def page():
     import calibration_tables
 
     return calibration_tables

@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
+import leg_meshes
 import mujoco
 import numpy as np
 import pytest
+from leg_design import FOLDER, JOINTS, cylinders, lever_rows, place, sample_poses
 
 from leglab.machine.simulation import load_model
-from leglab.models import generate_meshes
-from leglab.models.linkage import JOINTS, cylinders, lever_rows, place, sample_poses
-from leglab.models.swap import FOLDER
 
 POSES = ("home", "stand", "swing", "squat")
 # Extending the cylinder turns the joint this way (leg.xml, header comment).
@@ -196,8 +195,8 @@ def test_variants_share_the_leg(leg, name):
 
 
 def test_meshes_are_what_the_script_writes(tmp_path: Path, monkeypatch):
-    monkeypatch.setattr(generate_meshes, "FOLDER", tmp_path)
-    generate_meshes.main()
+    monkeypatch.setattr(leg_meshes, "FOLDER", tmp_path)
+    leg_meshes.main()
     committed = sorted(path.name for path in (FOLDER / "meshes").glob("*"))
     assert sorted(path.name for path in tmp_path.glob("*")) == committed
     for name in committed:

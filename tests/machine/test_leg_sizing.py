@@ -3,19 +3,20 @@
 import mujoco
 import numpy as np
 import pytest
-
-from leglab.models.authority import squat, stride, walk
-from leglab.models.linkage import (
+from leg_design import (
     JOINTS,
     USUAL,
     CylinderSize,
     cylinders,
     inverse_mass,
     lever_rows,
+    load_with_motors,
     place,
     resonance,
+    squat,
+    stride,
+    walk,
 )
-from leglab.models.swap import load_with_motors
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.measured import shared_data
+from benchmarks.verification.cases import CASES, Check
+from benchmarks.verification.replay import LIMITS, ReplayCheck, replay_all
 from leglab.base.errors import LeglabError
 from leglab.base.tables import print_whole
-from leglab.studies.shared_data import shared_data
-from leglab.studies.verification.cases import CASES, Check
-from leglab.studies.verification.replay import LIMITS, ReplayCheck, replay_all
 
 
 def _table(title: str, head: str, rows: Iterable[tuple[bool, Iterable[str]]], right: str) -> Table:

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from benchmarks.adaptation_faults import adaptation_plan, faults, scores
 from leglab.base.errors import LeglabError
 from leglab.base.scenario import scenario_severity
 from leglab.runs.sweeps.engine import read_sweep
-from leglab.studies.adaptation import adaptation_plan, faults, scores
 from tests.cli.test_cli import leglab as command_line
 
 

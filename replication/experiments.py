@@ -10,8 +10,8 @@ import numpy as np
 
 from leglab.base.scale import rms
 from leglab.identification import Basis, BsnnArx
-from leglab.studies.replication.networks import LAGS, train
-from leglab.studies.replication.online import (
+from replication.networks import LAGS, train
+from replication.online import (
     PAPER_MODE,
     OnlineRuns,
     OnlineSettings,
@@ -20,7 +20,7 @@ from leglab.studies.replication.online import (
     run_online,
     static_alone,
 )
-from leglab.studies.replication.paper import (
+from replication.paper import (
     INSTANCES,
     LEARNING_CONSTANT,
     MODELS,
@@ -30,7 +30,7 @@ from leglab.studies.replication.paper import (
     Scores,
     score,
 )
-from leglab.studies.replication.plant import simulate
+from replication.plant import simulate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from leglab.identification import BsnnArx, BsnnArxSettings, Rls
-from leglab.studies.replication.paper import LEARNING_CONSTANT, N_TRAINING, Array, Scores, score
+from replication.paper import LEARNING_CONSTANT, N_TRAINING, Array, Scores, score
 
 
 @dataclass(frozen=True, kw_only=True)

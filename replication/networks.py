@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
-from leglab.studies.replication.paper import Array
+from replication.paper import Array
 
 LAGS = 3
 """Past outputs and past inputs in the regressor: n = m = 3 as in the ARX model."""

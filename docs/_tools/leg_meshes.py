@@ -1,6 +1,6 @@
 """Writes the OBJ meshes of the leg into models/meshes (millimetres; the MJCF scales by 0.001).
 
-Run `python models/generate_meshes.py` after a change of shape; the result is committed.
+Run `python docs/_tools/leg_meshes.py` after a change of shape; the result is committed.
 Every mesh is one of three kinds: a loft through superellipse sections, a lever plate (the convex
 outline of two circles, extruded, with a chamfer), or a helix.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-FOLDER = Path(__file__).parent / "meshes"
+FOLDER = Path(__file__).parents[2] / "models" / "meshes"
 
 
 def write_grid(name: str, *grids: np.ndarray, texture: bool = False) -> None:

@@ -1,5 +1,5 @@
 """Replication of the paper's experiment: Table 1, its figures, and their sensitivities."""
 
-from leglab.studies.replication.run import Replication, replicate
+from replication.run import Replication, replicate
 
 __all__ = ["Replication", "replicate"]

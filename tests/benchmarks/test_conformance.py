@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from leglab.base.errors import LeglabError
-from leglab.cli import main
-from leglab.studies.verification import Check, cases, report
-from leglab.studies.verification.cases import (
+from benchmarks.verification import Check, cases, report
+from benchmarks.verification.cases import (
     CASES,
     LEAKAGE,
     bulk_modulus,
@@ -24,6 +22,8 @@ from leglab.studies.verification.cases import (
     stiffness,
     walther,
 )
+from leglab.base.errors import LeglabError
+from leglab.cli import main
 from tests.tables import difference, made, printed
 
 REFERENCE = json.loads(

@@ -1,17 +1,41 @@
 """Recordings that are not part of this project: a measured axis and a rough bench."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
 
+from benchmarks.registry import ROOT
 from leglab import data
+from leglab.base.errors import FileError
 from leglab.base.recording import Recording
-from leglab.studies.shared_data import shared_data
 
-EMPS_MODEL = Path(__file__).parent / "emps.xml"
+EMPS_MODEL = ROOT / "rigs" / "emps.xml"
 EMPS_HELD_OUT = "DATA_EMPS_PULSES"
 _FORCE = 35.15065  # N/V
+
+
+def shared_data(part: str) -> Path:
+    """Finds a path below $LEGLAB_DATA or, if unset, below shared/data next to or in the sources.
+
+    Args:
+        part: Path relative to that folder, for instance "knee_bench/nominal".
+
+    Raises:
+        LeglabError: None of the folders, which the message names, has the path.
+    """
+    named = os.environ.get("LEGLAB_DATA")
+    beside = [ROOT.parent / "shared" / "data", ROOT / "shared" / "data"]
+    folders = [Path(named)] if named else beside
+    for folder in folders:
+        if (folder / part).exists():
+            return folder / part
+    raise FileError(
+        f"no {part} in {', '.join(map(str, folders))}: the data are not part of this project; "
+        "set LEGLAB_DATA to the folder that has them",
+        given=part,
+    )
 
 
 def emps() -> dict[str, Recording]:

@@ -5,20 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leglab.base.errors import LeglabError
+from benchmarks.measured import shared_data
+from benchmarks.verification.replay import LIMITS, replay
 from leglab.data import read
 from leglab.diagnosis.replay.starts import bristle, spool
-from leglab.studies.shared_data import shared_data
-from leglab.studies.verification.replay import LIMITS, replay
+from tests.helpers.measured import or_skip
 
 WALK = Path(__file__).parents[1] / "data" / "knee_bench_walk.parquet"  # 3 s of nominal/walk
-
-
-def nominal(name):
-    try:
-        return read(shared_data(f"knee_bench/nominal/{name}.parquet"))
-    except LeglabError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("timestep", [0.5e-3, 1e-3])
@@ -34,7 +27,8 @@ def test_three_stored_seconds_replay_within_the_limits(timestep):
 @pytest.mark.parametrize("timestep", [0.5e-3, 1e-3])
 @pytest.mark.parametrize("name", LIMITS)
 def test_nominal_recordings_replay_within_the_limits(name, timestep):
-    result = replay(name, nominal(name), timestep)
+    recording = read(or_skip(shared_data, f"knee_bench/nominal/{name}.parquet"))
+    result = replay(name, recording, timestep)
     knee, pressure = LIMITS[name]
     assert result.position < knee
     assert max(result.pressure_a, result.pressure_b) < pressure

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import approx_fprime
 
 from leglab.base.errors import LeglabError
-from leglab.studies.replication import (
+from replication import (
     deployed,
     experiments,
     networks,
@@ -17,10 +17,10 @@ from leglab.studies.replication import (
     replicate,
     run,
 )
-from leglab.studies.replication.experiments import compare, multiplications
-from leglab.studies.replication.online import OnlineSettings, run_online
-from leglab.studies.replication.paper import score, table_1, worst_deviation
-from leglab.studies.replication.plant import (
+from replication.experiments import compare, multiplications
+from replication.online import OnlineSettings, run_online
+from replication.paper import score, table_1, worst_deviation
+from replication.plant import (
     CUTOFF,
     HOLD,
     MEAN,

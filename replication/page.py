@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from leglab.studies.replication.deployed import CHANGES, DEPLOYED_MODE, WINDOW, Recovery
-from leglab.studies.replication.experiments import (
+from replication.deployed import CHANGES, DEPLOYED_MODE, WINDOW, Recovery
+from replication.experiments import (
     INITIAL_GAINS,
     LEARNING_CONSTANTS,
     ONLINE,
@@ -19,8 +19,8 @@ from leglab.studies.replication.experiments import (
     Order,
     spline_shapes,
 )
-from leglab.studies.replication.online import BETTER_FIT
-from leglab.studies.replication.paper import (
+from replication.online import BETTER_FIT
+from replication.paper import (
     LEARNING_CONSTANT,
     PRINTED_LEARNING_CONSTANT,
     Array,
@@ -29,7 +29,7 @@ from leglab.studies.replication.paper import (
     table_1,
     worst_deviation,
 )
-from leglab.studies.replication.plant import SAMPLING_TIME
+from replication.plant import SAMPLING_TIME
 
 SHOWN_MODES = (
     "plain",
@@ -163,7 +163,7 @@ def printed_constant(page: Page, rows: Sequence[Order], readings: list[Errors], 
 
 
 def order_table(rows: Sequence[Order], count: int) -> str:
-    """Formats rows of `leglab.studies.replication.experiments.orders` as Markdown, by F(0)."""
+    """Formats rows of `replication.experiments.orders` as Markdown, by F(0)."""
     constants = (LEARNING_CONSTANT, PRINTED_LEARNING_CONSTANT)
     head = ["F(0)", "ARX"]
     for constant in constants:
@@ -229,7 +229,7 @@ def deployed(
 
 
 def free_run_table(rows: list[tuple[str, int, float, float, float, float]]) -> str:
-    """Formats rows of `leglab.studies.replication.deployed.free_runs` as Markdown."""
+    """Formats rows of `replication.deployed.free_runs` as Markdown."""
     head = ("model", "parameters", "one step", "free run", "worst free run", "free run / floor")
     return markdown(head, rows)
 
@@ -253,7 +253,7 @@ def readaptation(page: Page, recoveries: Mapping[str, Mapping[str, Recovery]]) -
 
 
 def recovery_table(recoveries: Mapping[str, Mapping[str, Recovery]]) -> str:
-    """Formats results of `leglab.studies.replication.deployed.readaptation` as Markdown."""
+    """Formats results of `replication.deployed.readaptation` as Markdown."""
     plain = recoveries["plain"][CHANGES[0]].before
     rows = []
     for mode, by_change in recoveries.items():

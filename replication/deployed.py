@@ -21,9 +21,9 @@ from leglab.identification import (
     SplineNarx,
     SplineNarxSettings,
 )
-from leglab.studies.replication import paper
-from leglab.studies.replication.paper import Array
-from leglab.studies.replication.plant import Plant, exact_free_run, simulate
+from replication import paper
+from replication.paper import Array
+from replication.plant import Plant, exact_free_run, simulate
 
 U = Signal(name="u", lower=0.0, upper=1.0)
 Y = Signal(name="y", lower=0.0, upper=0.9)

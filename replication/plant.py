@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leglab.studies.replication.paper import Array
+from replication.paper import Array
 
 MEAN = 0.7
 """Of the noise that excites the plant (Sec. 3.1)."""

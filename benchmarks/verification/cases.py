@@ -11,8 +11,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq, curve_fit, root
 
-from leglab.machine.cylinder import Cylinder
-from leglab.studies.verification.experiment import (
+from benchmarks.verification.experiment import (
     CYLINDER,
     ENGINES,
     HELD,
@@ -29,6 +28,7 @@ from leglab.studies.verification.experiment import (
     places,
     slide_model,
 )
+from leglab.machine.cylinder import Cylinder
 
 AREA_A = math.pi / 4 * CYLINDER["bore"] ** 2  # m^2
 AREA_ROD = math.pi / 4 * CYLINDER["rod"] ** 2

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from leglab.base.errors import SettingsError
-from leglab.studies.replication import deployed, experiments, page, paper
-from leglab.studies.replication.online import BETTER_FIT
-from leglab.studies.replication.plant import simulate
+from replication import deployed, experiments, page, paper
+from replication.online import BETTER_FIT
+from replication.plant import simulate
 
 REALISATIONS = 30
 """Noise realisations of the spread and of the deployed identifier's free run."""

@@ -1,1 +1,0 @@
-"""Studies: adaptation benchmark, replication of the paper, verification of the plugin's physics."""
