@@ -74,10 +74,13 @@ Scheduler = Annotated[
     str | None,
     typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT."),
 ]
-Recordings = Annotated[
-    list[Path],
-    typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them."),
-]
+MachineArgument = Annotated[str, typer.Argument(help="Machine.")]
+Out = Annotated[Path, typer.Option(help="Output folder.")]
+_RECORDINGS = typer.Argument(
+    help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them."
+)
+Recordings = Annotated[list[Path], _RECORDINGS]
+SomeRecordings = Annotated[list[Path] | None, _RECORDINGS]
 From = Annotated[
     float | None,
     typer.Option("--from", metavar="S", help="Ignore samples before this time, in seconds."),

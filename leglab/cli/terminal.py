@@ -135,6 +135,14 @@ def print_answer(names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
             tell(f"  {name:{space}}  {value}".rstrip())
 
 
+def tell_or_print(text: str, content: Any, *, as_json: bool) -> None:
+    """Prints content as JSON if this is wanted, and a line of text otherwise."""
+    if as_json:
+        print_json(content)
+    else:
+        tell(text)
+
+
 def print_json(content: Any, *, ascii_only: bool = True) -> None:
     """Prints content as JSON on standard output."""
     plain = ascii_only or "utf" not in (sys.stdout.encoding or "").lower()
@@ -183,6 +191,20 @@ def progress(
             bar.update(task, description=state.told(), completed=state.completed, total=state.total)
 
         yield update
+
+
+@contextmanager
+def told_stages(label: str) -> Iterator[Callable[[str], None]]:
+    """Shows the `progress` of an activity; yields a function that shows the name of its stage."""
+    with progress(label) as show:
+        yield lambda stage: show(description=stage)
+
+
+@contextmanager
+def told_shares(label: str) -> Iterator[Callable[[float], None]]:
+    """Shows the `progress` of an activity; yields a function that shows which share is done."""
+    with progress(label, 1.0) as show:
+        yield lambda share: show(completed=share)
 
 
 @dataclass
