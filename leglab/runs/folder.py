@@ -16,13 +16,7 @@ from leglab.base.recording import Recording
 from leglab.jobs.engine import TIMEOUT, Progress, Results, executor, make_missing
 from leglab.machine.files import since
 from leglab.runs import record
-from leglab.runs.preparation import (
-    RunSettings,
-    basis_of,
-    check_controllers,
-    prepared,
-    scenario_of,
-)
+from leglab.runs.preparation import RunSettings, basis_of, check_controllers, prepared, scenario_of
 from leglab.runs.record import (
     CONFIGURATION,
     METRICS,
