@@ -1,6 +1,5 @@
 """`leglab improve`: a better model from recordings."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from leglab.base.output import check_apart, check_folder, new_folder, piece, write_atomically
+from leglab.base.output import check_apart, check_folder, new_folder, piece, write_json
 from leglab.cli import options
 from leglab.cli.terminal import output, print_json, print_table, read_and_warn, told_stages
 
@@ -59,8 +58,7 @@ def improve(
         if better is not None:
             with piece("improved.xml", result.missing):
                 result = replace(result, model=better.write(partial)[0].name)
-        text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        write_atomically(partial / "improvement.json", lambda file: file.write(text.encode()))
+        write_json(partial / "improvement.json", result.to_json(), ascii_only=False)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return
