@@ -11,16 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base.errors import FileError, RecordingError, SettingsError
-from leglab.cli import options
-from leglab.cli.terminal import (
-    BAD_INPUT,
-    errors,
-    output,
-    print_json,
-    print_wide,
-    tell,
-    tell_of_models,
-)
+from leglab.cli import options, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -90,8 +81,6 @@ def convert(
 
     # Checks that take no time come first.
     until, to = _as_second(to)
-    if to is not None and to not in data.FORMATS:
-        raise FileError.unknown("format", to, data.FORMATS)
     form = to or data.format_of(target)
     _check_new([target], overwrite=overwrite)
     timestep = None
@@ -119,12 +108,13 @@ def convert(
         "salvaged": list(measured.metadata.get("salvaged", ())),
     }
     if as_json:
-        print_json(found, ascii_only=False)
+        terminal.print_json(found, ascii_only=False)
         return
     for word, name in (("salvaged", "salvaged"), ("repaired", "repairs"), ("lost", "lost")):
         for line in found[name]:
-            errors.print(f"{word}: {line}", markup=False)
-    tell(f"written to {target}: {form}, {len(measured)} samples of {len(measured.columns)} columns")
+            terminal.errors.print(f"{word}: {line}", markup=False)
+    told = f"written to {target}: {form}, {len(measured)} samples"
+    terminal.tell(f"{told} of {len(measured.columns)} columns")
 
 
 def _check_new(paths: "Iterable[Path | None]", *, overwrite: bool) -> None:
@@ -141,7 +131,7 @@ def _machine_of_run(folder: Path, model: str | None, form: str) -> tuple[str | N
     run = read_run(folder)
     if form != "mcap" or model is not None:
         return model, None
-    tell_of_models([folder])
+    terminal.tell_of_models([folder])
     return model_of(folder, run.configuration), run.setting("timestep")
 
 
@@ -156,10 +146,14 @@ def _between(
 
 
 def _as_second(text: str | None) -> tuple[float | None, str | None]:
-    """Returns a number as (time [s], None), and other text as (None, name of a format)."""
+    """Returns a number as (time [s], None), and the name of a format as (None, name)."""
+    from leglab.data import FORMATS
+
     try:
         return (None, None) if text is None else (float(text), None)
     except ValueError:
+        if text not in FORMATS:
+            raise FileError.unknown("format", text, FORMATS) from None
         return None, text
 
 
@@ -211,18 +205,18 @@ def inspect(
     if as_json:
         found = {"file": str(file), "recordings": [n for n in tables if n], **summary.to_json()}
         found["unreadable"] = unreadable
-        print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
+        terminal.print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
     else:
         if len(tables) > 1:
             names = ", ".join(f"{name} ({_rows(part)})" for name, (part, _) in tables.items())
-            tell(f"{len(tables)} recordings, --recording NAME shows another: {names}")
+            terminal.tell(f"{len(tables)} recordings, --recording NAME shows another: {names}")
         _show(file, summary, unreadable)
         for path in filter(None, (out, plot)):
-            tell(f"written to {path}")
+            terminal.tell(f"written to {path}")
         if proposal is not None:
             _show_map(proposal, out, model)
     if any(finding.fatal for finding in summary.findings):
-        raise typer.Exit(BAD_INPUT)
+        raise typer.Exit(terminal.BAD_INPUT)
 
 
 def _rows(table: "Mapping[str, np.ndarray]") -> int:
@@ -316,31 +310,31 @@ def _tried(
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:
     """Prints the summary of a file and its findings."""
-    tell(f"{file}: {_axis(summary)}")
+    terminal.tell(f"{file}: {_axis(summary)}")
     metadata = dict(summary.metadata)
     if said := metadata.pop("time", None):
-        tell(f"time: {said}")
-    print_wide(_table(summary))
+        terminal.tell(f"time: {said}")
+    terminal.print_wide(_table(summary))
     for finding in summary.findings:
         label = "error" if finding.fatal else finding.kind
-        tell(f"{label}: {finding.message}")
+        terminal.tell(f"{label}: {finding.message}")
     for name, why in unreadable.items():
-        tell(f"unreadable: {name}: {why}")
+        terminal.tell(f"unreadable: {name}: {why}")
     if not summary.findings:
-        output.print("no gap, nothing missing, no constant column")
+        terminal.output.print("no gap, nothing missing, no constant column")
     for key, value in metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
-        tell(f"{key} = {short}")
+        terminal.tell(f"{key} = {short}")
 
 
 def _show_map(proposal: "Proposal", out: Path | None, model: str | None) -> None:
     """Prints the lines of a column map that are to be checked; the whole map if it has no file."""
     if out is None:
-        tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
+        terminal.tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
         return
     for line in proposal.doubtful:
-        tell(f"check in {out}: {line}")
+        terminal.tell(f"check in {out}: {line}")
 
 
 def _axis(summary: "Summary") -> str:

@@ -11,18 +11,7 @@ import typer
 
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.output import claimed_folder
-from leglab.cli import options
-from leglab.cli.terminal import (
-    complain,
-    make_many,
-    output,
-    print_json,
-    progress,
-    tell,
-    tell_of_models,
-    tell_or_print,
-    told_shares,
-)
+from leglab.cli import options, terminal
 
 if TYPE_CHECKING:
     from leglab.report.run.page import Report
@@ -115,7 +104,7 @@ def report(
         _report_comparison(only, out, overwrite=overwrite, as_json=as_json)
     elif only and (page := only / "diagnosis.html").is_file():
         told = f"{page} is the page of this diagnosis; leglab diagnose has written it"
-        tell_or_print(told, {"page": str(page)}, as_json=as_json)
+        terminal.tell_or_print(told, {"page": str(page)}, as_json=as_json)
     else:
         if films is not None:
             raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
@@ -164,7 +153,7 @@ def _making(given: dict[str, Any], place: Path) -> Callable[[], list[Path]]:
     places = [place / "runs" / run.controller for run in settings]
     repeat = {"jobs": given["jobs"], "overwrite": given["overwrite"]}
     make = partial(make_runs, settings, places, **repeat)
-    return partial(make_many, "running", len(settings), make)
+    return partial(terminal.make_many, "running", len(settings), make)
 
 
 def _report_runs(
@@ -185,8 +174,8 @@ def _report_runs(
     with claimed_folder(place) as workplace:
         runs, filmer = read_runs(make() if make else folders), None
         if shown is not None:
-            tell_of_models(folders)
-        with told_shares("writing" if shown is None else "filming") as show:
+            terminal.tell_of_models(folders)
+        with terminal.told_shares("writing" if shown is None else "filming") as show:
             if shown is not None:
                 from leglab.report.film import render_film
 
@@ -218,15 +207,15 @@ def _report_sweep(
     films: dict[int, Path] = {}
     with claimed_folder(place) if out else nullcontext():
         if numbers := worst_runs(folder, count):
-            with told_shares("filming") as show:
+            with terminal.told_shares("filming") as show:
                 try:
                     films = film_runs(folder, numbers, place, **shown, progress=show)
                 except LeglabError as error:  # The page is useful without films.
-                    complain(f"no films: {error}", "warning")
-        with progress("writing"):
+                    terminal.complain(f"no films: {error}", "warning")
+        with terminal.progress("writing"):
             written = write_sweep_page(folder, place / PAGE, films=films)
     content = {"page": str(written), "films": [str(film) for film in films.values()]}
-    tell_or_print(f"written to {written}", content, as_json=as_json)
+    terminal.tell_or_print(f"written to {written}", content, as_json=as_json)
 
 
 def _report_comparison(folder: Path, out: Path | None, *, overwrite: bool, as_json: bool) -> None:
@@ -235,9 +224,9 @@ def _report_comparison(folder: Path, out: Path | None, *, overwrite: bool, as_js
 
     place = out or folder
     check_out(place, overwrite=overwrite)
-    with claimed_folder(place), progress("writing"):
+    with claimed_folder(place), terminal.progress("writing"):
         written = write_comparison_page(folder, place / PAGE)
-    tell_or_print(f"written to {written}", {"page": str(written)}, as_json=as_json)
+    terminal.tell_or_print(f"written to {written}", {"page": str(written)}, as_json=as_json)
 
 
 def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) -> None:
@@ -246,9 +235,9 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
     for run in runs:
         if not run.metrics.completed:
             reason = run.metrics.failure or "no reason was stored"
-            complain(f"{run.label} stopped early: {reason}", "warning")
+            terminal.complain(f"{run.label} stopped early: {reason}", "warning")
     if written.why_no_film:
-        complain(f"no film: {written.why_no_film}", "warning")
+        terminal.complain(f"no film: {written.why_no_film}", "warning")
     if as_json:
         content = {
             "page": str(written.page),
@@ -266,10 +255,10 @@ def _tell(runs: Sequence["ReportedRun"], written: "Report", *, as_json: bool) ->
                 for run in runs
             ],
         }
-        print_json(content)
+        terminal.print_json(content)
         return
-    output.print(headline(runs), markup=False, highlight=False)
-    tell(f"written to {written.page}")
+    terminal.output.print(headline(runs), markup=False, highlight=False)
+    terminal.tell(f"written to {written.page}")
 
 
 def index(
@@ -283,9 +272,9 @@ def index(
     entries, page = write_index(folder, out or folder / "index.html")
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
-        complain(f"{broken} of {len(entries)} cannot be read", "warning")
+        terminal.complain(f"{broken} of {len(entries)} cannot be read", "warning")
     told = f"{len(entries)} listed in {page}"
-    tell_or_print(told, [asdict(entry) for entry in entries], as_json=as_json)
+    terminal.tell_or_print(told, [asdict(entry) for entry in entries], as_json=as_json)
 
 
 def video(
@@ -304,8 +293,8 @@ def video(
     from leglab.report.film import FRAME_RATE, SIZE, render_film
 
     path = out or (folders[0] / "video.mp4" if len(folders) == 1 else Path("video.mp4"))
-    tell_of_models(folders)
-    with told_shares("rendering") as show:
+    terminal.tell_of_models(folders)
+    with terminal.told_shares("rendering") as show:
         render_film(folders, path, start=start, duration=duration, camera=camera, progress=show)
     content = {
         "film": str(path),
@@ -314,4 +303,4 @@ def video(
         "frame_rate": FRAME_RATE,
         "bytes": path.stat().st_size,
     }
-    tell_or_print(f"written to {path}", content, as_json=as_json)
+    terminal.tell_or_print(f"written to {path}", content, as_json=as_json)

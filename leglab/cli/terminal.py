@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -98,9 +99,7 @@ def read_and_warn(
     """Reads recordings by name; prints a warning for each file that `read_recordings` skips."""
     from leglab.diagnosis.intake.recordings import read_recordings
 
-    def warn(line: str) -> None:
-        complain(line, "warning")
-
+    warn = partial(complain, kind="warning")
     return read_recordings(paths, columns, span=span, salvage=salvage, tell=warn)
 
 
