@@ -112,7 +112,7 @@ def report(
         if scenario is None:
             _check_given(context.params, place)
         else:
-            make, shown["duration"] = _making(context.params, place), None
+            make, shown["duration"] = _maker(context.params, place), None
         _report_runs(folders or [], make, place, shown if video else None, as_json=as_json)
 
 
@@ -135,7 +135,7 @@ def _check_given(given: dict[str, Any], place: Path) -> None:
     check_runs(given["folders"])
 
 
-def _making(given: dict[str, Any], place: Path) -> Callable[[], list[Path]]:
+def _maker(given: dict[str, Any], place: Path) -> Callable[[], list[Path]]:
     """Checks options that say what to run; returns a function that makes the runs' folders."""
     from leglab.report.run.page import check_out
     from leglab.runs.folder import check_settings, make_runs

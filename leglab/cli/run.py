@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from leglab.runs.comparison import Comparison
     from leglab.runs.run import Result
 
-_Result = dict[str, Any]  # of a run, as `leglab.runs.comparison.run_all` returns it
 _RunFolder = Annotated[
     Path | None,
     typer.Option(
@@ -167,11 +166,11 @@ def compare(
         raise typer.Exit(terminal.FAILED)
 
 
-def _made(make: Callable[..., list[_Result]], count: int) -> tuple[list[_Result], int]:
+def _made(make: Callable[..., list[dict]], count: int) -> tuple[list[dict], int]:
     """Makes runs and shows how many are done; returns results, and how many were there before."""
     there: list[int] = []
 
-    def noted(progress: Callable[[int, int, str], None]) -> list[_Result]:
+    def noted(progress: Callable[[int, int, str], None]) -> list[dict]:
         def note(done: int, total: int, name: str) -> None:
             there.append(done)
             progress(done, total, name)
@@ -181,7 +180,7 @@ def _made(make: Callable[..., list[_Result]], count: int) -> tuple[list[_Result]
     return terminal.make_many("comparing", count, noted), there[0]
 
 
-def _draw(comparison: "Comparison", results: list[_Result], folder: Path) -> None:
+def _draw(comparison: "Comparison", results: list[dict], folder: Path) -> None:
     """Draws a figure of each scenario of a comparison; warns if one cannot be drawn."""
     from leglab.report.figures import save_comparison_figure
 
