@@ -26,8 +26,7 @@ def improve(
     until: options.To = None,
     salvage: options.Salvage = False,
     effects: Annotated[
-        bool,
-        typer.Option(help="Look for effects first, and keep those that are sure."),
+        bool, typer.Option(help="Look for effects first, and keep those that are sure.")
     ] = True,
     fix_base: options.FixBase = False,
     overwrite: options.Overwrite = False,
