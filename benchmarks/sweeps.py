@@ -23,6 +23,7 @@ from typing import Any
 import psutil
 
 from benchmarks import results
+from leglab.base.output import write_json
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.engine import run_sweep
 from leglab.runs.sweeps.plan import SweepPlan
@@ -119,7 +120,7 @@ def books(folder: Path, count: int) -> dict[str, float]:
     )
     place = folder / "books"
     place.mkdir()
-    store.write_json(record, place / store.SWEEP)
+    write_json(place / store.SWEEP, record.model_dump(), indent=1)
     kept = store.Store(place, plan)
     start = time.process_time()
     for number in range(count):

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[float64]
 
 def at_moments(
-    model: int,
-    states: Array,
-    commands: Array,
-    accelerations: Array,
-    out: Mapping[str, Array],
+    model: int, states: Array, commands: Array, accelerations: Array, out: Mapping[str, Array]
 ) -> None:
     """Writes the forces at moments into the arrays of `out`, see `diagnosis.plant.moments`.
 

@@ -18,11 +18,7 @@ def sliding_friction(
     out: np.ndarray,
 ) -> None: ...
 def bristle(
-    velocity: np.ndarray,
-    level: np.ndarray,
-    sigma_0: float,
-    timestep: float,
-    out: np.ndarray,
+    velocity: np.ndarray, level: np.ndarray, sigma_0: float, timestep: float, out: np.ndarray
 ) -> None: ...
 def play(samples: np.ndarray, width: float, out: np.ndarray) -> None: ...
 def spool(

@@ -6,6 +6,7 @@ a killed process are removed when the same path is written again.
 
 import errno
 import fcntl
+import json
 import os
 import shutil
 import socket
@@ -16,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from leglab.base.errors import FileError, LeglabError
 
@@ -41,6 +42,12 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
     path = Path(path)
     with _replaced(path) as partial, _told(path), partial.open("wb") as stream:
         write(stream)
+
+
+def write_json(path: Path, content: Any, *, indent: int = 2, ascii_only: bool = True) -> None:
+    """Writes content as JSON by `write_atomically`."""
+    text = json.dumps(content, indent=indent, ensure_ascii=ascii_only, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 @contextmanager

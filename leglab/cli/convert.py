@@ -11,61 +11,62 @@ from rich.markup import escape
 from rich.table import Table
 
 from leglab.base.errors import FileError, RecordingError, SettingsError
-from leglab.cli.options import Columns, FixBase, From, Json, Salvage, To, Which
-from leglab.cli.terminal import (
-    BAD_INPUT,
-    errors,
-    output,
-    print_json,
-    print_wide,
-    tell,
-    tell_of_models,
-)
+from leglab.cli import options, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import numpy as np
 
+    from leglab.base.recording import Recording
     from leglab.data import ColumnMap, Summary
     from leglab.diagnosis.intake.proposal import Proposal
     from leglab.diagnosis.plant.model import Machine
 
+_ANY = ".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, a dataset of LeRobot, or a run's folder."
+_In = Annotated[Path, typer.Argument(metavar="IN", help=_ANY)]
+_Target = Annotated[
+    Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat or .npz.")
+]
+_To = Annotated[
+    str | None,
+    typer.Option(
+        "--to",
+        metavar="FORMAT_OR_S",
+        help="Format, by default that of the suffix of OUT; or a time in seconds, "
+        "from which on samples are ignored.",
+    ),
+]
+_Shown = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MODEL", help="Machine that OUT shows, an .mcap; of a run's folder it is known."
+    ),
+]
+_Model = Annotated[
+    str | None, typer.Option(metavar="MODEL", help="Machine for which a column map is proposed.")
+]
+_Map = Annotated[
+    Path | None,
+    typer.Option(metavar="MAP.toml", help="File for the proposed map, as --columns takes it."),
+]
+_Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="[FILE.png]", help="Draws the columns; default: named as the file."),
+]
+
 
 def convert(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="IN",
-            help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, a dataset of LeRobot, or a run's "
-            "folder.",
-        ),
-    ],
-    target: Annotated[
-        Path, typer.Argument(metavar="OUT", help=".parquet, .csv, .mcap, .mat or .npz.")
-    ],
-    to: Annotated[
-        str | None,
-        typer.Option(
-            "--to",
-            metavar="FORMAT_OR_S",
-            help="Format, by default that of the suffix of OUT; or a time in seconds, "
-            "from which on samples are ignored.",
-        ),
-    ] = None,
-    since: From = None,
-    columns: Columns = None,
-    recording: Which = None,
-    salvage: Salvage = False,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MODEL",
-            help="Machine that OUT shows, an .mcap; of a run's folder it is known.",
-        ),
-    ] = None,
+    source: _In,
+    target: _Target,
+    to: _To = None,
+    since: options.From = None,
+    columns: options.Columns = None,
+    recording: options.Which = None,
+    salvage: options.Salvage = False,
+    model: _Shown = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Converts a recording to another format and says what is lost.
 
@@ -76,94 +77,99 @@ def convert(
     from leglab import data
     from leglab.machine.scene import scene_of
     from leglab.machine.simulation import load_model
-    from leglab.runs.folder import RECORDING, model_of, read_run
+    from leglab.runs.folder import RECORDING
 
     # Checks that take no time come first.
     until, to = _as_second(to)
-    if to is not None and to not in data.FORMATS:
-        raise FileError.unknown("format", to, data.FORMATS)
     form = to or data.format_of(target)
-    if target.exists() and not overwrite:
-        raise FileError(f"{target} exists; --overwrite replaces it", given=target)
+    _check_new([target], overwrite=overwrite)
     timestep = None
     if (source / RECORDING).is_file():
-        run = read_run(source)
-        if form == "mcap" and model is None:
-            model = model_of(source, run.configuration)
-            tell_of_models([source])
-            timestep = run.configuration.settings.get("timestep")
+        model, timestep = _machine_of_run(source, model, form)
         source = source / RECORDING
     if model is not None and form != "mcap":
         told = f"{form} cannot show a machine; --model goes with mcap"
         raise SettingsError(told, given=form, allowed="mcap")
     measured = data.read(source, columns=columns, recording=recording, salvage=salvage)
-    try:
-        measured = measured.between(since, until)
-    except RecordingError as error:
-        raise error.at(source) from error
+    measured = _between(measured, since, until, source)
     lost = data.losses(measured, target, form)
     scene = None
     if model is not None:
         scene = scene_of(load_model(model, timestep=timestep), measured)
     data.write(measured, target, form, scene=scene)
-    repairs = list(measured.metadata.get("repairs", ()))
-    salvaged = list(measured.metadata.get("salvaged", ()))
+    found: dict[str, Any] = {
+        "source": str(source),
+        "target": str(target),
+        "format": form,
+        "samples": len(measured),
+        "columns": list(measured.columns),
+        "lost": list(lost),
+        "repairs": list(measured.metadata.get("repairs", ())),
+        "salvaged": list(measured.metadata.get("salvaged", ())),
+    }
     if as_json:
-        found = {
-            "source": str(source),
-            "target": str(target),
-            "format": form,
-            "samples": len(measured),
-            "columns": list(measured.columns),
-            "lost": list(lost),
-            "repairs": repairs,
-            "salvaged": salvaged,
-        }
-        print_json(found, ascii_only=False)
+        terminal.print_json(found, ascii_only=False)
         return
-    for word, lines in (("salvaged", salvaged), ("repaired", repairs), ("lost", lost)):
-        for line in lines:
-            errors.print(f"{word}: {line}", markup=False)
-    count = len(measured.columns)
-    tell(f"written to {target}: {form}, {len(measured)} samples of {count} columns")
+    for word, name in (("salvaged", "salvaged"), ("repaired", "repairs"), ("lost", "lost")):
+        for line in found[name]:
+            terminal.errors.print(f"{word}: {line}", markup=False)
+    told = f"written to {target}: {form}, {len(measured)} samples"
+    terminal.tell(f"{told} of {len(measured.columns)} columns")
+
+
+def _check_new(paths: "Iterable[Path | None]", *, overwrite: bool) -> None:
+    """Raises `FileError` if one of the files exists and may not be replaced."""
+    for path in filter(None, paths):
+        if path.exists() and not overwrite:
+            raise FileError(f"{path} exists; --overwrite replaces it", given=path)
+
+
+def _machine_of_run(folder: Path, model: str | None, form: str) -> tuple[str | None, float | None]:
+    """Returns model and time step [s] of the scene of a run: the run's own if no model is given."""
+    from leglab.runs.folder import model_of, read_run
+
+    run = read_run(folder)
+    if form != "mcap" or model is not None:
+        return model, None
+    terminal.tell_of_models([folder])
+    return model_of(folder, run.configuration), run.setting("timestep")
+
+
+def _between(
+    recording: "Recording", since: float | None, until: float | None, source: Path
+) -> "Recording":
+    """Returns the part of a recording from `since` to `until` [s]; errors name its source."""
+    try:
+        return recording.between(since, until)
+    except RecordingError as error:
+        raise error.at(source) from error
 
 
 def _as_second(text: str | None) -> tuple[float | None, str | None]:
-    """Returns a number as (time [s], None), and other text as (None, name of a format)."""
+    """Returns a number as (time [s], None), and the name of a format as (None, name)."""
+    from leglab.data import FORMATS
+
     try:
         return (None, None) if text is None else (float(text), None)
     except ValueError:
+        if text not in FORMATS:
+            raise FileError.unknown("format", text, FORMATS) from None
         return None, text
 
 
 def inspect(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help=".parquet, .csv, .mcap, .mat, .npz, a ROS 2 bag, a dataset of LeRobot, or a run's "
-            "folder."
-        ),
-    ],
-    columns: Columns = None,
-    model: Annotated[
-        str | None,
-        typer.Option(metavar="MODEL", help="Machine for which a column map is proposed."),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="MAP.toml", help="File for the proposed map, as --columns takes it."),
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(metavar="[FILE.png]", help="Draws the columns; default: named as the file."),
-    ] = None,
-    fix_base: FixBase = False,
-    since: From = None,
-    until: To = None,
-    recording: Which = None,
-    salvage: Salvage = False,
+    file: Annotated[Path, typer.Argument(help=_ANY)],
+    columns: options.Columns = None,
+    model: _Model = None,
+    out: _Map = None,
+    plot: _Plot = None,
+    fix_base: options.FixBase = False,
+    since: options.From = None,
+    until: options.To = None,
+    recording: options.Which = None,
+    salvage: options.Salvage = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace map and plot.")] = False,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Shows a recording: columns, units, rate, duration, gaps and defects.
 
@@ -177,24 +183,21 @@ def inspect(
         raise SettingsError(told, given=out, allowed="--out with --model")
     if plot == Path("-"):
         plot = Path(f"{file.resolve().stem}.png")
-    for path in filter(None, (out, plot)):
-        if path.exists() and not overwrite:
-            raise FileError(f"{path} exists; --overwrite replaces it", given=path)
+    _check_new((out, plot), overwrite=overwrite)
     source = _one_recording(file)
     known = data.read_column_map(columns) if columns is not None else None
     tables = data.read_tables(source, columns=known, partial=True, timed=False, salvage=salvage)
     if recording is not None and recording not in tables:
         raise RecordingError.unknown("recording", recording, tables)
     table, metadata = tables[recording or next(iter(tables))]
-    table = _cut(table, since, until, str(file))
+    table = _cut(table, since, until, file)
     unreadable = metadata.pop("unreadable", {})
     summary = data.summarise(table, metadata)
     proposal = None
     if model is not None or not any(name.endswith("_position") for name in table):
         proposal = _proposal(table, metadata, model, known, fix_base=fix_base)
     if out is not None:
-        text = f"{proposal}\n".encode()
-        data.write_atomically(out, lambda stream: stream.write(text))
+        data.write_atomically(out, lambda stream: stream.write(f"{proposal}\n".encode()))
     if plot is not None:
         from leglab.report.signals import save_signals
 
@@ -202,20 +205,18 @@ def inspect(
     if as_json:
         found = {"file": str(file), "recordings": [n for n in tables if n], **summary.to_json()}
         found["unreadable"] = unreadable
-        print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
+        terminal.print_json({**found, **({"map": proposal.to_json()} if proposal else {})})
     else:
         if len(tables) > 1:
             names = ", ".join(f"{name} ({_rows(part)})" for name, (part, _) in tables.items())
-            tell(f"{len(tables)} recordings, --recording NAME shows another: {names}")
+            terminal.tell(f"{len(tables)} recordings, --recording NAME shows another: {names}")
         _show(file, summary, unreadable)
         for path in filter(None, (out, plot)):
-            tell(f"written to {path}")
-        for line in proposal.doubtful if proposal is not None and out is not None else ():
-            tell(f"check in {out}: {line}")
-        if proposal is not None and out is None:
-            tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
+            terminal.tell(f"written to {path}")
+        if proposal is not None:
+            _show_map(proposal, out, model)
     if any(finding.fatal for finding in summary.findings):
-        raise typer.Exit(BAD_INPUT)
+        raise typer.Exit(terminal.BAD_INPUT)
 
 
 def _rows(table: "Mapping[str, np.ndarray]") -> int:
@@ -236,7 +237,7 @@ def _one_recording(path: Path) -> Path:
 
 
 def _cut(
-    table: "dict[str, np.ndarray]", since: float | None, until: float | None, source: str
+    table: "dict[str, np.ndarray]", since: float | None, until: float | None, source: Path
 ) -> "dict[str, np.ndarray]":
     """Returns the rows of a table from `since` to `until` [s]; None for no limit."""
     from leglab.data.checks import to_recording
@@ -245,11 +246,8 @@ def _cut(
         return table
     if "time" not in table:
         raise RecordingError(f"{source}: no column 'time', by which --from and --to cut")
-    whole = to_recording(table, {}, source=source, repair=False)
-    try:
-        part = whole.between(since, until)
-    except RecordingError as error:
-        raise error.at(source) from error
+    whole = to_recording(table, {}, source=str(source), repair=False)
+    part = _between(whole, since, until, source)
     return {"time": part.time, **part.columns}
 
 
@@ -312,22 +310,31 @@ def _tried(
 
 def _show(file: Path, summary: "Summary", unreadable: "Mapping[str, str]") -> None:
     """Prints the summary of a file and its findings."""
-    tell(f"{file}: {_axis(summary)}")
+    terminal.tell(f"{file}: {_axis(summary)}")
     metadata = dict(summary.metadata)
     if said := metadata.pop("time", None):
-        tell(f"time: {said}")
-    print_wide(_table(summary))
+        terminal.tell(f"time: {said}")
+    terminal.print_wide(_table(summary))
     for finding in summary.findings:
         label = "error" if finding.fatal else finding.kind
-        tell(f"{label}: {finding.message}")
+        terminal.tell(f"{label}: {finding.message}")
     for name, why in unreadable.items():
-        tell(f"unreadable: {name}: {why}")
+        terminal.tell(f"unreadable: {name}: {why}")
     if not summary.findings:
-        output.print("no gap, nothing missing, no constant column")
+        terminal.output.print("no gap, nothing missing, no constant column")
     for key, value in metadata.items():
         text = json.dumps(value, ensure_ascii=False)
         short = text if len(text) <= 100 else f"{text[:97]}..."
-        tell(f"{key} = {short}")
+        terminal.tell(f"{key} = {short}")
+
+
+def _show_map(proposal: "Proposal", out: Path | None, model: str | None) -> None:
+    """Prints the lines of a column map that are to be checked; the whole map if it has no file."""
+    if out is None:
+        terminal.tell(f"a file for --columns{'' if model else ', to be completed'}:\n{proposal}")
+        return
+    for line in proposal.doubtful:
+        terminal.tell(f"check in {out}: {line}")
 
 
 def _axis(summary: "Summary") -> str:

@@ -7,26 +7,14 @@ from typing import Annotated
 import typer
 
 from leglab.base.output import check_apart, check_folder, new_folder, piece
-from leglab.cli.diagnose import show_diagnosis
-from leglab.cli.options import (
-    Columns,
-    FixBase,
-    From,
-    HeldOut,
-    Json,
-    Load,
-    Overwrite,
-    Recordings,
-    Salvage,
-    To,
-    check_order,
-)
-from leglab.cli.terminal import print_json, progress, read_and_warn
+from leglab.cli import options
+from leglab.cli.diagnose import MADE, MARK, show_diagnosis, write_diagnosis
+from leglab.cli.terminal import read_and_warn, told_stages
 
 
 def fit(
-    model: Annotated[str, typer.Argument(help="Machine.")],
-    recordings: Recordings,
+    model: options.MachineArgument,
+    recordings: options.Recordings,
     parameter: Annotated[
         list[str],
         typer.Option(
@@ -35,16 +23,16 @@ def fit(
             "docs/reference/effect_table.md.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/fit"),
-    held_out: HeldOut = None,
-    columns: Columns = None,
-    since: From = None,
-    until: To = None,
-    salvage: Salvage = False,
-    fix_base: FixBase = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    load: Load = None,
+    out: options.Out = Path("out/fit"),
+    held_out: options.HeldOut = None,
+    columns: options.Columns = None,
+    since: options.From = None,
+    until: options.To = None,
+    salvage: options.Salvage = False,
+    fix_base: options.FixBase = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
+    load: options.Load = None,
 ) -> None:
     """Fits parameters that you choose to measured recordings; nothing is searched or named.
 
@@ -54,34 +42,21 @@ def fit(
     from leglab.diagnosis.fit import fit as run_fit
     from leglab.diagnosis.intake.recordings import split_held_out
     from leglab.diagnosis.plant.model import Machine
-    from leglab.diagnosis.verdict import output as results
-    from leglab.report.diagnosis.page import write_page
+    from leglab.diagnosis.verdict.output import write_model
 
-    check_order(model, recordings)
+    options.check_order(model, recordings)
     wanted = [Wanted.parse(text) for text in parameter]
-    check_folder(out, overwrite=overwrite, mark="diagnosis.json")
+    check_folder(out, overwrite=overwrite, mark=MARK)
     check_apart(out, [Path(model), *recordings])
     found = read_and_warn(recordings, columns=columns, span=(since, until), salvage=salvage)
     machine = Machine(model, fix_base=fix_base)
     named, held = split_held_out(machine, found, held_out or [])
-    made = ("diagnosis.html", "improved.xml", "figures")
-    with new_folder(out, mark="diagnosis.json", made=made, overwrite=overwrite) as folder:
-        with progress("fit") as show:
-            fitted = run_fit(
-                machine,
-                named,
-                wanted,
-                held_out=held,
-                progress=lambda line: show(description=line),
-            )
+    with new_folder(out, mark=MARK, made=MADE, overwrite=overwrite) as folder:
+        with told_stages("fit") as show:
+            fitted = run_fit(machine, named, wanted, held_out=held, progress=show)
         result = fitted.result
         with piece("improved.xml", result.missing):
-            path, lines = results.write_model(fitted.problem, fitted.hypothesis, folder)
+            path, lines = write_model(fitted.problem, fitted.hypothesis, folder)
             result = replace(result, model=path.name, changed=lines)
-        with piece("diagnosis.html", result.missing):
-            write_page(result, folder, model=Path(model).stem)
-        results.write_diagnosis(result, folder)
-    if as_json:
-        print_json(result.to_json(), ascii_only=False)
-        return
-    show_diagnosis(result, out)
+        write_diagnosis(result, folder, model)
+    show_diagnosis(result, out, as_json=as_json)

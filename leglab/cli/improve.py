@@ -1,6 +1,5 @@
 """`leglab improve`: a better model from recordings."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,43 +8,30 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from leglab.base.output import check_apart, check_folder, new_folder, piece, write_atomically
-from leglab.cli.options import (
-    Columns,
-    FixBase,
-    From,
-    HeldOut,
-    Json,
-    Load,
-    Overwrite,
-    Recordings,
-    Salvage,
-    To,
-    check_order,
-)
-from leglab.cli.terminal import output, print_json, print_table, progress, read_and_warn
+from leglab.base.output import check_apart, check_folder, new_folder, piece, write_json
+from leglab.cli import options
+from leglab.cli.terminal import output, print_json, print_table, read_and_warn, told_stages
 
 if TYPE_CHECKING:
     from leglab.diagnosis.improve import Improvement
 
 
 def improve(
-    model: Annotated[str, typer.Argument(help="Machine.")],
-    recordings: Recordings,
-    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("out/improved"),
-    held_out: HeldOut = None,
-    columns: Columns = None,
-    since: From = None,
-    until: To = None,
-    salvage: Salvage = False,
+    model: options.MachineArgument,
+    recordings: options.Recordings,
+    out: options.Out = Path("out/improved"),
+    held_out: options.HeldOut = None,
+    columns: options.Columns = None,
+    since: options.From = None,
+    until: options.To = None,
+    salvage: options.Salvage = False,
     effects: Annotated[
-        bool,
-        typer.Option(help="Look for effects first, and keep those that are sure."),
+        bool, typer.Option(help="Look for effects first, and keep those that are sure.")
     ] = True,
-    fix_base: FixBase = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    load: Load = None,
+    fix_base: options.FixBase = False,
+    overwrite: options.Overwrite = False,
+    as_json: options.Json = False,
+    load: options.Load = None,
 ) -> None:
     """Improves a model by measured recordings: recalibration, sure effects, a learned remainder.
 
@@ -56,7 +42,7 @@ def improve(
     from leglab.diagnosis.intake.recordings import split_held_out
     from leglab.diagnosis.plant.model import Machine
 
-    check_order(model, recordings)
+    options.check_order(model, recordings)
     check_folder(out, overwrite=overwrite, mark="improvement.json")
     check_apart(out, [Path(model), *recordings])
     found = read_and_warn(recordings, columns=columns, span=(since, until), salvage=salvage)
@@ -64,19 +50,14 @@ def improve(
     named, held = split_held_out(machine, found, held_out or [])
     made = ("improved.xml",)
     with new_folder(out, mark="improvement.json", made=made, overwrite=overwrite) as partial:
-        with progress("improvement") as show:
+        with told_stages("improvement") as show:
             result, better = run_improvement(
-                machine,
-                named,
-                held_out=held,
-                effects=effects,
-                progress=lambda line: show(description=line),
+                machine, named, held_out=held, effects=effects, progress=show
             )
         if better is not None:
             with piece("improved.xml", result.missing):
                 result = replace(result, model=better.write(partial)[0].name)
-        text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        write_atomically(partial / "improvement.json", lambda file: file.write(text.encode()))
+        write_json(partial / "improvement.json", result.to_json(), ascii_only=False)
     if as_json:
         print_json(result.to_json(), ascii_only=False)
         return

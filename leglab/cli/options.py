@@ -71,13 +71,13 @@ ReplaceSweep = Annotated[
     bool, typer.Option("--overwrite", help="Replace the sweep that the folder holds.")
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT."),
+    str | None, typer.Option(help="Dask scheduler whose workers do the work, as tcp://HOST:PORT.")
 ]
-Recordings = Annotated[
-    list[Path],
-    typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them."),
-]
+MachineArgument = Annotated[str, typer.Argument(help="Machine.")]
+Out = Annotated[Path, typer.Option(help="Output folder.")]
+_READ = typer.Argument(help="Recordings: .parquet, .csv, .mcap, .mat, .npz, or folders of them.")
+Recordings = Annotated[list[Path], _READ]
+SomeRecordings = Annotated[list[Path] | None, _READ]
 From = Annotated[
     float | None,
     typer.Option("--from", metavar="S", help="Ignore samples before this time, in seconds."),
@@ -101,8 +101,7 @@ HeldOut = Annotated[
     typer.Option(help="Recording kept from all fits, repeatable; default: chosen by excitation."),
 ]
 FixBase = Annotated[
-    bool,
-    typer.Option("--fix-base", help="Hold bodies with a free joint where the model has them."),
+    bool, typer.Option("--fix-base", help="Hold bodies with a free joint where the model has them.")
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the folder of an earlier run.")

@@ -1,16 +1,35 @@
 """The commands `leglab run`, `leglab compare` and `leglab view`, which run scenarios."""
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from leglab.base.errors import LeglabError
-from leglab.base.output import claimed_folder, new_folder, write_atomically
+from leglab.base.output import claimed_folder, new_folder, write_json
 from leglab.cli import options, terminal
+
+if TYPE_CHECKING:
+    from leglab.runs.comparison import Comparison
+    from leglab.runs.run import Result
+
+_RunFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED and what else is not as "
+        "by default."
+    ),
+]
+_CompareFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Output folder, to which more seeds and controllers may come; default "
+        "runs/compare-SCENARIOS-MODEL and what else is not as by default."
+    ),
+]
+_Repeat = Annotated[bool, typer.Option("--overwrite", help="Repeat runs that are there.")]
 
 
 def run(
@@ -28,13 +47,7 @@ def run(
     tolerance: options.Tolerance = 0.0,
     vary: options.Vary = False,
     set_: options.Set = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Output folder; default runs/SCENARIO-CONTROLLER-MODEL-SEED and what else is "
-            "not as by default."
-        ),
-    ] = None,
+    out: _RunFolder = None,
     overwrite: options.Overwrite = False,
     figures: Annotated[bool, typer.Option(help="Draw plots.")] = True,
     as_json: options.Json = False,
@@ -69,22 +82,27 @@ def run(
     if as_json:
         terminal.print_json(result.metrics)
     else:
-        terminal.print_table(terminal.metrics_table(result.record))
-        notes = terminal.timing_lines(settings.sensors, result.configuration.settings)
-        notes += terminal.reference_lines(result.configuration.settings, result.joints)
-        told = [event.told() for event in result.record.events]
-        told += [trend.told() for trend in result.record.health]
-        for line in [*told, *notes]:
-            terminal.output.print(line, soft_wrap=True, markup=False)
-        period = result.configuration.settings["sensors"]["control_period"]
-        for line in terminal.slow_lines(result.record, period):
-            terminal.complain(line, "warning")
+        _show(result)
         terminal.tell(f"written to {folder}")
     failure = result.record.failure or ("interrupted when the run was over" if late else "")
     if failure:
         interrupted = failure.startswith("interrupted")
         terminal.complain(f"{failure}; what was recorded is in {folder}")
         raise typer.Exit(terminal.INTERRUPTED if interrupted else terminal.BAD_INPUT)
+
+
+def _show(result: "Result") -> None:
+    """Prints metrics and events of a run, and warns of commands that took too long."""
+    settings = result.configuration.settings
+    terminal.print_table(terminal.metrics_table(result.record))
+    lines = [event.told() for event in result.record.events]
+    lines += [trend.told() for trend in result.record.health]
+    lines += terminal.timing_lines(result.settings.sensors, settings)
+    lines += terminal.reference_lines(settings, result.joints)
+    for line in lines:
+        terminal.output.print(line, soft_wrap=True, markup=False)
+    for line in terminal.slow_lines(result.record, settings["sensors"]["control_period"]):
+        terminal.complain(line, "warning")
 
 
 def compare(
@@ -104,16 +122,8 @@ def compare(
     vary: options.Vary = False,
     jobs: options.Jobs = -1,
     scheduler: options.Scheduler = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Output folder, to which more seeds and controllers may come; default "
-            "runs/compare-SCENARIOS-MODEL and what else is not as by default."
-        ),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Repeat runs that are there.")
-    ] = False,
+    out: _CompareFolder = None,
+    overwrite: _Repeat = False,
     figures: Annotated[bool, typer.Option(help="Draw a figure a scenario.")] = True,
     as_json: options.Json = False,
     load: options.Load = None,
@@ -125,7 +135,6 @@ def compare(
     that fails stops no other; a line below the table says why. `leglab report OUT` writes its page.
     """
     from leglab.report.comparison.words import failures, untold
-    from leglab.report.figures import save_comparison_figure
     from leglab.runs.comparison import RUNS, SUMMARY, Comparison, run_all
     from leglab.runs.comparison import compare as summarise
     from leglab.runs.folder import default_folder
@@ -135,44 +144,55 @@ def compare(
     given |= {"scenarios": tuple(scenarios), "controllers": tuple(options.split(controllers))}
     comparison = Comparison(**given)
     runs = comparison.runs()
-    there: list[int] = []
     out = out or default_folder(runs[0], "compare", *comparison.scenarios, Path(model).stem)
-
-    every = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
-
-    def make(progress: Callable[[int, int, str], None]) -> list[dict[str, Any]]:
-        def noted(done: int, total: int, name: str) -> None:
-            there.append(done)
-            progress(done, total, name)
-
-        return every(progress=noted)
-
+    make = partial(run_all, runs, out / RUNS, jobs=jobs, scheduler=scheduler, overwrite=overwrite)
     with claimed_folder(out):
-        results = terminal.make_many("comparing", len(runs), make)
+        results, there = _made(make, len(runs))
         summary = summarise(comparison, results)
-        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-        write_atomically(out / SUMMARY, lambda stream: stream.write(text.encode()))
+        write_json(out / SUMMARY, summary)
         if figures:
-            with terminal.progress("drawing"):
-                for name in comparison.scenarios:
-                    shown = [r for r in results if r["metrics"]["scenario"] == name and r["time"]]
-                    title = f"{name}, {Path(model).stem}, {seeds} seed{'s' * (seeds > 1)}"
-                    try:
-                        save_comparison_figure(shown, out / f"{name}.png", title=title)
-                    except LeglabError as error:  # The results are already written.
-                        terminal.complain(f"no figure of {name}: {error}", "warning")
+            _draw(comparison, results, out)
     if as_json:
         terminal.print_json(summary)
     else:
         terminal.print_wide(terminal.comparison_table(summary))
         for line in untold(summary):
             terminal.tell(line)
-        kept = f"{there[0]} of {len(runs)} runs were there; " if there[0] else ""
+        kept = f"{there} of {len(runs)} runs were there; " if there else ""
         terminal.tell(f"{kept}written to {out}")
     for line in failures(summary):
         terminal.complain(line, "warning")
     if not any(result["metrics"]["completed"] for result in results):
         raise typer.Exit(terminal.FAILED)
+
+
+def _made(make: Callable[..., list[dict]], count: int) -> tuple[list[dict], int]:
+    """Makes runs and shows how many are done; returns results, and how many were there before."""
+    there: list[int] = []
+
+    def noted(progress: Callable[[int, int, str], None]) -> list[dict]:
+        def note(done: int, total: int, name: str) -> None:
+            there.append(done)
+            progress(done, total, name)
+
+        return make(progress=note)
+
+    return terminal.make_many("comparing", count, noted), there[0]
+
+
+def _draw(comparison: "Comparison", results: list[dict], folder: Path) -> None:
+    """Draws a figure of each scenario of a comparison; warns if one cannot be drawn."""
+    from leglab.report.figures import save_comparison_figure
+
+    model, seeds = Path(comparison.model).stem, comparison.seeds
+    with terminal.progress("drawing"):
+        for name in comparison.scenarios:
+            shown = [r for r in results if r["metrics"]["scenario"] == name and r["time"]]
+            title = f"{name}, {model}, {seeds} seed{'s' * (seeds > 1)}"
+            try:
+                save_comparison_figure(shown, folder / f"{name}.png", title=title)
+            except LeglabError as error:  # The results are already written.
+                terminal.complain(f"no figure of {name}: {error}", "warning")
 
 
 def view(

@@ -3,12 +3,16 @@
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from leglab.base.errors import SettingsError
 from leglab.cli import options, terminal
+
+if TYPE_CHECKING:
+    from leglab.runs.sweeps.engine import SweepResult
+    from leglab.runs.sweeps.plan import SweepPlan
 
 
 def sweep(
@@ -40,18 +44,13 @@ def sweep(
     One row a run is kept in Parquet files below OUT/runs, failed runs included. Interrupted or
     killed, the same command makes exactly the runs that are missing. `leglab query` asks the rows.
     """
-    from leglab.runs.sweeps.engine import record_runs, run_sweep
+    from leglab.runs.sweeps.engine import run_sweep
     from leglab.runs.sweeps.plan import read_plan
 
     options.check_jobs(workers, "workers")
     plan = read_plan(file)
     if record:
-        made = partial(record_runs, plan, out, record)
-        places = terminal.make_many("recording", len(record), made)
-        if as_json:
-            terminal.print_json({"folders": [str(place) for place in places]})
-        for place in places if not as_json else ():
-            terminal.tell(f"written to {place}")
+        _record(plan, out, record, as_json=as_json)
         return
     make = partial(
         run_sweep,
@@ -65,39 +64,50 @@ def sweep(
     result = terminal.make_many("sweeping", len(plan), make)
     for line in result.damaged:
         terminal.complain(line, "warning")
-    found = result.tuned() if plan.tuned else []
     written = None
     if report:
         from leglab.report.sweep.page import write_sweep_page
 
         with terminal.progress("writing"):
             written = write_sweep_page(out)
-    if as_json:
-        content = {
-            "folder": str(out),
-            "runs": len(plan),
-            "made": result.made,
-            "done": result.done,
-            "failed": result.failed,
-            "page": None if written is None else str(written),
-            "tuned": [asdict(one) for one in found],
-        }
-        terminal.print_json(content)
-    else:
-        again = result.done - result.made
-        there = f", {again} were there" if again else ""
-        terminal.tell(f"{result.made} of {len(plan)} runs made{there}; written to {written or out}")
-        for one in found:
-            terminal.tell(str(one))
+    _show(result, written, as_json=as_json)
+    if result.failed == len(plan):
+        raise typer.Exit(terminal.FAILED)
+
+
+def _record(plan: "SweepPlan", out: Path, numbers: list[int], *, as_json: bool) -> None:
+    """Makes the folders of the runs of these numbers, with recordings, and tells which."""
+    from leglab.runs.sweeps.engine import record_runs
+
+    make = partial(record_runs, plan, out, numbers)
+    places = [str(place) for place in terminal.make_many("recording", len(numbers), make)]
+    lines = "\n".join(f"written to {place}" for place in places)
+    terminal.tell_or_print(lines, {"folders": places}, as_json=as_json)
+
+
+def _show(result: "SweepResult", page: Path | None, *, as_json: bool) -> None:
+    """Tells how many runs of a sweep were made and have failed, and what was tuned."""
+    count, found = len(result.plan), result.tuned() if result.plan.tuned else []
+    again = result.done - result.made
+    there = f", {again} were there" if again else ""
+    told = f"{result.made} of {count} runs made{there}; written to {page or result.folder}"
+    content = {
+        "folder": str(result.folder),
+        "runs": count,
+        "made": result.made,
+        "done": result.done,
+        "failed": result.failed,
+        "page": None if page is None else str(page),
+        "tuned": [asdict(one) for one in found],
+    }
+    terminal.tell_or_print("\n".join([told, *map(str, found)]), content, as_json=as_json)
     if result.failed:
         terminal.complain(
-            f"{result.failed} of {len(plan)} runs failed; leglab query {out} "
+            f"{result.failed} of {count} runs failed; leglab query {result.folder} "
             "\"SELECT failure, count(*), any_value(error) FROM runs WHERE status = 'failed' "
             'GROUP BY failure" tells why, --retry-failed makes them again',
             "warning",
         )
-    if result.failed == len(plan):
-        raise typer.Exit(terminal.FAILED)
 
 
 def query(

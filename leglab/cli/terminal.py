@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -98,9 +99,7 @@ def read_and_warn(
     """Reads recordings by name; prints a warning for each file that `read_recordings` skips."""
     from leglab.diagnosis.intake.recordings import read_recordings
 
-    def warn(line: str) -> None:
-        complain(line, "warning")
-
+    warn = partial(complain, kind="warning")
     return read_recordings(paths, columns, span=span, salvage=salvage, tell=warn)
 
 
@@ -133,6 +132,14 @@ def print_answer(names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         tell(f"row {number} of {len(rows)}")
         for name, value in zip(names, row, strict=True):
             tell(f"  {name:{space}}  {value}".rstrip())
+
+
+def tell_or_print(text: str, content: Any, *, as_json: bool) -> None:
+    """Prints content as JSON if this is wanted, and a line of text otherwise."""
+    if as_json:
+        print_json(content)
+    else:
+        tell(text)
 
 
 def print_json(content: Any, *, ascii_only: bool = True) -> None:
@@ -183,6 +190,20 @@ def progress(
             bar.update(task, description=state.told(), completed=state.completed, total=state.total)
 
         yield update
+
+
+@contextmanager
+def told_stages(label: str) -> Iterator[Callable[[str], None]]:
+    """Shows the `progress` of an activity; yields a function that shows the name of its stage."""
+    with progress(label) as show:
+        yield lambda stage: show(description=stage)
+
+
+@contextmanager
+def told_shares(label: str) -> Iterator[Callable[[float], None]]:
+    """Shows the `progress` of an activity; yields a function that shows which share is done."""
+    with progress(label, 1.0) as show:
+        yield lambda share: show(completed=share)
 
 
 @dataclass

@@ -14,18 +14,9 @@ import numpy as np
 from leglab.base.errors import LeglabError
 from leglab.commissioning.gains_file import GAINS, ControllerGains, Row
 from leglab.commissioning.nominal import nominal_cylinders
-from leglab.commissioning.pd_gains import (
-    SPEEDS,
-    joint_plant,
-    operating_poses,
-    sampled_plant,
-)
+from leglab.commissioning.pd_gains import SPEEDS, joint_plant, operating_poses, sampled_plant
 from leglab.control.backstepping.cylinder import CylinderModel
-from leglab.control.backstepping.data import (
-    FORCE_CUTOFF,
-    PRESSURE_CUTOFF,
-    BacksteppingGains,
-)
+from leglab.control.backstepping.data import FORCE_CUTOFF, PRESSURE_CUTOFF, BacksteppingGains
 from leglab.control.backstepping.feedback import Feedback, no_load_speed
 from leglab.machine.cylinder import Cylinder
 from leglab.machine.sensors import SensorConfiguration, position_uncertainty

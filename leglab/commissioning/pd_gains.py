@@ -17,11 +17,7 @@ from leglab.commissioning.gains_file import CYLINDER_MODELS, GainsFile, Row, sto
 from leglab.commissioning.nominal import inertia_matrix
 from leglab.machine.cylinder import CONTINUOUS_STATES, Cylinder
 from leglab.machine.native import NativeActuator
-from leglab.machine.sensors import (
-    SensorConfiguration,
-    in_whole_steps,
-    velocity_filter_coefficient,
-)
+from leglab.machine.sensors import SensorConfiguration, in_whole_steps, velocity_filter_coefficient
 from leglab.machine.simulation import Simulation, load_model
 
 if TYPE_CHECKING:

@@ -44,8 +44,7 @@ def read_table(
         # Invalid rows have numbers only with a single thread.
         read_options=pc.ReadOptions(use_threads=False, column_names=found.names),
         parse_options=pc.ParseOptions(
-            delimiter="\t" if found.separator == " " else found.separator,
-            invalid_row_handler=note,
+            delimiter="\t" if found.separator == " " else found.separator, invalid_row_handler=note
         ),
         convert_options=pc.ConvertOptions(
             null_values=MISSING,

@@ -22,9 +22,7 @@ _SECOND = {"ns": 10**9, "us": 10**6}
 _ODD = 0.01
 
 
-def time_column(
-    table: Mapping[str, np.ndarray],
-) -> tuple[str, np.ndarray | None, tuple[str, ...]]:
+def time_column(table: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray | None, tuple[str, ...]]:
     """Finds the time of a table.
 
     It is the column `time`, possibly with a unit, else an increasing column with a similar name or,

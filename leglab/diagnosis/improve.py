@@ -245,7 +245,7 @@ def improve(
     settings: DiagnosisSettings | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Improvement, ImprovedModel | None]:
-    """Improves a model by recordings.
+    """Improves a model by recordings; the improved model is None if nothing improves the model.
 
     Args:
         model: MJCF file, the name of a model that ships with leglab, or its machine.
@@ -255,9 +255,6 @@ def improve(
         settings: Settings of the diagnosis.
         progress: Called with a line of text on the present step.
 
-    Returns:
-        The improvement, and the improved model, or None if nothing improves the model.
-
     Raises:
         LeglabError: Model or recordings cannot be used.
     """
@@ -265,17 +262,9 @@ def improve(
     limits = settings.thresholds
     if held_out is None:
         recordings, held_out = split_held_out(model, recordings, (), limits)
-    held_out = tuple(held_out)
-    sure: tuple[Key, ...] = ()
-    if effects:
-        result, found = diagnose(
-            model, recordings, held_out=held_out, settings=settings, progress=progress
-        )
-        problem = found.problem
-        kept = (e for e in result.effects if e.confidence >= limits.sure)
-        sure, final = _recalibrated(found, kept)
-    else:
-        problem, final = set_up(model, recordings, held_out, settings), Hypothesis()
+    problem, sure, final = _begun(
+        model, recordings, tuple(held_out), settings, progress, effects=effects
+    )
     missing: dict[str, str] = {}
     remainder = None
     with piece("remainder", missing):
@@ -289,11 +278,8 @@ def improve(
     costs = [float(robust_cost(s[held], limits.robust_limit).mean()) for s in squares]
     gains = bool(held.any()) and pays(squares[0][held], squares[1][held], limits)
     improved = gains and costs[0] >= EXPLAINED
-    added = [f"{name} at {element}" for name, element in sure]
-    added += [remainder.words] if remainder else []
-    words = f"Added: {'; '.join(added)}."
-    if not (improved and added):
-        words = _words(*pairs[improved], costs[improved], improved=improved)
+    added = [" at ".join(key) for key in sure] + ([remainder.words] if remainder else [])
+    words = _words(*pairs[improved], costs[improved], added if improved else None)
     if not improved:
         remainder, sure, pairs[1], squares[1] = None, (), pairs[0], squares[0]
     unit = problem.machine.unit
@@ -312,11 +298,35 @@ def improve(
     return outcome, better if improved else None
 
 
-def _words(problem: Problem, final: Hypothesis, cost: float, *, improved: bool) -> str:
-    """Returns why nothing was added; `cost` is the remaining cost of the held-out recordings."""
+def _begun(
+    model: str | Path | Machine,
+    recordings: Mapping[str, Recording],
+    held_out: tuple[str, ...],
+    settings: DiagnosisSettings,
+    progress: Callable[[str], None],
+    *,
+    effects: bool,
+) -> tuple[Problem, tuple[Key, ...], Hypothesis]:
+    """Returns the problem, effects of high confidence if `effects`, and their hypothesis."""
+    if not effects:
+        return set_up(model, recordings, held_out, settings), (), Hypothesis()
+    result, found = diagnose(
+        model, recordings, held_out=held_out, settings=settings, progress=progress
+    )
+    kept = (e for e in result.effects if e.confidence >= settings.thresholds.sure)
+    return found.problem, *_recalibrated(found, kept)
+
+
+def _words(problem: Problem, final: Hypothesis, cost: float, added: list[str] | None) -> str:
+    """Returns what was added, or why nothing; `added` is None if nothing improves the model.
+
+    `cost` is the remaining cost of the held-out recordings.
+    """
+    if added:
+        return f"Added: {'; '.join(added)}."
     much = cost > EXPLAINED
     text = "Recalibrated within tolerances; no further static force improves it."
-    if not improved:
+    if added is None:
         text = "Nothing improves the model on held-out recordings"
         text += "." if much else ": it explains them."
     return f"{text} {MEMORY_WORDS}." if much and has_memory(problem, final) else text

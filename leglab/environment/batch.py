@@ -83,14 +83,13 @@ class Batch:
         self._machines = [BatchMachine(preparation.machine(), each) for each in episodes]
         for machine in self._machines:  # sensor outputs are not used
             machine.simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        sensors, nominal = preparation.sensors, preparation.nominal
         self.period = plan.period
-        self.count, self.joints = len(self._machines), nominal.joints
+        self.count, self.joints = len(self._machines), preparation.nominal.joints
         shape = self.count, len(self.joints)
         self.position, self.velocity = np.zeros(shape), np.zeros(shape)
         self.true_position, self.true_velocity = np.zeros(shape), np.zeros(shape)
         self.reference = ReferencePoint(np.zeros(shape), np.zeros(shape), np.zeros(shape))
-        hydraulic = len(nominal.hydraulic_joints)
+        hydraulic = len(preparation.nominal.hydraulic_joints)
         self._pressure = np.zeros((self.count, 2 * hydraulic + bool(hydraulic)))
         self.command, self.previous = np.zeros(shape), np.zeros(shape)
         self.action, self._wish, self._forward = (np.zeros(shape) for _ in range(3))
@@ -114,10 +113,15 @@ class Batch:
         if plan.normalize:
             self._scaled = flat_scale(observation_scales(preparation), sizes)
             self.limits = np.asarray(self._scaled.limit)
+        self._core = self._made_core(preparation, threads)
+
+    def _made_core(self, preparation: Preparation, threads: int) -> Core:
+        """Makes the core, which steps the machines and writes into the arrays of the batch."""
+        sensors, nominal = preparation.sensors, preparation.nominal
         slots = [nominal.slots(name) for name in ("pressure_a", "pressure_b")]
         timing = loop_timing(sensors, nominal.model.opt.timestep)
         gain = velocity_filter_coefficient(self.period, sensors.velocity_cutoff) / self.period
-        self._core = Core(
+        return Core(
             machines=self.count,
             threads=threads,
             timing={
@@ -133,8 +137,8 @@ class Batch:
             centre=nominal.centre,
             half=nominal.half,
             pressures=np.concatenate(slots).astype(np.int64),
-            supply=nominal.supply_slot if hydraulic else -1,
-            preview=plan.ahead,
+            supply=nominal.supply_slot if nominal.hydraulic_joints else -1,
+            preview=self._plan.ahead,
             out={
                 "position": self.position,
                 "velocity": self.velocity,

@@ -13,7 +13,7 @@ import leglab.scenarios  # noqa: F401  registers the scenarios
 from leglab.base.errors import LeglabError, SettingsError
 from leglab.base.scenario import scenario_names
 from leglab.environment.episodes import Draw, Episodes
-from leglab.environment.plan import PREVIEW, made_plan
+from leglab.environment.plan import PREVIEW, Plan, made_plan
 from leglab.environment.rewards import Reward
 from leglab.machine.display import has_display
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from leglab.environment.vector_env import LegVectorEnv
 
 
-def load(
+def load(  # noqa: D417  RunSettings describes the others
     scenario: str = "seal_wear",
     *,
     model: str = "leg",
@@ -55,26 +55,14 @@ def load(
 
     Args:
         scenario: Name of the scenario; its changes happen in the episode as in a run.
-        model: Name of a model or path of an MJCF file.
         action: "valve": valve commands in [-1, 1]. "residual": `residual_scale` times the action
             is added to the command of a controller, and the sum clipped to [-1, 1]. "torque": the
             action times the task's `torque_limit` is a torque; a force loop computes the commands.
         controller: Name of the controller for residual actions; None for static_feedforward.
-        controller_config: Settings of the controller.
         residual_scale: Valve command that a residual action of 1 stands for, in (0, 2].
         reward: Name of a reward in `REWARDS`, or a function of a `Transition`.
-        reference: Name of the reference; None for the scenario's own.
-        reference_config: Settings of the reference, which override those of the scenario.
-        severity: Severity of the scenario's change, in its own unit; None for the default.
-        ramp_duration: Duration of the change [s].
-        element: Name of the only joint that changes; None for all joints.
         onset: Time at which the first change begins [s]; None for the scenario's own time.
-        duration: Duration of an episode [s]; None for the scenario's.
         control_period: Control period [s]; None for the one in the sensor settings.
-        sensors: Settings of sensors and timing.
-        timestep: Time step of the simulation [s]; None for the model's.
-        tolerance: Relative tolerance of the machine's parameters; the seed selects the specimen.
-        seed: Seed of sensor noise and of everything random.
         randomize: None: every episode is the run of `seed`, bit for bit. Otherwise each episode
             draws a new seed and further values: by a mapping of severity, onset [s], ramp_duration
             [s], tolerance or seed to ranges (low, high) and of scenario to names, or by a function
@@ -85,27 +73,34 @@ def load(
             finite bounds; otherwise they are in SI units.
         flat_observation: Whether the observation is one array.
 
+    All other arguments are those of `leglab.runs.preparation.RunSettings`.
+
     Raises:
         LeglabError: A name or a setting does not fit, or dm_control is missing.
     """
     settings = dict(locals())  # the arguments; copied, since a debugger writes into the original
     del settings["randomize"], settings["flat_observation"]
     _require("dm_control.mujoco")
+    return _environment(made_plan(**settings), randomize, flat=flat_observation)
+
+
+def _environment(
+    plan: Plan, randomize: Mapping[str, Any] | Draw | None, *, flat: bool
+) -> "control.Environment":
+    """Makes the environment of a plan; `flat`: whether an observation is one array."""
     from dm_control.rl import control
 
     from leglab.environment.physics import LegPhysics
     from leglab.environment.task import TrackingTask
 
-    plan = made_plan(**settings)
     simulation = plan.preparation.machine(visual=True)
-    episodes = Episodes(plan.base, randomize)
     return control.Environment(
         LegPhysics.of(simulation),
-        TrackingTask(plan, simulation, episodes, flat=flat_observation),
+        TrackingTask(plan, simulation, Episodes(plan.base, randomize), flat=flat),
         # Half a period less than the duration, so that rounding cannot add a period.
         time_limit=(plan.periods - 0.5) * plan.period,
         control_timestep=plan.period,
-        flat_observation=flat_observation,
+        flat_observation=flat,
         legacy_step=False,
     )
 
@@ -136,12 +131,10 @@ def make_batch(
     Raises:
         LeglabError: A name or a setting does not fit, or a package is missing.
     """
-    if num_envs < 1:
-        told = f"num_envs {num_envs} is not allowed, must be "
-        raise SettingsError(told, given=num_envs, allowed="1 or more")
-    if threads is not None and threads < 1:
-        told = f"threads {threads} is not allowed, must be "
-        raise SettingsError(told, given=threads, allowed="1 or more")
+    for name, count in (("num_envs", num_envs), ("threads", threads)):
+        if count is not None and count < 1:
+            told = f"{name} {count} is not allowed, must be "
+            raise SettingsError(told, given=count, allowed="1 or more")
     _require("dm_control.mujoco", "gymnasium")
     from leglab.environment.batch import Batch
     from leglab.environment.vector_env import LegVectorEnv

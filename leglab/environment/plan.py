@@ -74,15 +74,8 @@ def made_plan(
     **run: Any,
 ) -> Plan:
     """Checks settings of `leglab.environment.load`, makes the plan; `run`: other `RunSettings`."""
-    if action not in ACTIONS:
-        told = f"action {action!r} is not allowed; choose one of "
-        raise SettingsError(told, given=action, allowed=ACTIONS)
-    if action != "residual" and (controller is not None or controller_config):
-        told = f"a controller acts with action='residual' only; here it is {action!r}"
-        raise SettingsError(told, given=action, allowed=("residual",))
-    if not 0 < residual_scale <= 2:
-        told = f"residual_scale {residual_scale!r} is outside "
-        raise SettingsError(told, given=residual_scale, allowed="(0, 2]")
+    controlled = controller is not None or bool(controller_config)
+    _check_actions(action, residual_scale, controlled=controlled)
     if not error_limit > 0:
         told = f"error_limit {error_limit!r} rad is not allowed, must be "
         raise SettingsError(told, given=error_limit, allowed="> 0")
@@ -117,6 +110,19 @@ def made_plan(
         error_limit=error_limit,
         normalize=normalize,
     )
+
+
+def _check_actions(action: str, residual_scale: float, *, controlled: bool) -> None:
+    """Raises `SettingsError` if actions are of no known kind, or do not fit the controller."""
+    if action not in ACTIONS:
+        told = f"action {action!r} is not allowed; choose one of "
+        raise SettingsError(told, given=action, allowed=ACTIONS)
+    if action != "residual" and controlled:
+        told = f"a controller acts with action='residual' only; here it is {action!r}"
+        raise SettingsError(told, given=action, allowed=("residual",))
+    if not 0 < residual_scale <= 2:
+        told = f"residual_scale {residual_scale!r} is outside "
+        raise SettingsError(told, given=residual_scale, allowed="(0, 2]")
 
 
 def _cylinders(preparation: Preparation) -> NominalCylinders:

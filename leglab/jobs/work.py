@@ -75,11 +75,7 @@ def answer_of(work: Callable[[], Any]) -> dict[str, Any]:
     """
     started, used = time.perf_counter(), time.process_time()
     found = _found(work)
-    return {
-        **found,
-        "wall_s": time.perf_counter() - started,
-        "cpu_s": time.process_time() - used,
-    }
+    return {**found, "wall_s": time.perf_counter() - started, "cpu_s": time.process_time() - used}
 
 
 def error_of(answer: Mapping[str, Any]) -> LeglabError:

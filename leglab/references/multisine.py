@@ -6,14 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from leglab.base.settings import Configuration
-from leglab.references.base import (
-    Joint,
-    Motion,
-    Samples,
-    register_reference,
-    rest_pose,
-    selected,
-)
+from leglab.references.base import Joint, Motion, Samples, register_reference, rest_pose, selected
 from leglab.references.blending import fade_in, scaled
 
 # Number of samples per period from which peak position, speed and acceleration are computed.

@@ -79,12 +79,7 @@ def tracking_figure(
     error = recording.stack(joints, "reference")
     error -= recording.stack(joints, "position")
     table = phase_table(recording.time, error, joints, phases) if phases else []
-    part = slice(None)
-    if span is not None:
-        first, last = np.searchsorted(recording.time, span)
-        if first >= last:
-            recording.between(*span)  # raises; the message has the recorded times
-        part = slice(int(first), int(last))
+    part = _rows_in(recording, span)
     time = recording.time[part]
     with style():
         figure, panels = add_panels(len(joints), heights=(1.35, 0.85))
@@ -112,6 +107,16 @@ def tracking_figure(
             lines.append(_line(f"RMS error over {window:g} s", BLACK, 1.4))
         add_head(figure, title, lines, phases=phases)
     return figure
+
+
+def _rows_in(recording: Recording, span: tuple[float, float] | None) -> slice:
+    """Returns the rows in a time span [s], which must not be empty; all rows if it is None."""
+    if span is None:
+        return slice(None)
+    first, last = np.searchsorted(recording.time, span)
+    if first >= last:
+        recording.between(*span)  # raises; the message has the recorded times
+    return slice(int(first), int(last))
 
 
 def pressure_figure(

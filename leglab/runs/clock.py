@@ -8,6 +8,7 @@ the time of a stride is the time at which it begins.
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,35 +59,18 @@ def adaptation(
         Figures as `AdaptationMetrics` defines them; a figure that cannot be computed is None, and
         `reason` says why.
     """
-    quarter = QUARTER * scenario.duration
     # Total duration of the whole strides that fit into a quarter of the run.
-    span = math.floor(quarter / stride + _ROUNDING) * stride
+    span = math.floor(QUARTER * scenario.duration / stride + _ROUNDING) * stride
     figures: dict[str, Any] = dict.fromkeys(AdaptationMetrics.model_fields)
     figures.update(span_s=span, stride_s=stride)
-
-    def error_of(values: np.ndarray, start: float, end: float) -> dict[str, float]:
-        first, last = np.searchsorted(time, [start - _ROUNDING, end - _ROUNDING])
-        return by_joint(joint_rms, values[first:last], joints)
-
-    change = min(scenario.breakpoints, default=0.0)
-    done = max(scenario.breakpoints, default=0.0)
+    error_of = partial(_error_of, time, joints)
     if span and not failure:
         figures["end_rad"] = error_of(error, scenario.duration - span, math.inf)
-    if failure:
-        figures["reason"] = f"the run stopped early: {failure}"
-    elif not scenario.changes:
-        figures["reason"] = NOTHING_CHANGES
-    elif not span:
-        figures["reason"] = (
-            f"a quarter of the run, {quarter:g} s, is less than a stride, {stride:g} s"
-        )
-    elif change < span:
-        figures["reason"] = f"the change at {change:g} s leaves less than {span:g} s before it"
-    elif done > scenario.duration - span:
-        figures["reason"] = f"the machine still changes in the last {span:g} s"
+    figures["reason"] = _why_untold(scenario, stride, span, failure)
     if figures["reason"]:
         return AdaptationMetrics(**figures)
 
+    change, done = scenario.breakpoints[0], scenario.breakpoints[-1]
     before = error_of(error, change - span, change)
     strides = sliding_rms(time, error, stride)
     if twin is None:
@@ -95,11 +79,8 @@ def adaptation(
         hurt = error_of(twin, done, math.inf)["all"]
         figures["twin_end_rad"] = error_of(twin, scenario.duration - span, math.inf)["all"]
     damage = hurt - before["all"]
-    figures.update(
-        before_rad=before,
-        damage_rad=damage,
-        damage_of=OWN_PEAK if twin is None else TWIN,
-    )
+    figures.update(before_rad=before, damage_rad=damage)
+    figures["damage_of"] = OWN_PEAK if twin is None else TWIN
     if hurt < HURT * before["all"]:
         figures["reason"] = "the change does no damage: it raises the error by less than a quarter"
         return AdaptationMetrics(**figures)
@@ -111,3 +92,27 @@ def adaptation(
         level_rad=level,
     )
     return AdaptationMetrics(**figures)
+
+
+def _error_of(
+    time: np.ndarray, joints: Sequence[str], values: np.ndarray, start: float, end: float
+) -> dict[str, float]:
+    """Computes RMS errors, by joint and under "all", of `values` from `start` to `end` [s]."""
+    first, last = np.searchsorted(time, [start - _ROUNDING, end - _ROUNDING])
+    return by_joint(joint_rms, values[first:last], joints)
+
+
+def _why_untold(scenario: Scenario, stride: float, span: float, failure: str) -> str | None:
+    """Returns why a run has no adaptation figures besides `end_rad`; None if it has them."""
+    quarter, change = QUARTER * scenario.duration, min(scenario.breakpoints, default=0.0)
+    if failure:
+        return f"the run stopped early: {failure}"
+    if not scenario.changes:
+        return NOTHING_CHANGES
+    if not span:
+        return f"a quarter of the run, {quarter:g} s, is less than a stride, {stride:g} s"
+    if change < span:
+        return f"the change at {change:g} s leaves less than {span:g} s before it"
+    if max(scenario.breakpoints, default=0.0) > scenario.duration - span:
+        return f"the machine still changes in the last {span:g} s"
+    return None

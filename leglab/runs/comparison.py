@@ -121,10 +121,8 @@ def run_all(
         progress: Called after each run.
 
     Returns:
-        One dict per run: `settings`; `metrics`; `changes`, the times of changes [s]; `window`, a
-        stride [s]; `time` [s] with RMS errors over the stride (`windowed_error_rad`) and the 2 s
-        (`safety_error_rad`) that end then, or None; `travel_rad`, the reference's range by joint.
-        For a failed run, `metrics` has `completed` False, `failure` (the reason) and no phases.
+        One dict per run, as from `result_of`. For a failed run, `metrics` has `completed` False,
+        `failure` (the reason) and no phases.
 
     Raises:
         LeglabError: All runs failed, the folder cannot be written to, another process writes to
@@ -149,10 +147,7 @@ def run_all(
             executor(result_of, jobs, scheduler),
             range(len(runs)),
             results,
-            lambda number: {
-                "settings": asdict(runs[number]),
-                "model_digest": bases[number]["model_digest"],
-            },
+            lambda n: {"settings": asdict(runs[n]), "model_digest": bases[n]["model_digest"]},
             told=lambda n: f"{runs[n].scenario} · {runs[n].controller} · seed {runs[n].seed}",
             progress=progress,
         )
@@ -175,7 +170,7 @@ class StoredRun:
     controller: str
     seed: int
     path: Path
-    #: Result as in `run_all`; None if the file is missing or damaged.
+    #: Result as from `result_of`; None if the file is missing or damaged.
     result: dict[str, Any] | None
 
 
@@ -231,10 +226,15 @@ def stored_runs(summary: Mapping[str, Any], folder: Path) -> list[StoredRun]:
 
 
 def result_of(given: dict[str, Any]) -> dict[str, Any]:
-    """Makes a run and returns its result in the form of `run_all`.
+    """Makes a run and returns its result.
 
     Args:
         given: Dict with the run's `settings` and the required `model_digest`.
+
+    Returns:
+        Dict of `settings`; `metrics`; `changes`, the times of changes [s]; `window`, a stride [s];
+        `time` [s] with RMS errors over the stride (`windowed_error_rad`) and the 2 s
+        (`safety_error_rad`) that end then, or None; `travel_rad`, the reference's range by joint.
 
     Raises:
         LeglabError: The run cannot be set up, or the model's files have changed.

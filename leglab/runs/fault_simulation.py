@@ -224,10 +224,7 @@ def _valves(sizes: list[tuple[ParameterChange, ...]], nominal: Simulation) -> np
 
 
 def _moments(
-    settings: RunSettings,
-    preparation: Preparation,
-    make_loop: MakeLoop,
-    changes: tuple[Any, ...],
+    settings: RunSettings, preparation: Preparation, make_loop: MakeLoop, changes: tuple[Any, ...]
 ) -> Moments:
     """Simulates the nominal machine with changes; returns moments of the learning samples."""
     told = Scenario(name="nominal", duration=1.0, reference=settings.reference or "")

@@ -11,18 +11,12 @@ from typing import Any
 from leglab import data
 from leglab.base.errors import FileError, LeglabError, RecordingError, SettingsError
 from leglab.base.input import read_json
-from leglab.base.output import cannot_write, check_folder, new_folder
+from leglab.base.output import cannot_write, check_folder, new_folder, write_json
 from leglab.base.recording import Recording
 from leglab.jobs.engine import TIMEOUT, Progress, Results, executor, make_missing
 from leglab.machine.files import since
 from leglab.runs import record
-from leglab.runs.preparation import (
-    RunSettings,
-    basis_of,
-    check_controllers,
-    prepared,
-    scenario_of,
-)
+from leglab.runs.preparation import RunSettings, basis_of, check_controllers, prepared, scenario_of
 from leglab.runs.record import (
     CONFIGURATION,
     METRICS,
@@ -115,8 +109,8 @@ def write_result(run: Result, folder: Path) -> None:
         except OSError as error:
             raise cannot_write(folder / MODEL, error) from error
         configuration = configuration.model_copy(update={"model_file": file.as_posix()})
-    record.write(run.record, folder / METRICS)
-    record.write(configuration, folder / CONFIGURATION)
+    write_json(folder / METRICS, record.as_json(run.record))
+    write_json(folder / CONFIGURATION, record.as_json(configuration))
 
 
 def model_of(folder: Path, configuration: RunConfiguration) -> str:

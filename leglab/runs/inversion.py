@@ -35,11 +35,7 @@ Trial = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def exact_commands(
-    try_out: Trial,
-    slope: np.ndarray,
-    start: np.ndarray,
-    period: float,
-    changes: Sequence[int] = (),
+    try_out: Trial, slope: np.ndarray, start: np.ndarray, period: float, changes: Sequence[int] = ()
 ) -> np.ndarray:
     """Iterates on the commands until the machine follows its reference.
 

@@ -292,10 +292,7 @@ class Loop:
         return self.wanted.position[self.present.number - self._first + periods]
 
     def run(
-        self,
-        progress: Progress | None = None,
-        *,
-        interrupted: Callable[[], bool] = lambda: False,
+        self, progress: Progress | None = None, *, interrupted: Callable[[], bool] = lambda: False
     ) -> History:
         """Runs the scenario headless, from the present state to its end.
 

@@ -33,13 +33,7 @@ from leglab.machine.files import changed_meanwhile, model_digest, model_files
 from leglab.machine.parameters import placed_parameters
 from leglab.machine.sensors import SensorConfiguration, in_whole_steps, loop_timing
 from leglab.machine.simulation import Simulation, load_model
-from leglab.references import (
-    GAIT,
-    LEG_REFERENCES,
-    Joint,
-    Reference,
-    make_reference,
-)
+from leglab.references import GAIT, LEG_REFERENCES, Joint, Reference, make_reference
 from leglab.references.base import REFERENCES
 from leglab.references.from_file import NAME as FILE
 from leglab.references.from_file import digest_of, is_file

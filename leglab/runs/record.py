@@ -1,6 +1,5 @@
-"""Content of the JSON files of a run, `metrics.json` and `run.json`, with reading and writing."""
+"""Content of the JSON files of a run, `metrics.json` and `run.json`, with reading."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -9,7 +8,6 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from leglab.base.errors import FileError
 from leglab.base.input import read_json
 from leglab.base.notebook import data_frame, data_index, html_table
-from leglab.base.output import write_atomically
 from leglab.base.settings import first_problem
 from leglab.base.units import error_unit
 from leglab.causes.fault_names import FaultEvent, FaultTrend, Name
@@ -195,16 +193,6 @@ _Content = TypeVar("_Content", bound=BaseModel)
 def as_json(content: BaseModel) -> dict[str, Any]:
     """Returns the explicitly set fields of a model as plain Python types."""
     return content.model_dump(exclude_unset=True)
-
-
-def write(content: BaseModel, path: Path) -> None:
-    """Writes a model's fields as JSON.
-
-    Raises:
-        LeglabError: The file cannot be written.
-    """
-    text = json.dumps(as_json(content), indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def read(model: type[_Content], path: Path) -> _Content:

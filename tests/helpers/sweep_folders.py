@@ -3,6 +3,7 @@
 from pathlib import Path
 from statistics import median
 
+from leglab.base.output import write_json
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.plan import SweepPlan
 
@@ -50,7 +51,7 @@ def write_sweep(
         load=["it's.py"],
     )
     folder.mkdir(parents=True)
-    store.write_json(record, folder / store.SWEEP)
+    write_json(folder / store.SWEEP, record.model_dump(), indent=1)
     books, times = store.Store(folder, plan), {}
     for number, settings in enumerate(plan):
         t90 = round(0.2 + 0.1 * number, 3) if number % 5 else None

@@ -22,7 +22,7 @@ from scipy.stats import qmc
 from leglab import RunSettings, run_scenario
 from leglab.base import plugins
 from leglab.base.errors import LeglabError
-from leglab.base.output import claimed_folder
+from leglab.base.output import claimed_folder, write_json
 from leglab.control.contract import CONTROLLERS
 from leglab.jobs import engine as jobs
 from leglab.runs.sweeps import engine, store
@@ -365,7 +365,7 @@ def test_an_end_at_any_step_of_the_books_keeps_every_row(tmp_path, monkeypatch, 
     record = store.SweepRecord(
         plan=plan.content, digest="", code="", models={}, runs=6, axes=[], version=""
     )
-    store.write_json(record, tmp_path / store.SWEEP)
+    write_json(tmp_path / store.SWEEP, record.model_dump(), indent=1)
     names = ("rms_rad", "peak_rad", "came_to_s", "valve_travel", "effort")
     figures = {**dict.fromkeys(names, 1 / 7), "named": ["x at y"]}
     steps = 0

@@ -75,8 +75,9 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
     return tuple(_combined(parts, np.concatenate) for parts in found.values())
 
 
-def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
-    machine, limits, model = problem.machine, problem.thresholds, change.variant.model
+def _windows(problem: Problem, cut: Cut) -> tuple[np.ndarray, int]:
+    """Returns samples of the windows without a gap, (windows, samples), and half their distance."""
+    limits = problem.thresholds
     # Samples are `stride` apart, about two per bin. Windows are twice as long as the position
     # filter, so that the noise of neighbouring windows is nearly independent.
     half = max(1, round(0.25 * limits.bin / cut.series.period))
@@ -86,7 +87,12 @@ def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Itera
     starts = np.arange(margin, valid.size - margin - stride * per_window, stride * per_window)
     rows = starts[:, None] + half + stride * np.arange(per_window)
     gaps = np.concatenate([[0], np.cumsum(~valid)])
-    rows = rows[gaps[rows[:, -1] + margin] == gaps[np.maximum(rows[:, 0] - margin, 0)]]
+    return rows[gaps[rows[:, -1] + margin] == gaps[np.maximum(rows[:, 0] - margin, 0)]], half
+
+
+def _of_series(problem: Problem, change: Change, cut: Cut, number: int) -> Iterator[Balance]:
+    machine, limits, model = problem.machine, problem.thresholds, change.variant.model
+    rows, half = _windows(problem, cut)
     if not rows.size:
         return
     measured = replace(measure(cut, problem.channels, change)[0], samples=rows.ravel())

@@ -160,12 +160,7 @@ _valve(
     "valve_null_leakage",
     (
         Trials(
-            "edge_rounding",
-            (0.5, 2.0, 4.0),
-            tolerance=0.1,
-            lower=0.02,
-            upper=20.0,
-            faults="above",
+            "edge_rounding", (0.5, 2.0, 4.0), tolerance=0.1, lower=0.02, upper=20.0, faults="above"
         ),
     ),
     physics="Worn metering edges: rounding eps of each, so that at its lap it is open by eps/2.",

@@ -73,6 +73,17 @@ class Score:
         return tuple(u for u, _ in self.members)
 
 
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Most probable steps of members at every scale and spread."""
+
+    factors: np.ndarray  #: Factors on the members' tangents or jumps, (scales, spreads, members)
+    values: np.ndarray  #: Departures of the members, (scales, spreads, members)
+    deviations: np.ndarray  #: Standard deviations of `values`
+    square: np.ndarray  #: Squared whitened error after the steps, (scales, spreads)
+    log: np.ndarray  #: Log of the integral of fault priors over the members, (scales, spreads)
+
+
 class _Reduced:
     """Inner products of errors, tangents and jumps with the single unknowns integrated out.
 
@@ -287,61 +298,57 @@ class Evidence:
         """
         members = tuple(members)
         own = reduced or self.whole
-        u = self.unknowns
-        index, unit, lower, upper = self._columns_of(members)
-        held = np.unique([0, *index])
-        inner = own.several(held)
-        first = inner[:, :, :, 0]
-        square = first[:, :, 0]
-        m = len(members)
-        log_members = np.zeros(square.shape)
-        values = np.zeros((*square.shape, m))
-        deviations = np.zeros((*square.shape, m))
-        steps = np.zeros((*square.shape, m))
-        if m:
-            place = np.searchsorted(held, index)
-            matrix = inner[:, :, place[:, None], place]
-            matrix = matrix + (1e-9 * np.einsum("koii->koi", matrix) + 1e-12)[..., None] * np.eye(m)
-            gradient = first[:, :, place]
-            steps = _bounded(matrix, gradient, lower, upper)
-            square = square + 2.0 * (gradient * steps).sum(axis=2)
-            square = square + np.einsum("koi,koij,koj->ko", steps, matrix, steps)
-            values = steps * unit
-            # If changes by members cancel each other, only the fault prior determines the members.
-            held = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
-            inverse = np.linalg.inv(held)
-            deviations = np.sqrt(np.einsum("koii->koi", inverse)) * np.abs(unit)
-            _, log_matrix = np.linalg.slogdet(held)
-            log_members = (
-                0.5 * m * np.log(2.0 * np.pi)
-                - 0.5 * log_matrix
-                + np.log(np.abs(unit)).sum()
-                + log_fault(u, np.array([q for q, _ in members]), values).sum(axis=2)
-            )
-        fits = own.base - 0.5 * square
-        usual = self.priors.usual(np.abs(values).max(axis=2, initial=0.0))
+        steps = self._steps(own, members)
+        fits = own.base - 0.5 * steps.square
+        usual = self.priors.usual(np.abs(steps.values).max(axis=2, initial=0.0))
         if spread is not None:
             usual[:, np.arange(fits.shape[1]) != spread] = False
         if most is not None:
             usual &= np.array(self.places)[:, None] <= most[0]
             usual[:, most[1] + 1 :] = False
         fits[~usual] = -np.inf
-        grid = fits + log_members + self.odds([q for q, _ in members])
+        grid = fits + steps.log + self.odds([q for q, _ in members])
         k, o = np.unravel_index(int(np.argmax(grid)), grid.shape)
-        step = steps[k, o]
         along = np.zeros(self.gram.shape[1])
         along[0] = 1.0
-        np.add.at(along, index, step)
+        np.add.at(along, self._columns_of(members)[0], steps.factors[k, o])
         return Score(
             members=members,
             log=float(logsumexp(grid)),
             fit=float(logsumexp(fits)),
             size=self.places[k],
             spread=int(o),
-            values=values[k, o],
-            deviations=deviations[k, o],
+            values=steps.values[k, o],
+            deviations=steps.deviations[k, o],
             shift=own.follow(int(k), int(o), along),
-            coefficients=step,
+            coefficients=steps.factors[k, o],
+        )
+
+    def _steps(self, own: _Reduced, members: Sequence[Member]) -> _Steps:
+        """Computes the most probable steps of members from reduced products."""
+        u, m = self.unknowns, len(members)
+        index, unit, lower, upper = self._columns_of(members)
+        held = np.unique([0, *index])
+        inner, place = own.several(held), np.searchsorted(held, index)
+        first = inner[:, :, :, 0]
+        matrix = inner[:, :, place[:, None], place]
+        matrix = matrix + (1e-9 * np.einsum("koii->koi", matrix) + 1e-12)[..., None] * np.eye(m)
+        gradient = first[:, :, place]
+        steps = _bounded(matrix, gradient, lower, upper)
+        square = first[:, :, 0] + 2.0 * (gradient * steps).sum(axis=2)
+        values = steps * unit
+        # If changes by members cancel each other, only the fault prior determines the members.
+        bound = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
+        _, log_matrix = np.linalg.slogdet(bound)
+        return _Steps(
+            factors=steps,
+            values=values,
+            deviations=np.sqrt(np.einsum("koii->koi", np.linalg.inv(bound))) * np.abs(unit),
+            square=square + np.einsum("koi,koij,koj->ko", steps, matrix, steps),
+            log=0.5 * m * np.log(2.0 * np.pi)
+            - 0.5 * log_matrix
+            + np.log(np.abs(unit)).sum()
+            + log_fault(u, np.array([q for q, _ in members], dtype=int), values).sum(axis=2),
         )
 
     def additions(self, score: Score) -> list[tuple[float, Member]]:

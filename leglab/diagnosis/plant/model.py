@@ -114,32 +114,14 @@ class Machine:
         model = self.base.model
         #: Names of all joints, by number.
         self.all_joints = tuple(model.joint(i).name for i in range(model.njnt))
-        for number, kind in enumerate(model.jnt_type):
-            joint, body = self.all_joints[number], model.body(model.jnt_bodyid[number]).name
-            called = repr(joint) if joint else f"{number} (without a name, of body {body!r})"
-            if kind not in (_HINGE, _SLIDE):
-                raise ModelError(
-                    f"{self.path.name}: joint {called} is a {_KINDS[kind]} joint, whose pose no "
-                    f"column measures; allowed: {_WAY_OUT[kind]}",
-                    given=joint,
-                    allowed=("hinge", "slide"),
-                )
-            if not joint:
-                told = f"{self.path.name}: joint {called} is measured by no column: they go by "
-                raise ModelError(f"{told}name; allowed: ", given=number, allowed='name="..."')
+        self._check_joints()
         #: Joints that equality constraints determine; None if all joints are measured.
         self.followers = Followers(model, self.all_joints, followers) if followers else None
         led = self.followers.leading if self.followers else {}
         #: Joints that are measured.
         self.joints = tuple(joint for joint in self.all_joints if joint not in led)
         self.actuators = tuple(model.actuator(i).name for i in range(model.nactuator))
-        for number, actuator in enumerate(self.actuators):
-            if not actuator:
-                told = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
-                raise ModelError(f"{told}allowed: ", given=number, allowed='name="..."')
-            if why := unusable(model, number):
-                told = f"{self.path.name}: actuator {actuator!r} {why}"
-                raise ModelError(told, given=actuator)
+        self._check_actuators()
         #: Actuators with an activation, in the order of MuJoCo's `act`.
         self.stateful = tuple(self.actuators[i] for i in stateful(model))
         data = mujoco.MjData(model)
@@ -154,6 +136,33 @@ class Machine:
             self.driven[name] = tuple(dict.fromkeys(x for j in own for x in led.get(j, (j,))))
         self.cylinders = self.instances(CYLINDER)
         self.on_cylinders = frozenset(j for c in self.cylinders for j in self.driven[c])
+
+    def _check_joints(self) -> None:
+        """Raises `ModelError` if no column can measure a joint."""
+        model = self.base.model
+        for number, kind in enumerate(model.jnt_type):
+            joint, body = self.all_joints[number], model.body(model.jnt_bodyid[number]).name
+            called = repr(joint) if joint else f"{number} (without a name, of body {body!r})"
+            if kind not in (_HINGE, _SLIDE):
+                raise ModelError(
+                    f"{self.path.name}: joint {called} is a {_KINDS[kind]} joint, whose pose no "
+                    f"column measures; allowed: {_WAY_OUT[kind]}",
+                    given=joint,
+                    allowed=("hinge", "slide"),
+                )
+            if not joint:
+                told = f"{self.path.name}: joint {called} is measured by no column: they go by "
+                raise ModelError(f"{told}name; allowed: ", given=number, allowed='name="..."')
+
+    def _check_actuators(self) -> None:
+        """Raises `ModelError` if an actuator has no name, or replays cannot command it."""
+        for number, actuator in enumerate(self.actuators):
+            if not actuator:
+                told = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
+                raise ModelError(f"{told}allowed: ", given=number, allowed='name="..."')
+            if why := unusable(self.base.model, number):
+                told = f"{self.path.name}: actuator {actuator!r} {why}"
+                raise ModelError(told, given=actuator)
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -257,11 +257,13 @@ def refine(
         z, base = new_z, new_base
         if before - after < 1e-2 * before:
             break
-    final = []
-    for part, form in zip(parts(z), forms, strict=True):
-        reach = float(np.max(np.abs(part.at(form.balance.inputs))))
-        final.append(replace(part, bound=1.05 * reach) if reach > 0.0 else part)
-    return tuple(final), base
+    return tuple(map(_within_data, parts(z), forms)), base
+
+
+def _within_data(part: Part, form: Form) -> Part:
+    """Returns a part that is bounded slightly above its largest value on the data of its form."""
+    reach = float(np.max(np.abs(part.at(form.balance.inputs))))
+    return replace(part, bound=1.05 * reach) if reach > 0.0 else part
 
 
 def _step(

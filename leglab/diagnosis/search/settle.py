@@ -261,8 +261,7 @@ class Fitter:
             if own < thresholds.ENOUGH:
                 break
             for _ in range(1 + thresholds.BENDS):
-                steps = {i: d for i, d in enumerate(by.tolist()) if d != 0.0}
-                moved = u.moved(point.hypothesis, steps)
+                moved = u.moved(point.hypothesis, {i: d for i, d in enumerate(by.tolist()) if d})
                 errors = self.at.at(moved)
                 after = self._cost(evidence, score, errors, values, spikes)
                 if after < lowest and self.level(errors) <= highest:

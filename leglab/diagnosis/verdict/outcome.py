@@ -135,12 +135,7 @@ def _within(library: Library, fitted: Hypothesis) -> Hypothesis:
 
 
 def _lean(
-    about: Problem,
-    fitter: Fitter,
-    row: Row,
-    named: tuple[Key, ...],
-    *,
-    fixed: tuple[Key, ...] = (),
+    about: Problem, fitter: Fitter, row: Row, named: tuple[Key, ...], *, fixed: tuple[Key, ...] = ()
 ) -> tuple[Fit, np.ndarray]:
     """Refits the reported effects; all other parameters are nominal or within their tolerance.
 

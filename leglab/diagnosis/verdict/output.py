@@ -1,6 +1,5 @@
 """Output of a diagnosis: diagnosis.json, improved.xml, and tables for the terminal."""
 
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -11,7 +10,7 @@ from rich.table import Table
 
 import leglab.machine.plugin
 from leglab.base.errors import LeglabError
-from leglab.base.output import write_atomically
+from leglab.base.output import write_atomically, write_json
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.plant.model import Machine
 from leglab.diagnosis.remainder.part import Part
@@ -28,8 +27,7 @@ _SHOWN = 20
 def write_diagnosis(result: Diagnosis, folder: Path) -> Path:
     """Writes DIR/diagnosis.json and returns its path."""
     path = folder / "diagnosis.json"
-    text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
+    write_json(path, result.to_json(), ascii_only=False)
     return path
 
 

@@ -14,6 +14,14 @@ from leglab.base.errors import FileError, LeglabError
 from leglab.base.input import read_bytes
 from leglab.base.output import cannot_write, new_file, regular_file
 
+# Options of ffmpeg between the size of the raw frames and the path of a new film.
+_NEW_FILM = (
+    *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
+    *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
+    *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
+    *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
+    *("-flags:v", "+bitexact", "-movflags", "+faststart"),
+)
 # The error line of ffmpeg with the earliest of these texts is reported; "" is in every line.
 _TELLING = ("No space left", "Unknown encoder", "")
 # Maximum time for which ffmpeg may accept no data, or may take to finish a new film [s].
@@ -47,16 +55,8 @@ def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[
             cannot be written or the disk is full.
     """
     program = _ffmpeg()
-    width, height = size
-    command = [
-        *(program, "-hide_banner", "-loglevel", "error", "-y"),
-        *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate)),
-        *("-i", "-", "-an", "-vf", "scale=out_color_matrix=bt709:out_range=tv"),
-        *("-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p"),
-        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
-        *("-color_range", "tv", "-threads", "1", "-fflags", "+bitexact"),
-        *("-flags:v", "+bitexact", "-movflags", "+faststart"),
-    ]
+    raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", str(rate))
+    command = [program, "-hide_banner", "-loglevel", "error", "-y", *raw, *_NEW_FILM]
     with new_file(out) as partial, tempfile.TemporaryFile() as log:
         try:
             process = subprocess.Popen(
@@ -73,16 +73,11 @@ def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[
         os.set_blocking(pipe, False)
 
         def write(frame: bytes) -> None:
-            left = memoryview(frame)
-            while left:
-                _, ready, _ = select.select([], [pipe], [], _PATIENCE)
-                if not ready:
-                    raise subprocess.TimeoutExpired(program, _PATIENCE)
-                try:
-                    left = left[os.write(pipe, left) :]
-                except OSError:
-                    process.wait(_PATIENCE)
-                    raise _failure(out, log) from None
+            try:
+                _write(pipe, frame)
+            except OSError:
+                process.wait(_PATIENCE)
+                raise _failure(out, log) from None
 
         try:
             yield write
@@ -97,6 +92,16 @@ def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[
             process.kill()
             process.wait()
             process.stdin.close()
+
+
+def _write(pipe: int, frame: bytes) -> None:
+    """Writes a frame to a pipe of ffmpeg, which does not block; raises if it takes no data."""
+    left = memoryview(frame)
+    while left:
+        _, ready, _ = select.select([], [pipe], [], _PATIENCE)
+        if not ready:
+            raise subprocess.TimeoutExpired("ffmpeg", _PATIENCE)
+        left = left[os.write(pipe, left) :]
 
 
 def _said(log: BinaryIO) -> str:

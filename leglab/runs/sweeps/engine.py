@@ -1,7 +1,9 @@
 """Execution of a sweep: makes its missing runs, on this machine or on a Dask cluster."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -12,7 +14,7 @@ from leglab import __version__
 from leglab.base import plugins
 from leglab.base.errors import FileError, RecordingError, SettingsError
 from leglab.base.notebook import html_table, panels
-from leglab.base.output import cannot_write, claimed_folder, remove
+from leglab.base.output import cannot_write, claimed_folder, remove, write_json
 from leglab.jobs.engine import Progress, executor, make_missing
 from leglab.jobs.fingerprint import fingerprint
 from leglab.machine.files import model_digest
@@ -153,45 +155,24 @@ def run_sweep(
         figures_of, workers, scheduler, timeout=plan.timeout, memory=plan.memory, apart=True
     )
     models = plan.check(progress)
-    record = store.SweepRecord(
-        plan=plan.content,
-        digest=plan.digest,
-        code=fingerprint(),
-        models=models,
-        runs=len(plan),
-        axes=list(plan.axes),
-        version=__version__,
-        load=[source for source, named in plugins.carried()["sources"].items() if named],
-    )
-    with claimed_folder(folder):
-        _begin(folder, record, plan, overwrite=overwrite)
-        kept = store.Store(folder, plan)
-        try:
-            if retry_failed and kept.failed:
-                kept.forget_failed()
-            _recall(plan, folder)
-            failed, before = kept.failed, kept.done
-            make_missing(
-                made_by,
-                range(len(plan)),
-                kept,
-                lambda number: _request(plan, number, folder, models),
-                ready=lambda: _ready(plan, folder, kept),
-                told=lambda _: f"{kept.failed} failed" if kept.failed > failed else "sweeping",
-                progress=progress,
-            )
-            kept.finish()
-            store.forget_earlier(folder)
-        finally:
-            kept.close()
-    return SweepResult(
-        folder=folder,
-        plan=plan,
-        made=kept.done - before,
-        done=kept.done,
-        failed=kept.failed,
-        damaged=tuple(kept.damaged),
-    )
+    with _begun(plan, folder, models, overwrite=overwrite) as kept:
+        if retry_failed and kept.failed:
+            kept.forget_failed()
+        _recall(plan, folder)
+        failed, before = kept.failed, kept.done
+        make_missing(
+            made_by,
+            range(len(plan)),
+            kept,
+            partial(_request, plan, folder.resolve(), models),
+            ready=partial(_ready, plan, folder, kept),
+            told=lambda _: f"{kept.failed} failed" if kept.failed > failed else "sweeping",
+            progress=progress,
+        )
+        kept.finish()
+        store.forget_earlier(folder)
+    counts = {"made": kept.done - before, "done": kept.done, "failed": kept.failed}
+    return SweepResult(folder=folder, plan=plan, damaged=tuple(kept.damaged), **counts)
 
 
 def record_runs(
@@ -240,6 +221,27 @@ def read_sweep(folder: str | Path) -> SweepResult:
     return SweepResult(folder=folder, plan=plan, made=0, done=len(status), failed=failed)
 
 
+@contextmanager
+def _begun(
+    plan: SweepPlan, folder: Path, models: dict[str, str], *, overwrite: bool
+) -> Iterator[store.Store]:
+    """Claims the folder of a sweep and yields its store of rows; `models` are digests."""
+    record = store.SweepRecord(
+        plan=plan.content,
+        digest=plan.digest,
+        code=fingerprint(),
+        models=models,
+        runs=len(plan),
+        axes=list(plan.axes),
+        version=__version__,
+        load=[source for source, named in plugins.carried()["sources"].items() if named],
+    )
+    with claimed_folder(folder):
+        _begin(folder, record, plan, overwrite=overwrite)
+        with closing(store.Store(folder, plan)) as kept:
+            yield kept
+
+
 def _begin(folder: Path, record: store.SweepRecord, plan: SweepPlan, *, overwrite: bool) -> None:
     """Writes the record of a new sweep; an existing sweep must be the same, or it grows."""
     store.bring_back(folder)
@@ -269,7 +271,7 @@ def _begin(folder: Path, record: store.SweepRecord, plan: SweepPlan, *, overwrit
         told = f"{str(folder)!r} holds no sweep but other files: give another"
         raise FileError(told, given=folder)
     remove(store.own(folder))
-    store.write_json(record, folder / store.SWEEP)
+    write_json(folder / store.SWEEP, record.model_dump(), indent=1)
 
 
 def _ready(plan: SweepPlan, folder: Path, kept: store.Store) -> Iterator[int]:
@@ -306,10 +308,11 @@ def _tuning_rows(folder: Path, plan: SweepPlan) -> list[dict[str, Any]]:
 
 
 def _request(
-    plan: SweepPlan, number: int, folder: Path, models: Mapping[str, str]
+    plan: SweepPlan, folder: Path, models: Mapping[str, str], number: int
 ) -> dict[str, Any]:
+    """Returns the argument of `figures_of` for a run; `folder` is absolute."""
     settings = plan.settings(number)
-    place = recording_folder(folder.resolve(), number) if "recordings" in plan.keep else None
+    place = recording_folder(folder, number) if "recordings" in plan.keep else None
     return {
         "settings": asdict(settings),
         "model_digest": models[settings.model],

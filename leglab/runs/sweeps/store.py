@@ -32,6 +32,7 @@ from leglab.base.output import (
     has_locks,
     remove,
     write_atomically,
+    write_json,
     writer_elsewhere,
 )
 from leglab.runs.record import read
@@ -339,7 +340,8 @@ class Store:
             places = database.execute(f"SELECT DISTINCT {by} FROM runs ORDER BY {by}").fetchall()
             parts = [self._write(database, place) for place in places]
             dataset = Dataset(parts=parts, proposals=_proposals(database))
-        write_json(dataset, self._folder / DATASET)  # From here on the files are the valid data.
+        # From here on the files are the valid data.
+        write_json(self._folder / DATASET, dataset.model_dump(), indent=1)
         self.close()
         self._remove_database()
 
@@ -423,12 +425,6 @@ class Store:
 
     def _remove_database(self) -> None:
         remove(self._folder.glob(f"{ROWS}*"))
-
-
-def write_json(content: BaseModel, path: Path) -> None:
-    """Writes a model's fields as JSON, atomically."""
-    text = json.dumps(content.model_dump(), indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def put_aside(folder: Path) -> None:
