@@ -19,6 +19,16 @@ if TYPE_CHECKING:
     from leglab.identification.structure.journal import Journal
 
 
+_Inputs = Annotated[
+    list[str] | None,
+    typer.Option("--input", metavar="COLUMN", help="Input, repeatable; default: u..."),
+]
+_Outputs = Annotated[
+    list[str] | None,
+    typer.Option("--output", metavar="COLUMN", help="Output, repeatable; default: y..."),
+]
+
+
 def identify(
     recordings: Annotated[
         list[Path],
@@ -27,14 +37,8 @@ def identify(
             help="Recordings to learn from: .csv, .parquet, .mat, .npz, .mcap, or folders of them.",
         ),
     ],
-    input_: Annotated[
-        list[str] | None,
-        typer.Option("--input", metavar="COLUMN", help="Input, repeatable; default: u..."),
-    ] = None,
-    output_: Annotated[
-        list[str] | None,
-        typer.Option("--output", metavar="COLUMN", help="Output, repeatable; default: y..."),
-    ] = None,
+    input_: _Inputs = None,
+    output_: _Outputs = None,
     test: Annotated[
         list[Path] | None,
         typer.Option(help="Recording to test with, repeatable; nothing is chosen by it."),

@@ -102,5 +102,5 @@ def test_the_command_runs_once_and_goes_on(tmp_path, capsys):
     assert status == 0
     assert printed.count("bsnn_arx") == 2
     assert read_sweep(tmp_path / "a").table().column("made_at").to_pylist() == made
-    arguments[5] = "2"
-    assert "holds another sweep" in command_line(*arguments, capsys=capsys)[2]
+    arguments[7] = "cold_oil"
+    assert "run 0 is not in the new plan" in command_line(*arguments, capsys=capsys)[2]

@@ -278,29 +278,61 @@ def sections(found: Identified) -> tuple[Section, ...]:
         held += " Do not use this model for simulation."
     elif found.chosen.plan.kind in LINEAR:
         held += " No nonlinear structure was better in both block sizes."
+    data, records = list(found.notes), found.problem.records
+    for use, parts, shown in (
+        ("training", records, found.trained),
+        ("test", found.tests, found.tested),
+    ):
+        if short := len(parts) - len(shown):
+            data.append(f"{short} of {len(parts)} {use} parts are too short to start a free run")
+    return (
+        Section(title="Structure", lines=_structure(found)),
+        Section(title="Unseen parts of the training data", lines=(held,)),
+        Section(title="Residuals", lines=(_residuals(found),)),
+        Section(title="Learned online", lines=_learned(found)),
+        Section(title="Data", lines=tuple(data)),
+    )
+
+
+def _structure(found: Identified) -> tuple[str, ...]:
+    """Returns the kind of the model, and a warning if its linear part alone is unstable."""
+    largest = float(np.abs(found.model.poles()).max(initial=0.0))
+    if largest <= 1.0 or found.chosen.plan.kind in LINEAR:
+        return (f"{found.kind}.",)
+    return (
+        f"{found.kind}.",
+        f"The linear part alone is unstable (pole of modulus {largest:.4g}): the model is stable "
+        "only as far as its curves or features keep it so.",
+    )
+
+
+def _residuals(found: Identified) -> str:
+    """Returns the result of the residual tests."""
     tests = tests_of(found)
-    white = tests[0].white
-    driven = [t.name for t in tests[1:] if t.outside > 0.1]
-    untold = [t.name for t in tests[1:] if t.band >= 1.0]
-    exact = max(e.one_step for e in (found.tested or found.trained)) <= _ROUNDING * deviation
-    residual = (
+    worst = max(e.one_step for e in (found.tested or found.trained))
+    if worst <= _ROUNDING * found.problem.deviation:
+        return "One-step residuals are rounding errors."
+    driven = ", ".join(t.name for t in tests[1:] if t.outside > 0.1)
+    untold = ", ".join(t.name for t in tests[1:] if t.band >= 1.0)
+    text = (
         "One-step residuals are white at 99 %"
-        if white
+        if tests[0].white
         else "One-step residuals are correlated: noise is coloured, or dynamics are missing"
     )
-    residual += (
-        f"; they depend on past {', '.join(driven)}, so that input's dynamics are not complete."
-        if driven
-        else "; they do not depend on past inputs."
-    )
-    if untold:
-        residual += f" Too few samples to tell it of {', '.join(untold)}."
-    if exact:
-        residual = "One-step residuals are rounding errors."
+    if driven:
+        text += f"; they depend on past {driven}, so that input's dynamics are not complete."
+    else:
+        text += "; they do not depend on past inputs."
+    return text + f" The samples are too few to test {untold}." * bool(untold)
+
+
+def _learned(found: Identified) -> tuple[str, ...]:
+    """Returns the errors after an online pass, and by which error the model goes on learning."""
     use = "test" if found.tested else "training"
-    online = [
+    begun = "straight curves" if isinstance(found.model, SplineStateSpace) else "nothing"
+    lines = [
         f"free run over {e.recording} ({use}): {number(e.free_run)} as fitted, {number(e.online)} "
-        f"if the same structure learns the training data online, in one pass {_begun(found)}."
+        f"if the same structure learns the training data online, in one pass from {begun}."
         for e in (found.tested or found.trained)
     ]
     settings = found.model.settings
@@ -310,34 +342,7 @@ def sections(found: Identified) -> tuple[Section, ...]:
         else settings.output_error_after > 0
     )
     by = "the free run's" if simulates else "the one-step"
-    online.append(f"The model goes on learning by {by} error.")
-    structure, largest = [f"{found.kind}."], float(np.abs(found.model.poles()).max(initial=0.0))
-    if largest > 1.0 and found.chosen.plan.kind not in LINEAR:
-        structure.append(
-            f"The linear part alone is unstable (pole of modulus {largest:.4g}): the model is "
-            "stable only as far as its curves or features keep it so."
-        )
-    data, records = list(found.notes), found.problem.records
-    for use, all_, shown in (
-        ("training", records, found.trained),
-        ("test", found.tests, found.tested),
-    ):
-        if short := len(all_) - len(shown):
-            data.append(
-                f"{short} of {len(all_)} {use} parts are too short to start a free run from"
-            )
-    return (
-        Section(title="Structure", lines=tuple(structure)),
-        Section(title="Unseen parts of the training data", lines=(held,)),
-        Section(title="Residuals", lines=(residual,)),
-        Section(title="Learned online", lines=tuple(online)),
-        Section(title="Data", lines=tuple(data)),
-    )
-
-
-def _begun(found: Identified) -> str:
-    """Returns a phrase on the model from which the online pass starts."""
-    return "from straight curves" if isinstance(found.model, SplineStateSpace) else "from nothing"
+    return (*lines, f"The model goes on learning by {by} error.")
 
 
 def errors_table(found: Identified) -> Table:

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from leglab.base.output import remove
+from leglab.base.output import remove, write_json
 from leglab.runs.run_settings import RunSettings
 from leglab.runs.sweeps import store
 from leglab.runs.sweeps.plan import SweepPlan
@@ -40,7 +40,7 @@ def grow(folder: Path, record: store.SweepRecord, plan: SweepPlan) -> str:
     built = folder / _BUILT
     remove([built])
     built.mkdir()
-    store.write_json(record, built / store.SWEEP)
+    write_json(built / store.SWEEP, record.model_dump(), indent=1)
     kept = store.Store(built, plan)
     for batch in store.read_rows(folder).to_batches(batch_size=_BATCH):
         for row in batch.to_pylist():
