@@ -86,12 +86,6 @@ def test_what_comes_nearest_is_told_with_its_doubt_and_is_not_in_the_model():
     assert "spring stiffness" not in improved_words(result)
 
 
-def test_values_of_the_improved_model_may_differ_from_the_table():
-    named = replace(diagnosis(), model="improved.xml")
-    for result, differ in ((named, True), (replace(named, verdict="fitted"), False)):
-        assert ("fitted without the small effects" in improved_words(result)) is differ
-
-
 def test_an_error_without_a_name_has_a_place_and_a_shape():
     result = diagnosis("unexplained", learned="a torque that repeats")
     result = result.with_model("improved.xml", result.learned, [0.0031, 2e5])

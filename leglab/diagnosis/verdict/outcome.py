@@ -66,9 +66,15 @@ class Outcome:
                 self.final = self.written
         else:
             lean, spread = _lean(self.about, fitter, row, self.named)
+            agrees = lean.level <= (1.0 + SMALL) * row.level
+            if not agrees:  # The file holds the reported values; other parameters are refitted.
+                lean, _ = _lean(self.about, fitter, row, self.named, fixed=self.named)
             self.written = _named_alone(problem.library, lean.columns.base, self.named)
-            if lean.level <= (1.0 + SMALL) * row.level:
+            if agrees:
                 self.final, self.spread = self.written, spread
+            else:
+                told = {key: self.final[key] for key in self.named}
+                self.written = Hypothesis({**self.written, **told}, self.written.onsets)
             tuned = lean
             if row is not nothing or self.named:
                 about = problem.about(self.nothing)

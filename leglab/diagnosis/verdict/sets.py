@@ -76,7 +76,8 @@ class Sets:
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
         """Yields fitted windows, then held-out windows, with medians of squared whitened errors.
 
-        The medians, (3, recordings, channels), are with the effect, without it, of the difference.
+        The medians, (3, recordings, channels), are with the effect, without it, of the difference
+        c. A window has the weight c/(c + 1), because an effect such as a limit acts in few windows.
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:
@@ -86,9 +87,15 @@ class Sets:
             with_, without = (np.clip(at.at(h), -BLOWN, BLOWN) for h in both)
             tried.append((at, self._whiteners(at), with_, without))
         for at, roots, with_, without in tried:
-            squares = (self.channel_squares(e, roots) for e in (with_, without, without - with_))
+            change = self.channel_squares(without - with_, roots)
+            squares = *(self.channel_squares(e, roots) for e in (with_, without)), change
+            weight = change / (change + 1.0) + 1e-12
+            parts = [at.recording == r for r in np.unique(at.recording)]
             middles = [
-                [np.median(square[at.recording == r], axis=0) for r in np.unique(at.recording)]
+                [
+                    np.quantile(square[p], 0.5, axis=0, weights=weight[p], method="inverted_cdf")
+                    for p in parts
+                ]
                 for square in squares
             ]
             yield at, np.array(middles)

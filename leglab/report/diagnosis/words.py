@@ -245,8 +245,6 @@ def improved_words(result: Diagnosis) -> str:
         holds.append("a learned remainder")
     text = f"It holds {listed(tuple(holds or ['the model as it was']))}"
     text += "." if effects else "; no effect without a name is in it."
-    if effects and result.recalibrated and not result.calibration:
-        text += " Values in it were fitted without the small effects that have no name."
     if result.learned:
         text += f" Learned: {result.learned.rstrip('.')}."
     doubtful = []
