@@ -20,7 +20,7 @@ from leglab.identification.settings import SignalSettings
 if TYPE_CHECKING:
     import control
 
-_OBSERVED = 10  # measured samples, per state, from which a free run's initial state is estimated
+OBSERVED = 10  # measured samples, per state, from which a free run's initial state is estimated
 # Simulation to rest: change of scaled states per round at which it ends, samples per round, rounds.
 _RESTS, _ROUND, _ROUNDS = 1e-9, 1000, 100
 REACH = 2.0  # bound of the scaled states in the C header, as in the core (state_space.h)
@@ -159,7 +159,7 @@ class SplineStateSpaceSettings(SignalSettings):
     @property
     def lags(self) -> int:
         """Measured samples from which the initial state of a free run is estimated."""
-        return _OBSERVED * self.structure.states + max(self.structure.delays)
+        return OBSERVED * self.structure.states + max(self.structure.delays)
 
 
 class SplineStateSpace(Identifier):

@@ -22,10 +22,10 @@ from leglab.identification import (
 from leglab.identification.c_header import c_header
 from leglab.identification.settings import Rls
 from leglab.identification.structure import blocks, plans, search
-from leglab.identification.structure.fit import Problem, Record, Stretch
-from leglab.identification.structure.identified import disturbed_model, rms
+from leglab.identification.structure.fit import Fit, Problem, Record, Stretch
+from leglab.identification.structure.identified import disturbed_model, rms, settled
 from leglab.identification.structure.library import Orders
-from leglab.identification.structure.states import StatePath, segments_of
+from leglab.identification.structure.states import StatePath, refitted, segments_of
 
 Y = Signal(name="y", lower=-3.0, upper=5.0)
 U = (Signal(name="u", lower=-1.0, upper=3.0), Signal(name="v", lower=-2.0, upper=2.0))
@@ -241,6 +241,36 @@ def test_a_bend_between_two_filters_is_fitted_to_the_noise(inner):
         StatePath(p, structure, 100.0, 3000, block, found.fit.theta).fit for p in (inner, other)
     ]
     assert np.array_equal(fits[0].theta, fits[1].theta)
+
+
+def test_a_refit_stays_in_its_minimum_where_records_begin_far_from_rest():
+    rng, records = np.random.default_rng(3), []
+    for _ in range(4):
+        u = np.repeat(rng.uniform(-1, 1, 11), 15)[:150]
+        x, late, y = rng.uniform(-3, 3), 0.0, []
+        for now in u:
+            y.append(x + 0.02 * rng.normal())
+            late += 0.2 * (now - late)
+            x += 0.01 * (3 * late - x) - 0.004 * x * abs(x)
+        records.append(Record(u[:, None], np.array(y)))
+    y, u = (np.concatenate([getattr(r, name).ravel() for r in records]) for name in "yu")
+    problem = Problem(records, template_of(u, y))
+    path = StatePath(problem, StateSpace(states=4, delays=(0,)), 10.0, 3000)
+    for _ in range(2):
+        path.grow()
+    assert refitted(problem, path.fit, 10.0, 100_000).error < 1.1 * path.fit.error
+
+
+def test_a_fit_in_a_wrong_minimum_gives_way_to_the_linear_model(inner):
+    linear = search.searched(inner, plans.Plan("linear", Orders(2, 3, (0,)), 200))
+    plan = plans.Plan(plans.STATES, Orders(3, 0, (0,)), 0, 100.0, 1, 3000)
+    structure = StateSpace(states=3, delays=(0,), curves=1)
+    lost = Fit((structure,), np.zeros(structure.count), 1.0)  # of zeros no descent knows a way
+    better = tuple(tuple(0.01 * e for e in part) for part in linear.held_out)
+    wrong = plans.Candidate(plan, lost, better, ())
+    assert settled(inner, [wrong, linear])[0].plan == linear.plan
+    found = search.searched(inner, plan)
+    assert settled(inner, [found, linear])[0].plan == plan
 
 
 def test_segments_are_outside_of_a_block_and_within_a_budget(inner):

@@ -311,7 +311,7 @@ def _identified(
     k: int,
 ) -> Identified:
     """Refits the chosen structure to more samples of all records, and collects the results."""
-    candidates = _settled(problem, found)
+    candidates = settled(problem, found)
     output, tests = learned.outputs[k], tested.records[k] if tested else ()
     notes = (*learned.notes, *(tested.notes if tested else ()))
     notes += _drift(problem.records, tests, learned.inputs, output)
@@ -327,7 +327,7 @@ def _identified(
     )
 
 
-def _settled(problem: Problem, found: Sequence[Candidate]) -> tuple[Candidate, ...]:
+def settled(problem: Problem, found: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """Returns the candidates, first the best one whose fit to all records holds.
 
     A fit has ended in a wrong minimum if its free run over the records that it has seen is worse

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leglab._native.structure import StateRuns
-from leglab.identification.spline_state_space import StateSpace
+from leglab.identification.spline_state_space import OBSERVED, StateSpace
 from leglab.identification.structure.fit import (
     ITERATIONS,
     LEAST_SHARE,
@@ -198,18 +198,33 @@ class StatePath:
         return replace(model, theta=theta), error
 
     def _begun(self, structure: StateSpace, theta: Array) -> Array:
-        """Fits the initial states of all segments alone: zeros could lead to another minimum."""
-        runs, own = self._runs(structure), slice(structure.count, None)
+        """Fits the initial states alone, to the first samples of each segment, then to all.
 
-        def sums(starts: Array, sensitivities: bool) -> Sums:
-            found = Sums(*runs.sums(np.append(theta[: structure.count], starts), sensitivities))
-            if not sensitivities:
-                return found
-            return found._replace(products=found.products[own, own], gradient=found.gradient[own])
+        They begin at the smallest states with the first output of each segment. From zeros, a fit
+        to all samples at once may end in another minimum.
+        """
+        own, parameters = slice(structure.count, None), theta[: structure.count]
+        parts, output = structure.parts(parameters), self._problem.template.output
+        first = [self._problem.records[s.record].y[s.start :][: s.length] for s in self._of]
+        y = np.array([y[np.isfinite(y)][0] for y in first])
+        away = (y - output.centre) / output.half_range - parts.d
+        starts = (away[:, None] * parts.C / max(parts.C @ parts.C, _RIDGE)).clip(-1.0, 1.0).ravel()
+        form = self._strength / self._problem.count * _LINEAR * np.eye(len(starts))
+        for length in (OBSERVED * structure.states, None):
+            of = [
+                s if length is None else s._replace(length=min(s.length, length)) for s in self._of
+            ]
+            runs = runs_of(self._problem, structure, of)
 
-        form = self._strength / self._problem.count * _LINEAR * np.eye(len(theta[own]))
-        starts, _ = descend(sums, theta[own], form, self._problem.variance, ITERATIONS)
-        return np.append(theta[: structure.count], starts)
+            def sums(at: Array, sensitivities: bool, runs: StateRuns = runs) -> Sums:
+                found = Sums(*runs.sums(np.append(parameters, at), sensitivities))
+                if not sensitivities:
+                    return found
+                products, gradient = found.products[own, own], found.gradient[own]
+                return found._replace(products=products, gradient=gradient)
+
+            starts, _ = descend(sums, starts, form, self._problem.variance, ITERATIONS)
+        return np.append(parameters, starts)
 
     def _prior(self, model: _Model) -> Array:
         count = model.structure.count
