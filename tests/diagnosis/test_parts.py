@@ -22,7 +22,9 @@ from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.diagnosis.replay.windows import Channel, Cut, noise_level, smoothed
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.search.pipeline import set_up
+from leglab.diagnosis.verdict.confidence import _explained
 from leglab.diagnosis.verdict.notes import at_limits
+from leglab.diagnosis.verdict.sets import Sets
 from leglab.diagnosis.verdict.verdict import _rivals
 from rigs import PENDULUM
 from rigs.bench import FAULTS, FaultyBench, detuned, references
@@ -426,3 +428,22 @@ def test_sets_of_the_same_effects_are_told_apart_by_their_elements():
     score = SimpleNamespace(log=0.0)
     rows = [SimpleNamespace(keys=frozenset(one), score=score, level=1.0) for one in sets]
     assert _rivals(rows).names == ("gain at hip", "gain at knee", "gain + play", "nothing")
+
+
+def test_an_effect_explains_the_windows_in_which_it_acts():
+    rng = np.random.default_rng(0)
+    left = rng.normal(size=(20, 1))
+    without = left.copy()
+    without[[3, 9, 15]] += 30.0  # a limit that binds in three of twenty windows
+    at = SimpleNamespace(recording=np.zeros(20, dtype=int), size=10)
+    sets = SimpleNamespace(
+        at=at,
+        channels=1,
+        elsewhere=None,
+        _roots=None,
+        without=lambda row, key: without,
+        channel_squares=lambda errors, roots: errors**2,
+    )
+    ((_, medians),) = Sets.shown(sets, SimpleNamespace(left=left), ("force_saturation", "knee"))
+    share, acts = _explained(sets, at, medians)
+    assert min(share, acts) > 0.95
