@@ -66,15 +66,15 @@ class Outcome:
                 self.final = self.written
         else:
             lean, spread = _lean(self.about, fitter, row, self.named)
-            agrees = lean.level <= (1.0 + SMALL) * row.level
-            if not agrees:  # The file holds the reported values; other parameters are refitted.
-                lean, _ = _lean(self.about, fitter, row, self.named, fixed=self.named)
-            self.written = _named_alone(problem.library, lean.columns.base, self.named)
-            if agrees:
+            clear = judged.verdict == "nothing_missing"
+            if clear or lean.level <= (1.0 + SMALL) * row.level:
+                self.written = _named_alone(problem.library, lean.columns.base, self.named)
                 self.final, self.spread = self.written, spread
-            else:
-                told = {key: self.final[key] for key in self.named}
-                self.written = Hypothesis({**self.written, **told}, self.written.onsets)
+            else:  # the written model has the reported values; its other parameters are refitted
+                lean, _ = _lean(self.about, fitter, row, self.named, fixed=self.named)
+                told = {key: self.final[key] for key in self.named if key in self.final}
+                alone = _named_alone(problem.library, lean.columns.base, self.named)
+                self.written = Hypothesis({**alone, **told}, alone.onsets)
             tuned = lean
             if row is not nothing or self.named:
                 about = problem.about(self.nothing)
