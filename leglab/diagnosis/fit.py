@@ -126,6 +126,16 @@ def fit(
     return fitted.told(began)
 
 
+# Effects by the MJCF attribute that holds their value.
+_ATTRIBUTES = {
+    "frictionloss": "coulomb_friction",
+    "damping": "viscous_friction",
+    "stiffness": "spring_stiffness",
+    "forcerange": "force_saturation",
+    "ctrlrange": "command_saturation",
+}
+
+
 def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
     """Returns effect, element and number of a parameter that the user names."""
     own = [
@@ -136,7 +146,7 @@ def _place(library: Library, wanted: Wanted) -> tuple[Key, int]:
     ]
     ways: tuple[Callable[[Key, str], bool], ...] = (
         lambda key, name: f"{key[0]}.{name}" == wanted.name,
-        lambda key, _: key[0] == wanted.name,
+        lambda key, _: key[0] in (wanted.name, _ATTRIBUTES.get(wanted.name)),
         lambda _, name: name == wanted.name,
     )
     asked, several = f"{wanted.element}:{wanted.name}", own

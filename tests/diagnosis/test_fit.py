@@ -143,6 +143,8 @@ def test_unknown_parameters_are_told_what_there_is(logs, text, allowed):
 
 
 def test_a_parameter_is_fitted_once(logs):
-    twice = [Wanted.parse("hinge:armature"), Wanted.parse("hinge:armature.inertia")]
-    with pytest.raises(SettingsError, match="given more than once; allowed: once"):
-        fit(PENDULUM.model, logs, twice)
+    names = ("armature", "armature.inertia"), ("frictionloss", "coulomb_friction")
+    for pair in names:  # an attribute of MJCF stands for the effect
+        twice = [Wanted.parse(f"hinge:{name}") for name in pair]
+        with pytest.raises(SettingsError, match="given more than once; allowed: once"):
+            fit(PENDULUM.model, logs, twice)
