@@ -155,6 +155,10 @@ def show_diagnosis(
     for line in results.summary_lines(result):
         output.print(line, markup=False)
     page = "diagnosis.json" if "diagnosis.html" in result.missing else "diagnosis.html"
+    if not result.model and "improved.xml" not in result.missing:
+        tell("no improved.xml: no change of the model is sure")
+    elif any(line.startswith("+") and "leglab." in line for line in result.changed):
+        tell("improved.xml needs leglab's plugins: leglab.machine.plugin.load_plugin() loads them")
     tell(f"{result.seconds:.1f} s, {result.rollouts:.0f} replays; {out / page}")
     for name in why:
         for line in explained(result, name, effects):
