@@ -66,8 +66,7 @@ class Outcome:
                 self.final = self.written
         else:
             lean, spread = _lean(self.about, fitter, row, self.named)
-            clear = judged.verdict == "nothing_missing"
-            if clear or lean.level <= (1.0 + SMALL) * row.level:
+            if lean.level <= (1.0 + SMALL) * row.level:
                 self.written = _named_alone(problem.library, lean.columns.base, self.named)
                 self.final, self.spread = self.written, spread
             else:  # the written model has the reported values; its other parameters are refitted
