@@ -331,7 +331,7 @@ def _learned(found: Identified) -> tuple[str, ...]:
     use = "test" if found.tested else "training"
     begun = "straight curves" if isinstance(found.model, SplineStateSpace) else "nothing"
     lines = [
-        f"free run over {e.recording} ({use}): {number(e.free_run)} as fitted, {number(e.online)} "
+        f"Free run over {e.recording} ({use}): {number(e.free_run)} as fitted, {number(e.online)} "
         f"if the same structure learns the training data online, in one pass from {begun}."
         for e in (found.tested or found.trained)
     ]

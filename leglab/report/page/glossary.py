@@ -19,6 +19,8 @@ MEANINGS = {
     "it. The error that it causes is that of the frozen twin, or the run's own peak.",
     "feed-forward": "Part of a command that follows from the reference and a model of the machine, "
     "without waiting for an error.",
+    "free run": "Simulation of the output from the inputs alone, after measured first samples. Its "
+    "fit is 100 % without an error, and 0 % if it errs as much as the output's mean.",
     "frozen twin": "The same run once more with adaptation stopped just before the change: the "
     "error that the change causes as long as nothing adapts to it.",
     "gap": "Replay error beyond what the noise of the sensors alone gives.",
@@ -32,7 +34,7 @@ MEANINGS = {
     "kind have, and no effect added: what tuning alone gains.",
     "replay": "Simulation of a fraction of a second of a recording, from the measured motion and "
     "with the measured command.",
-    "RMS": "Root mean square, over the time and the joints that are told.",
+    "RMS": "Root mean square.",
     "seed": "Number that draws all that is random in a run: noise of the sensors, and where asked "
     "for, the machine, the time of the change and the phase of the motion.",
     "specimen": "One machine of its kind. Its parameters differ from the drawing within a "
