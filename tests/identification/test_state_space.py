@@ -253,8 +253,8 @@ def test_a_refit_stays_in_its_minimum_where_records_begin_far_from_rest():
             late += 0.2 * (now - late)
             x += 0.01 * (3 * late - x) - 0.004 * x * abs(x)
         records.append(Record(u[:, None], np.array(y)))
-    y, u = (np.concatenate([getattr(r, name).ravel() for r in records]) for name in "yu")
-    problem = Problem(records, template_of(u, y))
+    y = np.concatenate([record.y for record in records])
+    problem = Problem(records, template_of(np.array([-1.0, 1.0]), y))
     path = StatePath(problem, StateSpace(states=4, delays=(0,)), 10.0, 3000)
     for _ in range(2):
         path.grow()
