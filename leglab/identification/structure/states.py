@@ -208,7 +208,11 @@ class StatePath:
         first = [self._problem.records[s.record].y[s.start :][: s.length] for s in self._of]
         y = np.array([y[np.isfinite(y)][0] for y in first])
         away = (y - output.centre) / output.half_range - parts.d
-        starts = (away[:, None] * parts.C / max(parts.C @ parts.C, _RIDGE)).clip(-1.0, 1.0).ravel()
+        starts = (
+            (away[:, None] * parts.C / max(float(parts.C @ parts.C), _RIDGE))
+            .clip(-1.0, 1.0)
+            .ravel()
+        )
         form = self._strength / self._problem.count * _LINEAR * np.eye(len(starts))
         for length in (OBSERVED * structure.states, None):
             of = [
