@@ -11,6 +11,7 @@ from leglab.report.film.look import Rect
 
 FIELD_OF_VIEW = 24.0  # vertical [degrees]; small, so that perspective hardly differs between panels
 DEFAULT_CAMERA = "three_quarter"
+SIGNS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T  # of the corners of a box
 _MARGIN = 10  # margin around the points of `crop` [px]
 
 
@@ -68,9 +69,8 @@ def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
     """Returns the corners of the boxes around geoms [m], (8 geoms, 3)."""
-    signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     boxes = model.geom_aabb[geoms]
-    local = boxes[:, None, :3] + signs[None] * boxes[:, None, 3:]
+    local = boxes[:, None, :3] + SIGNS[None] * boxes[:, None, 3:]
     turned = np.einsum("gij,gkj->gki", data.geom_xmat[geoms].reshape(-1, 3, 3), local)
     return (turned + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
 

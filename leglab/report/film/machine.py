@@ -258,8 +258,7 @@ class _CylinderShapes:
         self._parameters = [simulation.cylinder_parameters(name) for name in simulation.cylinders]
         self.tendons = {model.tendon(i).name for i in tendons[on_tendon].tolist()}
         bore = max((parameters["bore"] for parameters in self._parameters), default=0.0)
-        signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
-        self._corners = _radius(bore) * signs
+        self._corners = _radius(bore) * framing.SIGNS
 
     def corners(self, data: mujoco.MjData) -> np.ndarray:
         """Returns corners of boxes around the ends of cylinders and springs [m], (8 n, 3)."""
