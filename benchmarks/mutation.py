@@ -33,7 +33,9 @@ MODULES = {
     "leglab.runs.clock": ("tests/runs/test_clock.py",),
     "leglab.diagnosis.likelihood.evidence": _VERDICT,
     "leglab.diagnosis.likelihood.priors": _VERDICT,
-    "leglab.diagnosis.verdict.confidence": _VERDICT,
+    "leglab.diagnosis.verdict.confidence": ("tests/diagnosis/test_judging.py",),
+    "leglab.diagnosis.verdict.table": ("tests/diagnosis/test_judging.py",),
+    "leglab.diagnosis.verdict.tabulation": _VERDICT,
     "leglab.diagnosis.verdict.outcome": _VERDICT,
     "leglab.diagnosis.verdict.verdict": _VERDICT,
 }
@@ -47,7 +49,7 @@ FAULTS = {
     ),
     "rivals that fit as well are no ties": (
         "diagnosis.verdict.confidence",
-        "_ties(rows, best[0], key) if sure > NAMED else ()", "()",
+        "_ties(table, sets[best[0]], next(iter(names))) if alone else ()", "()",
         "test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more",
     ),
     "a name may lack a part of the recordings": (
@@ -56,20 +58,20 @@ FAULTS = {
         "(float(share[sound].sum()),)", "test_what_a_single_recording_shows_has_no_name",
     ),
     "directions need not differ": (
-        "diagnosis.verdict.confidence", "return max(claims, default=1.0)", "return 1.0",
+        "diagnosis.verdict.tabulation", "return max(claims, default=1.0)", "return 1.0",
         "test_friction_by_direction_is_named_only_where_directions_differ",
     ),
     "what ended at a bound has a name": (
-        "diagnosis.verdict.confidence", "sound = has & ~np.array([bool(r.ended) for r in rows])",
+        "diagnosis.verdict.confidence", "sound = has & ~np.array([bool(one.ended) for one in sets])",
         "sound = has", "test_what_ends_at_its_bound_has_no_name",
     ),
     "all is clear at any error": (
-        "diagnosis.verdict.confidence", "return largest**0.5 <= EXPLAINED", "return True",
+        "diagnosis.replay.residual", "return largest**0.5 <= EXPLAINED", "return True",
         "test_nothing_is_named_where_nothing_that_is_looked_for_is_there",
     ),
     "all is clear though another set is more probable": (
-        "diagnosis.verdict.confidence", "if not row.keys and own >= thresholds.POSSIBLE:",
-        "if not row.keys:",
+        "diagnosis.verdict.confidence", "if not one.keys and probable and one.quiet:",
+        "if not one.keys and one.quiet:",
         "test_what_explains_the_recordings_as_well_stands_beside",
     ),
     "a healthy machine is not all-clear": (
@@ -80,8 +82,8 @@ FAULTS = {
     ),
     "a machine that errs as it did has changed where a set gains": (
         "diagnosis.verdict.confidence",
-        "self.as_it_was = specimen is not None and _unchanged(sets, specimen)",
-        "self.as_it_was = False",
+        "as_it_was = bool(table.as_it_was) or (table.as_it_was is not None and quiet is not None)",
+        "as_it_was = False",
         "test_an_unchanged_machine_is_told_so_whatever_explains_its_errors",
     ),
     "a drive may be turned down": (
@@ -89,7 +91,7 @@ FAULTS = {
         "test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive",
     ),
     "what hardly acts where held out is refuted": (
-        "diagnosis.verdict.confidence", "share -= acts * max(share - explains, 0.0)",
+        "diagnosis.verdict.table", "share -= acts * max(share - explains, 0.0)",
         "share = min(share, explains)",
         "test_what_held_out_motion_hardly_shows_is_told_by_all_recordings",
     ),

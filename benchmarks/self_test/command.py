@@ -26,6 +26,8 @@ def diagnosed(
 ) -> dict[str, Any]:
     """Runs the command on one thread, and returns the content of diagnosis.json.
 
+    `sets` in it is the content of sets.json.
+
     Args:
         model: MJCF file, or the name of a model that ships with leglab.
         recordings: By name.
@@ -37,7 +39,7 @@ def diagnosed(
     """
     with tempfile.TemporaryDirectory() as name:
         folder, out = Path(name), Path(name) / "out"
-        words = ["diagnose", str(model), "--out", str(out)]
+        words = ["diagnose", str(model), "--out", str(out), "--keep"]
         for option, logs in (("", recordings), ("--healthy", healthy or {})):
             place = folder / (option or "recordings")
             place.mkdir()
@@ -58,6 +60,7 @@ def diagnosed(
             told = " ".join(done.stderr.split()[-60:])
             raise SimulationError(f"leglab diagnose ends with status {done.returncode}: {told}")
         content: dict[str, Any] = json.loads((out / "diagnosis.json").read_text())
+        content["sets"] = json.loads((out / "sets.json").read_text())
         for lost, reason in (content["missing"] or {}).items():
             raise SimulationError(f"{lost} is missing: {reason}")
         if content["model"]:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -96,6 +96,7 @@ class Outcome:
     #: Earliest and latest onset [s], in the order of `onsets`.
     onset_intervals: tuple[tuple[float, float], ...] = ()
     changed: tuple[str, ...] = ()  #: How improved.xml differs from the model
+    sets: dict[str, Any] = field(default_factory=dict)  #: What sets.json holds
 
     @property
     def first(self) -> bool:
@@ -189,6 +190,7 @@ def run_case(case: Case, seed: int) -> Outcome:
         after=content["gap"]["after"],
         seconds=perf_counter() - began,
         changed=tuple(content["changed"]),
+        sets=content["sets"],
     )
 
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from leglab.diagnosis.verdict.outcome import Outcome
 
 MARK = "diagnosis.json"
-MADE = ("diagnosis.html", "improved.xml", "figures")
+KEPT = "sets.json"
+MADE = ("diagnosis.html", "improved.xml", "figures", KEPT)
 """What `leglab diagnose` and `leglab fit` write besides `MARK`."""
 
 _Healthy = Annotated[
@@ -40,6 +41,14 @@ _Why = Annotated[
         "sets, the fitted sets with it, the most probable set."
     ),
 ]
+_Keep = Annotated[
+    bool,
+    typer.Option(
+        "--keep",
+        help="Also write sets.json: all sets of effects with their evidence, by which "
+        "leglab.diagnosis.verdict.confidence.judge gives the verdict anew, without replays.",
+    ),
+]
 
 
 def diagnose(
@@ -54,6 +63,7 @@ def diagnose(
     salvage: options.Salvage = False,
     effect: _Effect = None,
     why: _Why = None,
+    keep: _Keep = False,
     fix_base: options.FixBase = False,
     overwrite: options.Overwrite = False,
     as_json: options.Json = False,
@@ -87,6 +97,8 @@ def diagnose(
         with told_stages("diagnosis") as show:
             result, found = run(progress=show)
             result = _with_improved_model(result, found, folder, show)
+        if keep:
+            found.table.write(folder / KEPT)
         write_diagnosis(result, folder, model)
     show_diagnosis(result, out, as_json=as_json, why=why or (), effects=effect or ())
 

@@ -283,6 +283,12 @@ def noise_alone(squares: np.ndarray, recording: np.ndarray) -> bool:
     return all(float(np.quantile(one, share)) <= limit for one in own)
 
 
+def as_noise(squares: np.ndarray, recording: np.ndarray) -> bool:
+    """Tests whether the median error of each recording is noise; arguments as of `noise_alone`."""
+    largest = max(float(np.median(squares[recording == r])) for r in np.unique(recording))
+    return largest**0.5 <= EXPLAINED
+
+
 def lessens(before: float, after: float) -> bool:
     """Tests whether an error falls by the share `EXPLANATION` of its excess over noise.
 

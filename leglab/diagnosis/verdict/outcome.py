@@ -16,20 +16,22 @@ from leglab.diagnosis.search.onset import begun
 from leglab.diagnosis.search.settle import Candidate, Fit, Fitter
 from leglab.diagnosis.thresholds import ABSENT, RENEWALS, SMALL
 from leglab.diagnosis.verdict.confidence import Judgement
-from leglab.diagnosis.verdict.sets import Row
+from leglab.diagnosis.verdict.sets import Row, Sets
+from leglab.diagnosis.verdict.table import Table
 
 
 class Outcome:
     """Judged search with the hypotheses and parameters that are reported.
 
-    `result` is the reported diagnosis; `diagnose` sets it.
+    `result` is the reported diagnosis, `table` what it was judged by; `diagnose` sets both.
     """
 
     result: Diagnosis
+    table: Table
 
-    def __init__(self, judged: Judgement, specimen: Specimen | None) -> None:
-        self.judged, self.specimen, self.found = judged, specimen, judged.sets.found
-        rows, fitter = judged.rows, judged.sets.fitter
+    def __init__(self, sets: Sets, judged: Judgement, specimen: Specimen | None) -> None:
+        self.sets, self.judged, self.specimen, self.found = sets, judged, specimen, sets.found
+        rows, fitter = sets.rows, sets.fitter
         # Values come from a fit of the reported effect, not of a twin with the same motion.
         fitted = {key for row in rows if not row.renamed for key in row.keys}
         names = judged.named or tuple(k for k in judged.confusion if k in fitted)[:1]
@@ -103,7 +105,7 @@ class Outcome:
     @cached_property
     def compared(self) -> Problem:
         """The problem `about` with the healthy specimen's error covariance added to the noise."""
-        fixed = self.judged.sets.fitter.fixed
+        fixed = self.sets.fitter.fixed
         return self.about.beside(fixed.replays) if fixed else self.about
 
     def floors(self) -> np.ndarray:

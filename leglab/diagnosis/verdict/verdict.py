@@ -32,11 +32,12 @@ from leglab.diagnosis.thresholds import (
     SMALL,
     VISIBLE,
 )
-from leglab.diagnosis.verdict.confidence import Judgement, as_noise
+from leglab.diagnosis.verdict.confidence import judge
 from leglab.diagnosis.verdict.experiment import propose
 from leglab.diagnosis.verdict.notes import at_limits, by_states, notes
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
+from leglab.diagnosis.verdict.tabulation import tabulated
 from leglab.diagnosis.verdict.tried import ranking, tried
 from leglab.diagnosis.verdict.whole import whole_recording
 
@@ -77,18 +78,18 @@ def diagnose(
     held_out = tuple(held_out)
     found, specimen, remarks = searched(model, recordings, held_out, healthy, settings, progress)
     progress("verdict")
-    judgement = Judgement(Sets(found, specimen), specimen)
-    outcome = Outcome(judgement, specimen)
-    if judgement.verdict == "nothing_missing":
-        if not _clear_elsewhere(outcome):
-            judgement.verdict = "unexplained"
-    elif _lacks_nothing(outcome):
-        outcome = Outcome(judgement.cleared(), specimen)
+    sets = Sets(found, specimen)
+    table = tabulated(sets, specimen)
+    judged = judge(table)
+    outcome = Outcome(sets, judged, specimen)
+    if judged.verdict != "nothing_missing" and _lacks_nothing(outcome):
+        outcome = Outcome(sets, judged.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
-    if outcome.result.verdict == "unexplained" and judgement.as_it_was:
+    if outcome.result.verdict == "unexplained" and judged.as_it_was:
         # The named effects explain less than half of errors that are as small as in healthy data.
-        outcome = Outcome(judgement.cleared(), specimen)
+        outcome = Outcome(sets, judged.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
+    outcome.table = table
     return outcome.result, outcome
 
 
@@ -100,18 +101,6 @@ def _lacks_nothing(outcome: Outcome) -> bool:
     with_it, without = (problem.noise_levels(h) for h in (outcome.final, outcome.unnamed))
     after, before = (result.root_mean(squares[problem.held]) for squares in (with_it, without))
     return not lessens(before, after) and noise_alone(without, problem.replay.recording)
-
-
-def _clear_elsewhere(outcome: Outcome) -> bool:
-    """Tests whether the empty set's fit leaves only noise on held-out recordings.
-
-    Returns True without held-out recordings, and if all were compared with healthy recordings.
-    """
-    problem = outcome.problem
-    if outcome.specimen or not problem.held.any():
-        return True
-    squares = problem.noise_levels(outcome.nothing)
-    return as_noise(squares[problem.held], problem.replay.recording[problem.held])
 
 
 def _told(
@@ -147,7 +136,7 @@ def _told(
         calibration=_calibration(outcome.specimen) if outcome.specimen else None,
         ranking=ranking(outcome.found),
         tried=tried(outcome.found),
-        rivals=(_rivals(outcome.judged.rows[:BEST_SETS]),),
+        rivals=(_rivals(outcome.sets.rows[:BEST_SETS]),),
         next_experiment=_next_experiment(outcome),
         notes=tuple(remarks),
         rollouts=problem.replay.rollouts,
@@ -341,7 +330,7 @@ def _next_experiment(outcome: Outcome) -> result.Proposal | None:
     rivals: dict[str, Hypothesis] = {}
     for key in outcome.judged.confusion:
         if key[0] not in rivals:
-            rivals[key[0]] = next(r for r in outcome.judged.rows if key in r.keys).hypothesis
+            rivals[key[0]] = next(r for r in outcome.sets.rows if key in r.keys).hypothesis
     return propose(outcome.problem, dict([*rivals.items()][:2])) if len(rivals) > 1 else None
 
 

@@ -1,0 +1,142 @@
+"""Table of all sets of effects of a search, from which a verdict follows without any replay."""
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from leglab.base.errors import FileError
+from leglab.base.output import write_json
+from leglab.diagnosis.effects.hypothesis import Key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """What an effect of a set does to the errors of a group of windows.
+
+    Medians of squared whitened errors, by recording and channel.
+    """
+
+    numbers: tuple[int, ...]  #: Number of errors of a channel, by recording
+    left: tuple[tuple[float, ...], ...]  #: Errors that the set leaves
+    without: tuple[tuple[float, ...], ...]  #: Errors without the effect
+    change: tuple[tuple[float, ...], ...]  #: Difference of both errors
+
+    @cached_property
+    def explained(self) -> tuple[float, float]:
+        """Share of the errors beyond noise that the effect explains, and the effect's action.
+
+        The action c/(c + e), with the effect's change of errors c and the errors left e, is the
+        weight of the share: an effect that acts much but explains little is wrong, weak action
+        tells nothing.
+        """
+        left, without, change = (np.array(a) for a in (self.left, self.without, self.change))
+        left = np.maximum(left - 1.0, 0.0)
+        left = left + np.sqrt(2.0 / np.array(self.numbers))[:, None]
+        gain = np.maximum(without - np.array(self.left), 0.0)
+        act = change / (change + left)
+        share = gain / (gain + left)
+        return float((share * act).sum() / max(float(act.sum()), 1e-9)), float(act.mean())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """An effect of a set."""
+
+    key: Key  #: Effect and element
+    #: Probability that directions differ noticeably; 1 for a symmetric effect.
+    differs: float
+    fitted: Action  #: In the windows of the search
+    held_out: Action | None  #: In held-out windows; None without these, or if effects have onsets
+
+    @property
+    def share(self) -> float:
+        """Share of the errors that the effect explains, as far as held-out windows agree."""
+        share, _ = self.fitted.explained
+        if self.held_out is not None:
+            explains, acts = self.held_out.explained
+            share -= acts * max(share - explains, 0.0)
+        return share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A set of effects with its evidence."""
+
+    keys: tuple[Key, ...]  #: Effects of the set, sorted
+    ended: tuple[Key, ...]  #: Effects with a parameter that ended at a bound
+    log: float  #: Log evidence [nats]
+    fit: float  #: Log evidence without the prior odds of the set [nats]
+    apart: tuple[float, ...]  #: Log evidence with each part of the recordings left out [nats]
+    drive: float  #: Change of the log evidence in units of the drive [nats], <= 0
+    numbers: int  #: Number of parameters
+    #: What its effects do, if it is the most probable set of one of them; otherwise empty.
+    members: tuple[Member, ...] = ()
+    #: Whether the empty set's errors are noise or, with healthy recordings, as small as theirs.
+    quiet: bool = False
+    quiet_held_out: bool = False  #: Whether `quiet` also holds for held-out recordings
+
+    @cached_property
+    def names(self) -> frozenset[Key]:
+        """Effects of the set."""
+        return frozenset(self.keys)
+
+    def member(self, key: Key) -> Member:
+        """Returns what an effect of the set does."""
+        return next(one for one in self.members if one.key == key)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """All sets, most probable first, with what is common to them."""
+
+    sets: tuple[Entry, ...]
+    level: float  #: Median error of the unchanged model, in noise levels
+    #: Mean and standard deviation of the logit of the share of errors that an effect explains if
+    #: the cause is another one, see `leglab.diagnosis.verdict.tabulation.impostors`.
+    impostor: tuple[float, float]
+    #: Pairs of effects of which the first contains the second as a special case.
+    contains: tuple[tuple[Key, Key], ...]
+    #: Whether errors of the unchanged specimen are as small as in its healthy recordings; None
+    #: without healthy recordings.
+    as_it_was: bool | None = None
+
+    @cached_property
+    def effects(self) -> tuple[Key, ...]:
+        """All effects of the sets."""
+        return tuple(sorted({key for one in self.sets for key in one.keys}))
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the table as JSON holds it."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, content: Any) -> "Table":
+        """Returns the table of the content of a file.
+
+        Raises:
+            pydantic.ValidationError: It is no table.
+        """
+        return TypeAdapter(cls).validate_python(content)
+
+    def write(self, path: Path) -> None:
+        """Writes the table as JSON."""
+        write_json(path, self.to_json(), indent=1, ascii_only=False)
+
+    @classmethod
+    def read(cls, path: Path) -> "Table":
+        """Reads a table.
+
+        Raises:
+            FileError: The file cannot be read, or holds no table.
+        """
+        try:
+            return cls.from_json(json.loads(path.read_text()))
+        except (OSError, ValueError) as error:
+            told = f"{path} is no table of sets; allowed: "
+            allowed = "sets.json of `leglab diagnose --keep`"
+            raise FileError(told, given=str(error).splitlines()[0], allowed=allowed) from error
