@@ -22,9 +22,9 @@ from leglab.diagnosis.replay.starts import bristle, spool
 from leglab.diagnosis.replay.windows import Channel, Cut, noise_level, smoothed
 from leglab.diagnosis.result import Gap
 from leglab.diagnosis.search.pipeline import set_up
-from leglab.diagnosis.verdict.confidence import _explained
 from leglab.diagnosis.verdict.notes import at_limits
 from leglab.diagnosis.verdict.sets import Sets
+from leglab.diagnosis.verdict.table import Action
 from leglab.diagnosis.verdict.verdict import _rivals
 from rigs import PENDULUM
 from rigs.bench import FAULTS, FaultyBench, detuned, references
@@ -445,5 +445,6 @@ def test_an_effect_explains_the_windows_in_which_it_acts():
         channel_squares=lambda errors, roots: errors**2,
     )
     ((_, medians),) = Sets.shown(sets, SimpleNamespace(left=left), ("force_saturation", "knee"))
-    share, acts = _explained(sets, at, medians)
-    assert min(share, acts) > 0.95
+    left, without, change = medians.tolist()
+    acted = Action(numbers=(200,), left=left, without=without, change=change)
+    assert min(acted.explained) > 0.95

@@ -115,7 +115,7 @@ def test_the_gap_is_that_of_the_held_out_recordings(ill):
     assert result.gap.healthy > 2.0  # twice the noise, which the gap leaves out
     assert result.gap.explained > 0.9
     # Names are judged by errors as the healthy machine has them.
-    own = found.judged.sets.fitter.fixed.replays[problem.replay.recording[held]]
+    own = found.sets.fitter.fixed.replays[problem.replay.recording[held]]
     inverse = np.linalg.inv(problem.noise.covariance(held) + own)
     for told_as, hypothesis in zip(result.gap.compared, (unnamed, final), strict=False):
         errors = problem.raw_errors(hypothesis)[held].reshape(len(inverse), -1)
@@ -196,9 +196,9 @@ def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, sai
 
 
 def test_an_effect_of_all_joints_and_of_one_of_them_is_named_once(ill):
-    judged = copy(ill[1].judged)
-    judged.named = (OFFSET, (OFFSET[0], EVERY))
-    assert Outcome(judged, ill[1].specimen).named == (OFFSET,)
+    found = ill[1]
+    judged = replace(found.judged, named=(OFFSET, (OFFSET[0], EVERY)))
+    assert Outcome(found.sets, judged, found.specimen).named == (OFFSET,)
 
 
 def test_no_model_is_written_that_errs_more_where_held_out(ill, unlearned):

@@ -400,7 +400,7 @@ def test_a_command_that_moved_nothing_is_no_weak_drive():
 def test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive():
     """A fifth of the drive moves a fifth as much: what is left over weighs five times."""
     _, outcome = diagnosed(CASES["other command"])
-    lost = {row.keys: row.drive for row in outcome.judged.rows}
+    lost = {row.keys: row.drive for row in outcome.sets.rows}
     assert lost[frozenset({("actuator_gain", "drive")})] < lost[frozenset()] - 10.0
 
 
@@ -506,7 +506,7 @@ def test_friction_by_direction_is_named_only_where_directions_differ():
 
 def test_errors_of_a_rough_machine_are_worth_fewer_numbers_than_they_are():
     """What it lacks bends neighbouring windows alike; an exact machine is left with noise."""
-    worth = {n: diagnosed(CASES[n])[1].judged.rows[0].evidence.kappa for n in ("rough", "nothing")}
+    worth = {n: diagnosed(CASES[n])[1].sets.rows[0].evidence.kappa for n in ("rough", "nothing")}
     assert worth["rough"] < 0.5 < worth["nothing"]
 
 
