@@ -112,7 +112,8 @@ def run(given: dict[str, Any]) -> dict[str, Any]:
     row = {"effect": effect, "scale": scale, "size": size(effect, scale), "named": told}
     row |= {"verdict": content["verdict"], "confidence": max(sure, default=0.0), "values": values}
     row |= {"explained": content["explained"], "before": gap["before"], "after": gap["after"]}
-    return results.rounded(row | {"seconds": perf_counter() - began})
+    row |= {"seconds": perf_counter() - began}
+    return {**results.rounded(row), "sets": content["sets"]}
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -128,7 +129,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     )
     for case, problem in problems.items():
         raise SimulationError(f"case {case}: {problem}")
-    asked = [rows[case] for case in cases]
+    asked = [{k: v for k, v in rows[case].items() if k != "sets"} for case in cases]
     with style():
         path = options.figure or options.out.with_suffix(".png")
         write_atomically(path, partial(figure(asked).savefig, format="png"))

@@ -62,8 +62,9 @@ FAULTS = {
         "test_friction_by_direction_is_named_only_where_directions_differ",
     ),
     "what ended at a bound has a name": (
-        "diagnosis.verdict.confidence", "sound = has & ~np.array([bool(one.ended) for one in sets])",
-        "sound = has", "test_what_ends_at_its_bound_has_no_name",
+        "diagnosis.verdict.confidence",
+        "sound = has & ~np.array([bool(one.ended) for one in sets])", "sound = has",
+        "test_what_ends_at_its_bound_has_no_name",
     ),
     "all is clear at any error": (
         "diagnosis.replay.residual", "return largest**0.5 <= EXPLAINED", "return True",

@@ -124,6 +124,7 @@ BENCHMARKS = {
         Benchmark(name="identification_tables", minutes=0.3),
         Benchmark(name="bench"),
         Benchmark(name="diagnosis_self_test"),
+        Benchmark(name="diagnosis_calibration"),
         Benchmark(name="diagnosis_joints"),
         Benchmark(name="diagnosis_measured"),
         Benchmark(name="diagnosis_scales"),

@@ -344,7 +344,11 @@ class Bin:
 
 def reliability(outcomes: Iterable[RoughOutcome]) -> list[Bin]:
     """Claims by their confidence, all kinds of cases together."""
-    claims = list(all_claims(outcomes))
+    return binned(list(all_claims(outcomes)))
+
+
+def binned(claims: Sequence[tuple[bool, float]]) -> list[Bin]:
+    """Claims, right or not and with their confidence, by the confidence."""
     right = np.array([r for r, _ in claims], dtype=bool)
     confidence = np.array([c for _, c in claims], dtype=float)
     place = np.clip(np.searchsorted(EDGES, confidence, side="right") - 1, 0, len(EDGES) - 2)

@@ -153,6 +153,19 @@ def test_a_set_that_weakens_the_drive_loses_what_it_weakens():
     assert judge(table(strong, replace(weak, drive=0.0))).named == (WET,)
 
 
+def test_a_name_has_to_stand_in_the_best_set_in_units_of_the_drive_as_well():
+    weakens = entry(DRY, drive=-20.0)
+    explains_little = entry(DRY, WET, log=-5.0, members=(member(DRY, 0.2), member(WET)))
+    assert judge(table(weakens)).named == (DRY,)
+    assert judge(table(weakens, explains_little)).effects[DRY].confidence < 0.5
+
+
+def test_ties_are_counted_in_units_of_the_drive():
+    rivals = [entry(WET, log=-1.0, drive=lost) for lost in (0.0, -1.0)]
+    ties = [judge(table(entry(DRY), one)).effects[DRY].ties for one in rivals]
+    assert ties == [(frozenset({WET}),), ()]
+
+
 QUIET = {"quiet": True, "quiet_held_out": True}
 
 
