@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from leglab import DiagnosisSettings, Recording, diagnose
+from leglab._native import hydraulics as native
 from leglab.base.recording import SIMULATION
 from leglab.diagnosis.effects.backlash import motor_states
 from leglab.diagnosis.plant.model import Machine, Measured
-from leglab.diagnosis.replay.starts import Instances
+from leglab.diagnosis.replay.starts import FLOW, Instances
 from tests.helpers.native_models import backlash, friction, pendulum
 from tests.helpers.plugin_models import Slots, compiled
 
@@ -117,3 +118,31 @@ def test_an_improved_model_lacks_nothing_on_new_recordings(tmp_path):
     result, _ = diagnose(tmp_path / "improved.xml", recordings, held_out=("2",), settings=settings)
     assert result.verdict == "nothing_missing"
     assert result.gap.before < 1.2
+
+
+def test_the_flow_from_a_supply_changes_with_these_parameters_alone():
+    machine = Machine("leg").base
+    ((supply, (cylinder, *_)),) = [pair for pair in machine.drawn_by.items() if pair[1]]
+    whole = {}
+    for element in (supply, cylinder):
+        start, table = machine.elements[element]
+        whole[element] = machine.plugin_state[start : start + len(table.parameters)].copy()
+    walk = np.cumsum(np.random.default_rng(0).normal(size=(3, 1, 400)), axis=2)
+    spools, caps, rods = (
+        np.clip(0.05 * walk[0], -1.0, 1.0),
+        5e6 + 1e5 * walk[1],
+        4e6 + 1e5 * walk[2],
+    )
+
+    def pressure(parameters):
+        out = np.empty(spools.shape[1])
+        native.supply_pressure(whole[supply], parameters[None], spools, caps, rods, 2e-3, 4, out)
+        return out
+
+    changed = set()
+    for i, name in enumerate(machine.elements[cylinder][1].parameters):
+        other = whole[cylinder].copy()
+        other[i] = 1.1 * other[i] or 0.05
+        if (pressure(other) != pressure(whole[cylinder])).any():
+            changed.add(name)
+    assert changed == set(FLOW)

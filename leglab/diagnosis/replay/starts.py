@@ -28,6 +28,11 @@ from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
 
+# Parameters of a cylinder with which the flow from its supply changes, at known pressures.
+FLOW = (
+    *("rated_flow", "rated_pressure_drop", "flow_asymmetry", "laminar_transition_pressure"),
+    *("lap", "lap_difference_tank", "lap_difference_chambers", "edge_rounding", "edge_exponent"),
+)
 # Sliding speed at break-away [m/s or rad/s]: nearly zero, where the Stribeck curve peaks.
 _BREAKAWAY = np.finfo(float).tiny
 
@@ -166,21 +171,20 @@ class Instances:
         if not cylinders or any(len(pair) < len(CHAMBERS) for pair in chambers):
             return
         period, samples = self.measured.period, self.measured.samples
-        given = (
-            self._parameters(element),
-            np.stack([self._parameters(c) for c in cylinders]),
-            np.stack([self.followed[c, "spool_position"] for c in cylinders]),
-            np.stack([a for a, _ in chambers]),
-            np.stack([b for _, b in chambers]),
-        )
+        supply = self._parameters(element)
+        spools = [self.followed[cylinder, "spool_position"] for cylinder in cylinders]
+        flow = np.array([[self.value(c, name) for name in FLOW] for c in cylinders])
 
         def followed() -> np.ndarray:
             # Steps of at most 0.5 ms, which is some hundredths of a supply's time constant.
             out, steps = np.empty(chambers[0][0].size), np.ceil(period / 5e-4 - 1e-9)
-            native.supply_pressure(*given, period, max(1, int(steps)), out)
+            whole = np.stack([self._parameters(c) for c in cylinders])
+            series = np.stack(spools), *map(np.stack, zip(*chambers, strict=True))
+            native.supply_pressure(supply, whole, *series, period, max(1, int(steps)), out)
             return out
 
-        pressure = self.measured.hidden_states.get(element, given, followed)
+        by = supply, flow, *spools, *(one for pair in chambers for one in pair)
+        pressure = self.measured.hidden_states.get(element, by, followed)
         self.put(element, "pressure", pressure[samples])
         self.put(element, "started", np.ones(samples.size))
 
