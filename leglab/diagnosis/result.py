@@ -200,6 +200,23 @@ class Tried:
     behind: float  #: Log evidence of the most probable set minus this set's
 
 
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """Confidence of an effect of the fitted sets, and the factors that it follows from."""
+
+    name: str
+    element: str
+    confidence: float  #: Probability that the effect is the cause
+    evidence: float  #: Probability of the sets with the effect, by all recordings
+    #: `evidence` without the least favourable part of the recordings, and without sets at a bound.
+    parts: float
+    drive: float  #: `parts` if errors count in units of the drive
+    explained: float  #: Share of the errors that the effect explains
+    inside: float  #: Probability that the cause is not outside of the library, by `explained`
+    differs: float  #: Probability that directions differ noticeably; 1 for a symmetric effect
+    ties: int  #: Number of rivals that the data do not distinguish from the effect
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rivals:
     """Sets of effects whose fits were completed."""
@@ -287,6 +304,7 @@ class Diagnosis:
         where: Largest error first.
         ranking: All effects that were tried, best first.
         tried: Fitted sets of effects, in the order of the search.
+        judged: Effects of the fitted sets with their confidence and its factors.
         moved: Parameters that the improved model changes within their tolerances.
         changed: Unified diff between the model and the improved model, as lines.
         notes: Remarks for the reader: repairs, missing pressures, bounds that were hit.
@@ -314,6 +332,7 @@ class Diagnosis:
     next_experiment: Proposal | None
     notes: tuple[str, ...]
     tried: tuple[Tried, ...] = ()
+    judged: tuple[Certainty, ...] = ()
     among: float | None = None
     smaller: tuple[NamedEffect, ...] = ()
     remaining: tuple[Remaining, ...] = ()
@@ -436,6 +455,7 @@ class Diagnosis:
             },
             "ranking": [asdict(one) for one in self.ranking],
             "tried": [asdict(one) for one in self.tried],
+            "judged": [asdict(one) for one in self.judged],
             "rivals": [{"names": one.names, "cost": one.cost} for one in self.rivals],
             "next_experiment": self.next_experiment and asdict(self.next_experiment),
             "notes": self.notes,

@@ -198,7 +198,7 @@ def test_the_improved_model_carries_no_effect_without_a_name(ill, unlearned, sai
 def test_an_effect_of_all_joints_and_of_one_of_them_is_named_once(ill):
     found = ill[1]
     judged = replace(found.judged, named=(OFFSET, (OFFSET[0], EVERY)))
-    assert Outcome(found.sets, judged, found.specimen).named == (OFFSET,)
+    assert Outcome(found.sets, found.table, judged, found.specimen).named == (OFFSET,)
 
 
 def test_no_model_is_written_that_errs_more_where_held_out(ill, unlearned):

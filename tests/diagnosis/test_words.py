@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leglab.diagnosis.result import Estimate, Moved
+from leglab.diagnosis.result import Certainty, Estimate, Moved
 from leglab.diagnosis.verdict.output import summary_lines
 from leglab.report.diagnosis.why import why
 from leglab.report.diagnosis.words import (
@@ -215,6 +215,14 @@ def test_why_explains_an_effect_by_its_evidence_and_the_fitted_sets():
     assert "at best 12 nats less than the most probable set" in other[3]
     assert other[4].startswith("  most probable: valve deadband at knee_valve (")
     assert "not among the effects that gain most" in third[-2]
+    shares = {"evidence": 0.97, "parts": 0.6, "drive": 0.5, "explained": 0.9, "inside": 0.8}
+    own = {"name": "stiction", "element": "knee_valve", "confidence": 0.12, "differs": 0.6}
+    judged = replace(result, judged=(Certainty(**own, **shares, ties=1),))
+    (line,) = (one for one in why(judged, "stiction") if "confidence" in one)
+    assert line.startswith("  confidence 12 %: the smallest of 97 % by the evidence of its sets")
+    for word in ("60 % without", "50 % in units", "times 80 %, as it explains 90 %", "60 % that"):
+        assert word in line
+    assert line.endswith("divided by 2; other sets that fit as well: 1")
     unsure = replace(result, effects=())
     assert "below the confidence that a name needs" in why(unsure, "valve_deadband")[-1]
     assert "has no place for it" in why(result, "joint_flexibility")[0]

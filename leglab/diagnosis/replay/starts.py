@@ -179,8 +179,9 @@ class Instances:
             # Steps of at most 0.5 ms, which is some hundredths of a supply's time constant.
             out, steps = np.empty(chambers[0][0].size), np.ceil(period / 5e-4 - 1e-9)
             whole = np.stack([self._parameters(c) for c in cylinders])
-            series = np.stack(spools), *map(np.stack, zip(*chambers, strict=True))
-            native.supply_pressure(supply, whole, *series, period, max(1, int(steps)), out)
+            caps, rods = (np.stack(series) for series in zip(*chambers, strict=True))
+            position, substeps = np.stack(spools), max(1, int(steps))
+            native.supply_pressure(supply, whole, position, caps, rods, period, substeps, out)
             return out
 
         by = supply, flow, *spools, *(one for pair in chambers for one in pair)

@@ -7,6 +7,7 @@ estimate this share, each effect plays the cause, and the best effect of another
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import norm
@@ -15,10 +16,10 @@ from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Key
 from leglab.diagnosis.likelihood.columns import DRIVE_GAIN
 from leglab.diagnosis.result import Verdict
-from leglab.diagnosis.verdict.table import Entry, Table
+from leglab.diagnosis.verdict.table import Entry, Member, Table
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Judged:
     """Judgement of one effect, or of several effects of which one may be the cause."""
 
@@ -27,6 +28,10 @@ class Judged:
     possible: float  #: Largest probability with one part of the recordings left out
     evidence: float  #: Probability by the evidence of sets from all recordings alone
     ties: tuple[frozenset[Key], ...]  #: Rivals that the data do not distinguish from the effect
+    #: `evidence` without the least favourable part of the recordings and without sets at a bound.
+    parts: float
+    drive: float  #: `parts` if errors count in units of the drive
+    member: Member  #: The effect in its most probable set; of several the one that stands best
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,30 +128,42 @@ def _effect(table: Table, names: frozenset[Key]) -> Judged:
     there = np.array([bool(names & one.names - set(one.ended)) for one in sets])
     ways = (0.0 * drive, drive)
     best = [int(np.argmax(np.where(has, logs + lost, -np.inf))) for lost in ways]
-    inside = {i: max(_stands(table, sets[i], key) for key in names & sets[i].names) for i in best}
-    sure, among, possible = 1.0, 1.0, 0.0
+    member = {i: max(_named(sets[i], names), key=partial(stands, table)) for i in best}
+    inside = {i: stands(table, one) for i, one in member.items()}
+    leasts, among, possible = [], 1.0, 0.0
     for i, lost in zip(best, ways, strict=True):
         share, parts = _shares(logs + lost), _shares(apart + lost[:, None])
-        least = min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min()))
-        sure = min(sure, least * inside[i])
+        leasts.append(min(float(share[sound].sum()), float(parts[sound].sum(axis=0).min())))
         among = min(among, float(parts[sound].sum(axis=0).mean()) * inside[i])
-        most = max(least, float(parts[there].sum(axis=0).max()))
+        most = max(leasts[-1], float(parts[there].sum(axis=0).max()))
         possible = max(possible, most * inside[i])
+    sure = min(least * inside[i] for i, least in zip(best, leasts, strict=True))
     alone = len(names) == 1 and sure > thresholds.NAMED
     ties = _ties(table, sets[best[0]], next(iter(names))) if alone else ()
-    evidence = float(_shares(logs)[has].sum())
-    return Judged(sure / (1 + len(ties)), among, possible, evidence, ties)
+    return Judged(
+        confidence=sure / (1 + len(ties)),
+        among=among,
+        possible=possible,
+        evidence=float(_shares(logs)[has].sum()),
+        ties=ties,
+        parts=leasts[0],
+        drive=leasts[1],
+        member=member[best[0]],
+    )
 
 
-def _stands(table: Table, one: Entry, key: Key) -> float:
+def _named(one: Entry, names: frozenset[Key]) -> list[Member]:
+    """Returns the members of a set that are among `names`."""
+    return [member for member in one.members if member.key in names]
+
+
+def stands(table: Table, member: Member) -> float:
     """Computes the probability that an effect of a set is the cause and has the right name.
 
     It depends on the share of the errors that the effect explains, and on whether directions
     differ.
     """
-    member = one.member(key)
-    top = max(2.0 * math.log(table.level), 1.0)
-    return _inside(member.share, table.impostor, top) * member.differs
+    return inside(table, member) * member.differs
 
 
 def _ties(table: Table, first: Entry, key: Key) -> tuple[frozenset[Key], ...]:
@@ -171,15 +188,16 @@ def _ties(table: Table, first: Entry, key: Key) -> tuple[frozenset[Key], ...]:
     return tuple(found)
 
 
-def _inside(share: float, impostor: tuple[float, float], top: float) -> float:
+def inside(table: Table, member: Member) -> float:
     """Computes the probability that an effect is the cause, not a cause outside of the library.
 
-    `share` is the share of the errors that the effect explains, `impostor` mean and standard
-    deviation of the logit of impostors' shares, `top` the largest logit that noise lets one see.
+    The share of the errors that it explains is compared with those that impostors explain.
     """
-    mean, deviation = impostor
+    mean, deviation = table.impostor
+    top = max(2.0 * math.log(table.level), 1.0)  # the largest logit that noise lets one see
+    share = member.share
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)
     outside = norm.pdf(t, mean, deviation)
-    own = 1.0 / (1.0 + np.exp(-t / thresholds.EDGE)) / max(top, 1.0)
+    own = 1.0 / (1.0 + np.exp(-t / thresholds.EDGE)) / top
     odds = thresholds.LIBRARY_ODDS * own / max(float(outside), 1e-12)
     return float(odds / (1.0 + odds))

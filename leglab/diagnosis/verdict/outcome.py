@@ -23,14 +23,16 @@ from leglab.diagnosis.verdict.table import Table
 class Outcome:
     """Judged search with the hypotheses and parameters that are reported.
 
-    `result` is the reported diagnosis, `table` what it was judged by; `diagnose` sets both.
+    `result` is the reported diagnosis; `diagnose` sets it.
     """
 
     result: Diagnosis
-    table: Table
 
-    def __init__(self, sets: Sets, judged: Judgement, specimen: Specimen | None) -> None:
-        self.sets, self.judged, self.specimen, self.found = sets, judged, specimen, sets.found
+    def __init__(
+        self, sets: Sets, table: Table, judged: Judgement, specimen: Specimen | None
+    ) -> None:
+        self.sets, self.table, self.judged = sets, table, judged
+        self.specimen, self.found = specimen, sets.found
         rows, fitter = sets.rows, sets.fitter
         # Values come from a fit of the reported effect, not of a twin with the same motion.
         fitted = {key for row in rows if not row.renamed for key in row.keys}

@@ -85,10 +85,6 @@ class Entry:
         """Effects of the set."""
         return frozenset(self.keys)
 
-    def member(self, key: Key) -> Member:
-        """Returns what an effect of the set does."""
-        return next(one for one in self.members if one.key == key)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Table:

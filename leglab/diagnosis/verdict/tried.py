@@ -1,9 +1,11 @@
-"""Protocol of a search: evidence of single effects, and the fitted sets with reasons."""
+"""Protocol of a diagnosis: evidence of effects, fitted sets with reasons, factors of confidence."""
 
 from leglab.diagnosis.effects.hypothesis import Key
-from leglab.diagnosis.result import Rank, Tried
+from leglab.diagnosis.result import Certainty, Rank, Tried
 from leglab.diagnosis.search.moves.neighbours import neighbours
 from leglab.diagnosis.search.pool import Found
+from leglab.diagnosis.verdict.confidence import inside
+from leglab.diagnosis.verdict.outcome import Outcome
 
 
 def ranking(found: Found) -> tuple[Rank, ...]:
@@ -44,4 +46,23 @@ def tried(found: Found) -> tuple[Tried, ...]:
             behind=top - ranks[keys].score.log,
         )
         for keys in dict.fromkeys(step.keys for step in found.pool.steps)
+    )
+
+
+def certainties(outcome: Outcome) -> tuple[Certainty, ...]:
+    """Lists the effects of the fitted sets with their confidence and its factors."""
+    return tuple(
+        Certainty(
+            name=key[0],
+            element=key[1],
+            confidence=one.confidence,
+            evidence=one.evidence,
+            parts=one.parts,
+            drive=one.drive,
+            explained=one.member.share,
+            inside=inside(outcome.table, one.member),
+            differs=one.member.differs,
+            ties=len(one.ties),
+        )
+        for key, one in outcome.judged.effects.items()
     )

@@ -38,7 +38,7 @@ from leglab.diagnosis.verdict.notes import at_limits, by_states, notes
 from leglab.diagnosis.verdict.outcome import Outcome
 from leglab.diagnosis.verdict.sets import Row, Sets
 from leglab.diagnosis.verdict.tabulation import tabulated
-from leglab.diagnosis.verdict.tried import ranking, tried
+from leglab.diagnosis.verdict.tried import certainties, ranking, tried
 from leglab.diagnosis.verdict.whole import whole_recording
 
 
@@ -81,15 +81,14 @@ def diagnose(
     sets = Sets(found, specimen)
     table = tabulated(sets, specimen)
     judged = judge(table)
-    outcome = Outcome(sets, judged, specimen)
+    outcome = Outcome(sets, table, judged, specimen)
     if judged.verdict != "nothing_missing" and _lacks_nothing(outcome):
-        outcome = Outcome(sets, judged.cleared(), specimen)
+        outcome = Outcome(sets, table, judged.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judged.as_it_was:
         # The named effects explain less than half of errors that are as small as in healthy data.
-        outcome = Outcome(sets, judged.cleared(), specimen)
+        outcome = Outcome(sets, table, judged.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
-    outcome.table = table
     return outcome.result, outcome
 
 
@@ -136,6 +135,7 @@ def _told(
         calibration=_calibration(outcome.specimen) if outcome.specimen else None,
         ranking=ranking(outcome.found),
         tried=tried(outcome.found),
+        judged=certainties(outcome),
         rivals=(_rivals(outcome.sets.rows[:BEST_SETS]),),
         next_experiment=_next_experiment(outcome),
         notes=tuple(remarks),

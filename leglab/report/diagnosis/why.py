@@ -2,8 +2,8 @@
 
 from collections.abc import Collection, Sequence
 
-from leglab.diagnosis.result import Diagnosis, Rank, Tried
-from leglab.report.diagnosis.words import confidence
+from leglab.diagnosis.result import Certainty, Diagnosis, Rank, Tried
+from leglab.report.diagnosis.words import confidence, percent
 from leglab.report.page.wording import number, readable
 
 
@@ -35,6 +35,7 @@ def _of(result: Diagnosis, one: Rank) -> list[str]:
     lines.append(f"{alone} over no effect" + most * (first.gain > one.gain))
     fitted = [t for t in result.tried if own in t.names]
     lines += [f"  fitted: {_fitted(t)}" for t in fitted]
+    lines += [_judged(j) for j in result.judged if (j.name, j.element) == own]
     best = min(result.tried, key=lambda t: t.behind)
     if best in fitted:
         return [*lines, *_verdict(result, one)]
@@ -52,6 +53,21 @@ def _verdict(result: Diagnosis, one: Rank) -> list[str]:
         if effect.element == one.element and effect.name == one.name:
             return [f"  reported with a confidence of {confidence(result, effect)}"]
     return ["  in the most probable set, but below the confidence that a name needs"]
+
+
+def _judged(one: Certainty) -> str:
+    """Describes the confidence of an effect of the fitted sets: three probabilities and factors."""
+    line = (
+        f"  confidence {percent(one.confidence)}: the smallest of {percent(one.evidence)} by the "
+        f"evidence of its sets, {percent(one.parts)} without the least favourable part of the "
+        f"recordings and sets at a bound, {percent(one.drive)} in units of the drive; times "
+        f"{percent(one.inside)}, as it explains {percent(one.explained)} of the errors"
+    )
+    if one.differs < 1.0:
+        line += f"; times {percent(one.differs)} that directions differ"
+    if one.ties:
+        line += f"; divided by {one.ties + 1}; other sets that fit as well: {one.ties}"
+    return line
 
 
 def _fitted(one: Tried) -> str:
