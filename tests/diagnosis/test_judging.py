@@ -100,6 +100,7 @@ def test_what_ends_at_a_bound_is_neither_named_nor_possible():
 def test_an_effect_has_to_explain_the_errors(share, verdict):
     judged = judge(table(entry(DRY, members=(member(DRY, share),))))
     assert names(judged) == (verdict, (DRY,) if verdict == "named" else (), ())
+    assert judged.effects[DRY].possible == judged.effects[DRY].confidence < 1.0
 
 
 def test_confidence_falls_with_what_wrong_effects_explain():
