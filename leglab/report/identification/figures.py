@@ -11,15 +11,19 @@ from leglab.identification.structure.residuals import ResidualTest
 from leglab.report.style import BLACK, BLUE, DARK_GREY, LIGHT_GREY, VERMILION, style
 
 _WIDTH = 6.6  # inch: readable on a page and, scrolled sideways, on a phone
-_MOST_SAMPLES = 1500  # maximum samples of a curve; of longer records the beginning is drawn
+_MOST_SAMPLES = 1500  # maximum samples of a curve
 _MOST_PARAMETERS = 6  # maximum number of drawn parameters, one colour each
 _POINTS = 800  # approximate number of points of a parameter's curve
 _REST = 101  # number of points of a static curve
 
 
 def free_run_figure(found: Identified, errors: Errors) -> Figure:
-    """Draws measured output and free run, with the free-run error below."""
-    shown = slice(0, min(len(errors.measured), _MOST_SAMPLES))
+    """Draws measured output and free run, with the free-run error below.
+
+    Of a long record, the stretch with the largest RMS error is drawn.
+    """
+    residual = errors.measured - errors.simulated
+    shown = _worst(residual)
     time = np.arange(len(errors.measured))[shown] * found.period
     with style():
         figure = Figure(figsize=(_WIDTH, 4.0), layout="constrained")
@@ -35,12 +39,27 @@ def free_run_figure(found: Identified, errors: Errors) -> Figure:
         )
         top.set_ylabel(found.output)
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
-        top.set_title(f"{errors.recording}: free run, fit {errors.fit:.1f} %")
-        residual = errors.measured - errors.simulated
+        top.set_title(f"free run, fit {errors.fit:.1f} %")
         bottom.plot(time, residual[shown], color=BLUE, linewidth=0.7)
         bottom.axhline(0, color=DARK_GREY, linewidth=0.6)
         bottom.set(ylabel="error", xlabel="time [s]")
     return figure
+
+
+def free_run_caption(errors: Errors) -> str:
+    """Returns the name of the recording, and which part of a long one is drawn."""
+    caption, samples = f"Free run over {errors.recording}", len(errors.measured)
+    if samples > _MOST_SAMPLES:
+        caption += f": the {_MOST_SAMPLES:,} of {samples:,} samples with the largest error"
+    return f"{caption}."
+
+
+def _worst(residual: np.ndarray) -> slice:
+    """Returns the stretch of `_MOST_SAMPLES` samples with the largest RMS error."""
+    length = min(len(residual), _MOST_SAMPLES)
+    square = np.concatenate([[0.0], np.cumsum(np.nan_to_num(residual) ** 2)])
+    first = int(np.argmax(square[length:] - square[:-length])) if length else 0
+    return slice(first, first + length)
 
 
 def residual_figure(tests: tuple[ResidualTest, ...]) -> Figure:

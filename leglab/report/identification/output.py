@@ -219,7 +219,7 @@ def page(models: Mapping[str, Identified]) -> str:
 def _part(found: Identified) -> dict[str, Any]:
     pool = found.tested or found.trained
     drawn: list[tuple[str, Figure | None]] = [
-        (f"Free run over {e.recording}.", figures.free_run_figure(found, e)) for e in pool[:3]
+        (figures.free_run_caption(e), figures.free_run_figure(found, e)) for e in pool[:3]
     ]
     bands = "Grey: 99 % of the values lie there if there is no correlation."
     drawn.append((bands, figures.residual_figure(tests_of(found))))
