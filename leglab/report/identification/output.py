@@ -191,8 +191,7 @@ def _words(candidate: Any, found: Identified) -> str:
     plan = candidate.plan
     if isinstance(structure := candidate.fit.features[0], StateSpace):
         delays = ", ".join(map(str, structure.delays))
-        what = "curve" if structure.curves == 1 else "curves"
-        return f"{structure.states} states, {structure.curves} {what}, delay {delays}"
+        return f"{structure.states} states, {_count(structure.curves, 'curves')}, delay {delays}"
     linear = len(plan.orders.linear(found.problem))
     bent = len(candidate.fit.features) - linear
     lags = f"{plan.orders.outputs} lags of {found.output}, {plan.orders.inputs} of each input"
@@ -202,7 +201,13 @@ def _words(candidate: Any, found: Identified) -> str:
     how = f"{lags}, delay {delays}"
     if plan.kind in LINEAR:
         return f"linear, {how}" + (", one-step least squares" if plan.kind == "one step" else "")
-    return f"{bent} {plan.kind}, {how}" if bent else f"linear, {how} ({plan.kind} did not help)"
+    return (
+        f"{_count(bent, plan.kind)}, {how}" if bent else f"linear, {how} ({plan.kind} did not help)"
+    )
+
+
+def _count(number: int, plural: str) -> str:
+    return f"{number} {plural.removesuffix('s') if number == 1 else plural}"
 
 
 def page(models: Mapping[str, Identified]) -> str:
