@@ -92,6 +92,7 @@ TURNED = logged("hinge_position", lambda t, q: q + 0.05)
 SLIPPED = logged("hinge_position", lambda t, q: q + np.where(t < CHANGE, 0.0, 0.1))
 WEAK = logged("drive_command", lambda t, u: u / 0.6)  # of which 0.6 arrives
 SHORT = logged("hinge_position", lambda t, q: 0.3 * q)  # beyond what a scale may be
+OFF_ALL_TIME = logged("drive_command", lambda t, u: 0.0 * u)
 OTHERS = logged("drive_command", lambda t, u: 5.0 * u[::-1])  # not what moved the machine
 WEAKER = logged("drive_command", lambda t, u: np.where(t < CHANGE, u, u / 0.6))
 
@@ -145,6 +146,7 @@ CASES = {
     "unknown gear": Case("viscous_friction", truth=Truth(gear_loss=0.15), kinds=(HELD_OUT, "fast")),
     "short": Case("encoder_scale force_offset", log=SHORT),
     "other command": Case("actuator_gain", log=OTHERS, kinds=(HELD_OUT, "slow")),
+    "off": Case("viscous_friction force_offset", log=OFF_ALL_TIME, kinds=(HELD_OUT, "slow")),
     "fast alone": Case(
         "viscous_friction force_offset",
         replace(PENDULUM, viscous=0.12, noise=3e-3),
@@ -402,6 +404,11 @@ def test_a_set_that_turns_the_drive_down_loses_in_units_of_the_drive():
     _, outcome = diagnosed(CASES["other command"])
     lost = {row.keys: row.drive for row in outcome.sets.rows}
     assert lost[frozenset({("actuator_gain", "drive")})] < lost[frozenset()] - 10.0
+
+
+def test_a_drive_that_is_off_is_weakened_by_no_set():
+    _, outcome = diagnosed(CASES["off"])
+    assert {row.drive for row in outcome.sets.rows} == {0.0}
 
 
 def test_what_a_single_recording_shows_has_no_name():

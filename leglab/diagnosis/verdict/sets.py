@@ -286,6 +286,8 @@ class Sets:
             channels = mean > SMALL * mean.max()
             before = squares[:, channels].sum(axis=1)
             moving = before > SMALL * np.median(before)
+            if not moving.any():  # the commands move nothing, so no set can weaken the drive
+                continue
             count = self.best.kappa * float(numbers[moving][:, channels].sum())
             for i, row in enumerate(rows):
                 change = at.at(row.hypothesis, actuator) - row.left
