@@ -48,15 +48,20 @@ def _entry(sets: Sets, row: Row, specimen: Specimen | None, *, shown: bool) -> E
     return Entry(
         keys=tuple(keys),
         ended=tuple(sorted(row.ended)),
-        log=row.score.log,
-        fit=row.score.fit,
-        apart=tuple(row.apart.tolist()),
+        log=_finite(row.score.log),
+        fit=_finite(row.score.fit),
+        apart=tuple(map(_finite, row.apart.tolist())),
         drive=row.drive,
         numbers=len(row.score.members),
         members=tuple(_member(sets, row, key) for key in keys if shown),
         quiet=quiet,
         quiet_held_out=quiet and (specimen is not None or _as_noise_held_out(sets, row)),
     )
+
+
+def _finite(log: float) -> float:
+    """Returns a log evidence as JSON can hold it: an impossible set has the evidence exp(-1e12)."""
+    return max(log, -1e12)
 
 
 def _as_healthy(sets: Sets, row: Row, specimen: Specimen) -> bool:
