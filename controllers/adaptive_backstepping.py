@@ -127,7 +127,7 @@ class AdaptiveBackstepping:
     def freeze(self) -> None:
         """Stops adapting leakage, valve and friction until the next `reset`.
 
-        The estimation of the lumped disturbances continues: it is part of the feedback.
+        The estimation of the lumped disturbances continues, because it is part of the feedback.
         """
         self._adapt = False
 
@@ -161,7 +161,7 @@ class AdaptiveBackstepping:
         command = spool - null
         self._sent = np.minimum(np.maximum(command, -self._limit), self._limit)
         if (self._sent != command).any():
-            # Anti-windup: the observer is given the speed that results from the limited command.
+            # Anti-windup: the observer gets the speed that results from the limited command.
             reached = model.rate_of(self._sent + null, chambers, lap) - known
             wish = np.where(self._sent != command, reached / chambers.stiffness, wish)
         law.observer.sent(wish)
@@ -183,10 +183,10 @@ class AdaptiveBackstepping:
     def _forces_for(
         self, motion: np.ndarray, lever: np.ndarray, speed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the model's force and force rate for `motion`, and its force when measured.
+        """Returns the model's force and force rate for `motion`, then its force when measured.
 
-        `motion` is the reference when the new command acts, (4, joints), with levers and piston
-        speeds; the other force is the model's force at the time of the present measurement.
+        `motion` is the reference at the time when the new command acts, (4, joints), `lever` and
+        `speed` are its levers and piston speeds. The last force is at the measurement's time.
         """
         needed = self._torque(motion[0], motion[1], motion[2]) / lever
         bristles = self._bristles.advance(speed, self._period)
@@ -194,7 +194,7 @@ class AdaptiveBackstepping:
         last = self._forces[0] if self._forces else force
         whole = int(self._age)
         self._forces = [force, *self._forces[: whole + 1]]
-        # A difference quotient lags by half a period; adding half its last change compensates this.
+        # A difference quotient lags by half a period. Adding half its last change compensates this.
         before, self._rate = self._rate, (force - last) / self._period
         rate = 1.5 * self._rate - 0.5 * before
         newer = self._forces[min(whole, len(self._forces) - 1)]
@@ -208,7 +208,7 @@ class AdaptiveBackstepping:
 
         They have the wanted load force and the measured common mode w_B p_A + w_A p_B, which piston
         motion does not change. With the measured load force instead, the inverted flow equation
-        would cancel the damping of the oil spring by valve and leakage, with a delay.
+        would cancel, with a delay, the damping of the oil spring by valve and leakage.
         """
         model = self._model
         chambers = model.chambers(self._pressure, supply, piston)

@@ -1,4 +1,4 @@
-"""Active disturbance rejection: the calibrated valve map, and an observer of all disturbances."""
+"""Active disturbance rejection: the calibrated valve map, and an observer of disturbances."""
 
 import numpy as np
 from pydantic import Field
@@ -33,8 +33,8 @@ class Adrc:
 
     For a native actuator, which sets a force, the law has order 2: see `DisturbanceRejection`.
 
-    The map is evaluated at the reference in the middle of the period in which the command acts; the
-    error is the difference of a measurement from the reference at the time of that measurement.
+    The map is evaluated at the reference in the middle of the period in which the command acts. The
+    error is the reference at the time of the measurement minus the measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: AdrcConfiguration) -> None:

@@ -1,4 +1,4 @@
-"""Linear adaptive feed-forward added to PD: a baseline that shows what the splines gain."""
+"""Linear adaptive feed-forward added to PD: a baseline that shows the gain by the splines."""
 
 from pydantic import Field
 

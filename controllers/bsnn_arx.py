@@ -1,4 +1,4 @@
-"""The standard adaptive feed-forward, added to PD: an inverse map that is learned in operation."""
+"""The standard adaptive feed-forward, added to PD: a learned inverse (motion to valve command)."""
 
 import numpy as np
 
@@ -23,8 +23,8 @@ class AdaptiveConfiguration(LearningConfiguration, PdConfiguration):
 class AdaptiveController:
     """u = map(r, r', r'', r''') + PD; PD compares measurements with an equally delayed reference.
 
-    The map starts as the nominal valve map and learns from the commands that were sent and the
-    motion that followed. See `leglab.control.feedforward`.
+    The map starts as the nominal valve map and learns from commands that were sent and the motion
+    that followed them. See `leglab.control.feedforward`.
     """
 
     name = "bsnn_arx"
@@ -68,7 +68,7 @@ class AdaptiveController:
         return self.adaptation.step(measurement, reference)
 
     def look(self, time: float) -> None:
-        """Runs before each control period, at this time [s]; a hook for subclasses."""
+        """Hook for subclasses that is called before each control period, at a time [s]."""
 
     def sent(self, command: np.ndarray) -> None:
         """Records the commands that were sent in place of the result of `command`, (joints,)."""

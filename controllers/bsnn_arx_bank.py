@@ -1,4 +1,4 @@
-"""Adaptive feed-forward with a bank of faults, whose maps shorten learning after a change."""
+"""Adaptive feed-forward with a bank of faults, each with a map that shortens learning after it."""
 
 import math
 from collections import deque
@@ -20,10 +20,10 @@ from leglab.control.feedforward.thresholds import AFTER, STRIDE
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 
 # Number of latest sample blocks on which a new contender (proposed map) is first compared with the
-# learner; older samples are from the machine before its change.
+# learner, because older samples are from the machine before its change.
 _BLOCKS = 4
 
-# Prior odds, against the learner's map, of a map with a valve state from `_STATES` or `plays`.
+# Prior odds of a map with a valve state from `_STATES` or `plays`, against the learner's map.
 _UNNAMED = 0.03
 
 # Valve states that are tried after every change, in addition to `plays`; columns as in
@@ -40,7 +40,7 @@ _STATES = np.array(
 
 
 class _Proposed(NamedTuple):
-    """Contenders (maps that compete with the learner's map) of one proposed fault."""
+    """Contenders (maps that compete with the learner's map) for one proposed fault."""
 
     number: int  # index of the contender with the fault's parameter shift
     state: int | None  # index of the contender with the fault's valve state
@@ -76,7 +76,7 @@ class BankConfiguration(AdaptiveConfiguration):
     configuration=BankConfiguration,
 )
 class BankController(AdaptiveController):
-    """`bsnn_arx` that, after a change, weights maps of the likely faults by how well they predict.
+    """`bsnn_arx` that, after a change, weights the maps of likely faults by how well they predict.
 
     See `leglab.control.feedforward.fault_monitor` and `csrc/feedforward/contenders.h`.
     """
@@ -98,7 +98,7 @@ class BankController(AdaptiveController):
         self.monitor = FaultMonitor(bank, setup.joints, config.monitor, **given)
         self.health = HealthMonitor(bank, setup.joints, config.health, **given)
         self._after = pace * AFTER
-        # Weight of the latest block in the maps' mean shares, which are averaged over a stride.
+        # Weight of the latest block in the moving average of the maps' shares over a stride.
         self._latest = min(1.0, period * config.monitor.block / (pace * STRIDE))
         self._config = config
         self._states = np.zeros((len(config.plays) + len(_STATES), 5))
@@ -159,8 +159,8 @@ class BankController(AdaptiveController):
     def _end(self, time: float) -> None:
         """Ends the contest of maps once the monitor has finished examining a change.
 
-        First the best map and `learner` are kept, later only the best: the map with the largest
-        share averaged over a stride, because within a stride different maps may lead.
+        First the best map and `learner` are kept, later only the best map. It has the largest share
+        averaged over a stride, because within a stride different maps may lead.
         """
         if not self.adaptation.contenders:
             self._shares = np.zeros(1)
@@ -200,13 +200,13 @@ class BankController(AdaptiveController):
                 self._join(before, proposal.odds, error, proposal.gain, valves)
             return
         shares = adaptation.shares()[1:]
-        # A contender that was excluded, because it predicted badly, is not revised.
+        # A contender that was excluded because it predicted badly is not revised.
         if shares[number] > 0.0:
             moved = proposal.parameters - last.parameters
             now = adaptation.contenders[number].parameters.reshape(moved.shape) + moved
             adaptation.revise(number, moved, self._error(now))
         if state is not None:
-            # A new fault size is a new valve state, so an excluded contender restarts at `before`.
+            # Another fault size changes the valve state, so an excluded contender restarts.
             now = adaptation.contenders[state].parameters.reshape(before.shape)
             moved = (shares[state] == 0.0) * (before - now)
             adaptation.revise(state, moved, error, valves)
@@ -232,7 +232,7 @@ class BankController(AdaptiveController):
         self.adaptation.propose(learner, odds, error, valves)
 
     def _error(self, parameters: np.ndarray) -> float:
-        """Computes the ratio of a map's to the learner's mean squared error on recent samples."""
+        """Computes a map's mean squared error over the learner's, on the latest samples."""
         samples = np.concatenate(self._recent)
         regressor, found = samples[..., :-3], samples[..., -3]
         error = np.where(samples[..., -1] > 0, found - (regressor * parameters).sum(axis=2), 0.0)

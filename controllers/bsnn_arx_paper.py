@@ -76,7 +76,7 @@ class BsnnArxPaper:
         self._motion.clear()
         self._learner = BsnnArx(self._settings, joints=self._joints)
         self._learner.randomise(np.random.default_rng(0))
-        # A copy that is evaluated at the reference: its regressor holds the reference's history.
+        # A copy that is evaluated at the reference, so its regressor holds the reference's history.
         self._driver = self._learner.copy()
         self._driver.freeze()
         self._sent = self._feedforward = np.zeros(self._joints)

@@ -17,14 +17,15 @@ from leglab.identification import Rls
 
 
 class PressureConfiguration(AdaptiveConfiguration):
-    """Settings of `bsnn_arx`, and of what pressures add.
+    """Settings of `bsnn_arx`, and those for measured pressures.
 
     Attributes:
         route: As `bsnn_arx`; with pressures only the inverse map is learned.
-        settle_time: As `bsnn_arx`; the cascade shakes no machine, and is slower with a slow map.
-        leak_gain: Prior deviation of the parameters of leak paths, against 1 of the splines'. 10
-            learns a worn seal sooner, and bursts in the squat on the ground.
-        load_noise: Error of the load map [share of the piston's force] that is no reason to forget.
+        settle_time: As `bsnn_arx`; the pressure cascade made no machine oscillate, and a slow map
+            slows it down.
+        leak_gain: Prior standard deviation of leak paths' parameters (splines: 1); with 10 a worn
+            seal is learned sooner, but parameters burst in the squat on the ground.
+        load_noise: Error of the load map [share of the piston's force] that counts as noise.
     """
 
     route: Literal["inverse"] = Field(default="inverse")

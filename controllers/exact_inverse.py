@@ -19,7 +19,7 @@ class ExactInverse:
 
     With exact sensors the machine would follow its reference as closely as its valves permit. The
     remaining tracking error is due to valve limits and to noise, resolution and latency of the
-    sensors; it is a lower bound for all controllers with this feedback. PD compares measurements
+    sensors, so it is a lower bound for all controllers with this feedback. PD compares measurements
     with an equally delayed reference.
 
     Attributes:

@@ -38,8 +38,8 @@ class Ilc:
     """u = map(r, r') + PD + c, with a correction c learned from stride to stride.
 
     While the reference does not repeat itself, c and the diagnostic `repeats` are zero. The map is
-    evaluated at the reference in the middle of the period in which the command acts; the error is
-    the difference of a measurement from the reference at the time of that measurement.
+    evaluated at the reference in the middle of the period in which the command acts. The error is
+    the reference at the time of the measurement minus the measurement.
     """
 
     def __init__(self, setup: ControllerSetup, config: IlcConfiguration) -> None:

@@ -1,4 +1,4 @@
-"""Feed-forward identified offline on the changed machine: a bound for maps of this structure."""
+"""Feed-forward identified offline on the changed machine: a bound for online learning."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from leglab.control import ControllerSetup, Measurement, ReferencePoint, registe
 from leglab.controllers.bsnn_arx import AdaptiveConfiguration, AdaptiveController
 from leglab.identification import Rls
 
-# Prior variance of the parameters, so large that the recordings alone determine them.
+# Prior variance of the parameters, so large that the recordings alone determine the parameters.
 _PRIOR = 1e3
 
 
@@ -21,7 +21,7 @@ class Oracle(AdaptiveController):
     """`bsnn_arx` without learning online: maps fitted to recordings before and after the change.
 
     It knows when the machine changes and has a recording of the changed machine. Therefore no
-    controller that has to learn a map of this structure online can be expected to do better.
+    controller that has to learn a map of this structure online can be expected to track better.
     """
 
     name = "oracle"

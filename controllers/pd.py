@@ -28,8 +28,8 @@ class PdConfiguration(Configuration):
 class Pd:
     """u = s (K_p (r - q) + K_v (r' - q')); s: sign of the velocity that a positive command gives.
 
-    For drives with an internal position or velocity loop, `command` adds the setpoint with which
-    the loop follows the reference; `correct` does not.
+    For drives with an internal position or velocity loop, `command` adds the setpoint by which the
+    loop follows the reference; `correct` does not.
 
     Attributes:
         position_gain: s K_p [1/rad], (joints,).

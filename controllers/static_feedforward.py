@@ -1,7 +1,7 @@
 """Feed-forward by the nominal machine's calibrated valve map, which never changes, added to PD.
 
-It is the baseline for adaptive controllers: it knows the new machine as exactly as a calibration on
-a test bench can measure it, but no later change.
+It is the baseline for adaptive controllers, because it knows the new machine as exactly as a
+calibration on a test bench can measure it, but no later change.
 """
 
 from collections.abc import Sequence

@@ -39,7 +39,7 @@ def likeness_of_words(
     Args:
         words: Words of the name to be matched.
         names: Words of each candidate name.
-        plain: Common words, which get a low weight. A name that matches by a number only scores 0.
+        plain: Common words, with a low weight. A candidate that shares only a number scores 0.
     """
     count = Counter(word for name in names for word in name)
     known = {word for word in words if word in count and word not in plain}

@@ -1,4 +1,4 @@
-"""Functions of causes that do more than set or scale their parameters."""
+"""Changes of parameters by causes that do more than set or scale their parameters."""
 
 from leglab.base.scenario import Options, ParameterChange
 from leglab.causes.record import Cause, model_values
@@ -17,8 +17,8 @@ def another_grade(cause: Cause, options: Options) -> tuple[ParameterChange, ...]
     """Changes the viscosities at 40 and 100 °C, and the friction and leakage that depend on them.
 
     Viscous friction and leakage of a cylinder refer to the healthy oil at 40 °C. Mineral oils of
-    viscosity index 100 follow nu_100 = 6.8 cSt (VG/46)^0.665: 5.3, 8.8, 11.4 and 14.9 for VG 32,
-    68, 100 and 150, against 5.4, 8.7, 11.4 and 15.0 in makers' tables.
+    viscosity index 100 follow nu_100 = 6.8 cSt (VG/46)^0.665: 5.3, 8.8, 11.4 and 14.9 cSt for VG
+    32, 68, 100 and 150, where makers' tables have 5.4, 8.7, 11.4 and 15.0 cSt.
     """
     grade = options.severity
     ratio = grade / cause.healthy_magnitude(options.healthy)
@@ -32,7 +32,7 @@ def another_grade(cause: Cause, options: Options) -> tuple[ParameterChange, ...]
 
 
 def worn_valve(_: Cause, options: Options) -> tuple[ParameterChange, ...]:
-    """Sets hysteresis and overlap to the severity; an overlap that is already wider stays."""
+    """Sets hysteresis and overlap of the valve to the severity, but keeps an overlap if wider."""
     lap = max(options.severity, *model_values("lap", options.healthy))
     return options.set("lap", lap), options.set("hysteresis", options.severity)
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field, FiniteFloat, StringConstraints
 
 from leglab.causes.table import effect_of
 
-# Element of a fault that is common to all cylinders, or belongs to no single one.
+# Element of a fault that all cylinders share, or that belongs to no single cylinder.
 ALL = "all"
 
 # Name of a change that no fault of the bank explains.
@@ -148,7 +148,7 @@ class FaultTrend(NamedFault):
     remaining_high: FiniteFloat | None = None
 
     def short(self) -> str:
-        """Formats the trend in a few words, for figures: "knee seal wear 8.54, left 9.2 min"."""
+        """Formats fault, magnitude and life left, briefly: "knee seal wear 8.54, left 9.2 min"."""
         size = "" if self.size is None else f" {self.size:.3g}"
         left = "" if self.remaining is None else f", left {_duration(self.remaining)}"
         return self._short(size + left)

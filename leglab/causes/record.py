@@ -1,4 +1,4 @@
-"""Record of a cause: its names, the parameters it changes, its magnitudes as steps from healthy."""
+"""Record of a cause: its names, parameters that it changes, magnitudes as steps from healthy."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
@@ -8,7 +8,7 @@ from typing import Any, Literal
 from leglab._native.hydraulics import parameter_tables
 from leglab.base.scenario import Healthy, Options, ParameterChange, Severity
 
-# Function of a healthy value and a step; returns the value at this step.
+# Function of a healthy value and a step (a factor or a difference) that returns the changed value.
 Step = Callable[[float, float], float]
 
 
@@ -24,7 +24,7 @@ def plus(healthy: float, step: float) -> float:
 
 @dataclass(frozen=True)
 class Side:
-    """Steps from the healthy magnitude in one direction, from small to large."""
+    """Steps (factors or differences) from the healthy magnitude to one side, small to large."""
 
     bank: tuple[float, ...]  #: Steps at which the fault bank is simulated
     #: Steps of the benchmarks; none is in `bank`, and the last lies beyond the last of `bank`.
@@ -137,7 +137,7 @@ class Cause:
     def healthy_magnitude(self, values: Healthy | None = None) -> float:
         """Returns the magnitude that changes nothing, from the model's values or plugin defaults.
 
-        If elements differ, it is the extreme value, so a magnitude beyond it is a fault of all.
+        If elements differ, it is their extreme, so that a magnitude beyond it is a fault of all.
         """
         if not self.healthy:
             return 1.0 if self.ratio else 0.0
@@ -146,7 +146,7 @@ class Cause:
         return _rounded(value / self.unit)
 
     def magnitude(self, step: float, healthy: float) -> float:
-        """Returns the magnitude at a step from the healthy one, within the plugin's bounds."""
+        """Applies a step to the healthy magnitude, within the bounds of the plugin's parameter."""
         value = _rounded(self.step(healthy, step))
         if not self.healthy:
             return value
@@ -154,7 +154,7 @@ class Cause:
         return min(max(value, lower / self.unit), upper / self.unit)
 
     def magnitudes(self, steps: tuple[float, ...], healthy: float) -> tuple[float, ...]:
-        """Returns the magnitudes at steps, without repeated ones that come from clipping."""
+        """Returns the magnitudes at steps, without the repeats that clipping to bounds causes."""
         found = [self.magnitude(step, healthy) for step in steps]
         return tuple(m for last, m in zip([healthy, *found], found, strict=False) if m != last)
 
@@ -178,6 +178,6 @@ def _rounded(value: float) -> float:
 
 @cache
 def _plugin_row(parameter: str) -> tuple[float, float, float]:
-    """Returns default and bounds of a plugin parameter, the cylinder's if several have it."""
+    """Returns default and bounds of a parameter, of the cylinder plugin if several have it."""
     rows = (row for rows, _, _ in parameter_tables().values() for row in rows)
     return next((row[2], row[3], row[4]) for row in rows if row[0] == parameter)

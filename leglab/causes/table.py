@@ -1,7 +1,7 @@
 """The table of causes: a new cause is a row, plus a function in `changes` if its changes are new.
 
-Magnitudes are steps from the model's healthy value (`record`). Sources of values that name none in
-this file are in the plugins' tables, docs/reference/parameters.md.
+Magnitudes are steps from the model's healthy value (`record`). Sources of values without a source
+in this file are in the plugins' tables, docs/reference/parameters.md.
 """
 
 from functools import partial
@@ -259,18 +259,18 @@ def names(kind: str) -> set[str]:
 
 
 def effect_of(live: str) -> str:
-    """Returns a cause's effects in a diagnosis; empty if they have the name of the cause."""
+    """Returns the names of a cause's effects in a diagnosis; empty if they equal the cause's."""
     effect = CAUSES[live].effect if live in CAUSES else ""
     return "" if effect == live else effect
 
 
 def live_of(effect: str) -> tuple[str, ...]:
-    """Returns the names of causes with this effect; empty if a cause has the effect's name."""
+    """Returns the names of the causes with this effect; empty if one has the effect's name."""
     names = tuple(cause.name for cause in CAUSES.values() if cause.effect == effect)
     return () if effect in names else names
 
 
 def kind_of(name: str) -> tuple[str, ...]:
-    """Returns the whole cause to which a cause of the table belongs, and all parts of the whole."""
+    """Returns the cause of which this one is a part (or itself), and all parts of that cause."""
     whole = CAUSES[name].part_of or name
     return whole, *(cause.name for cause in CAUSES.values() if cause.part_of == whole)

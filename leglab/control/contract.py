@@ -1,9 +1,9 @@
 """Interface and registry of controllers: measurements and references in, commands out.
 
-A controller sees measurements, references and time, never the simulation, so the same object could
-run on a robot. A simulated control period with all joints takes some tens of microseconds. To keep
-the controller's share of it small, measurements and references are plain tuples of small arrays,
-and whatever can be computed once belongs into a controller's constructor.
+A controller sees measurements, references and time, never the simulation, so that the same object
+could run on a robot. A simulated control period with all joints takes some tens of microseconds. To
+keep the controller's share of this time small, measurements and references are plain tuples of
+small arrays, and a controller's constructor should compute whatever needs computing only once.
 """
 
 import inspect
@@ -174,11 +174,11 @@ class Foreknowledge:
     #: Time at which the machine begins to change [s]; infinite if it never does.
     first_change: float = math.inf
     last_change: float = math.inf  #: Time at which the machine's last change begins [s]
-    #: Makes recordings of the machine before and after its changes; None if no machine can be
+    #: Function that records the machine before and after its changes; None if no machine can be
     #: recorded.
     bench_runs: Callable[[], Any] | None = None
-    #: Computes the valve commands with which the machine of the run follows its reference,
-    #: (periods, joints); None if there is no machine.
+    #: Function that computes the valve commands with which the run's machine follows its reference,
+    #: (periods, joints); None without a machine.
     exact_commands: Callable[[], np.ndarray] | None = None
 
 

@@ -43,8 +43,8 @@ class DisturbanceRejection:
     With order 2, u = (omega_c^2 e + 2 omega_c e' + f)/b_0 and e'' = f - b_0 u. e is the tracking
     error; the disturbance f [rad/s or rad/s^2] is everything but the command that changes e:
     leakage, load, calibration errors. The observer has all poles at exp(-omega_o T). An error is
-    measured `latency` before its command takes effect. Until then earlier commands still act, so
-    the observer predicts the estimate with them to the time when the new command takes effect.
+    measured `latency` before its command takes effect. Until then earlier commands act, with which
+    the observer predicts the estimate to the time when the new command takes effect.
 
     Args:
         gains: Bandwidths.
@@ -66,8 +66,8 @@ class DisturbanceRejection:
         self._damping = self._second * 2.0 * bandwidth
         self._rate = np.asarray(direction) * gains.plant_gain
         self._period, self._latency = period, latency
-        # Factors of the error's change between two measurements: of the disturbance, of the last
-        # command, and of the command before, which acts for `latency` after a measurement.
+        # Changes of the error between two measurements per unit of the disturbance, of the last
+        # command, and of the command before it, which acts for `latency` after a measurement.
         held, late = period - latency, latency
         self._drift_moves = np.where(second, 0.5 * period**2, period)
         self._last_moves = np.where(second, 0.5 * held**2, held)
@@ -105,7 +105,7 @@ class DisturbanceRejection:
         return LinearLaw(a, b, a[3], float(b[3]))
 
     def _next(self, state: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """Computes estimates and commands of the next period; linear in both arguments."""
+        """Computes estimates and commands of the next period, which are linear in the arguments."""
         error, speed, drift, last, before = state
         period, late, second = self._period, self._latency, self._second
         moved = self._rate * (self._last_moves * last + self._before_moves * before)

@@ -3,8 +3,8 @@
 The learning function by inversion of the plant, the Q-filter, and the frequency-domain condition
 under which the error decreases from stride to stride are in Bristow, Tharayil and Alleyne 2006, "A
 survey of iterative learning control", IEEE Control Systems Magazine 26(3), 96. Strides follow one
-another without a pause or a reset, so the same phase of the last stride is one stride duration ago,
-in general not a whole number of control periods.
+another without a pause or a reset, so the same phase of the last stride was one stride duration
+ago, which in general is not a whole number of control periods.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 # gamma: share of an error that the learning function removes per stride if the model is exact.
 LEARNING_GAIN = 0.5
 
-# Half length of the filters' impulse responses times the cutoff: less than 1 % is cut off.
+# Half length of the filters' impulse responses times the cutoff, beyond which less than 1 % lies.
 _HALF_LENGTH = 12.0
 
 # Time over which a correction is faded in or out [s].
@@ -64,9 +64,9 @@ def learning_function(
 class IterativeLearning:
     """Learned correction of the command, c(t) = Q [c + L e](t - stride).
 
-    c is in use once the reference has equalled the reference a stride earlier for a whole stride;
-    otherwise c is zero and nothing is learned. The filters are non-causal: they use samples before
-    and after t - stride.
+    c is in use once the reference has repeated that of a stride earlier for a whole stride.
+    Otherwise c is zero and nothing is learned. The filters are non-causal, because they use samples
+    before and after t - stride.
 
     Args:
         filters: Tuning.
@@ -97,7 +97,7 @@ class IterativeLearning:
         self._part = stride / period - self._count  # fraction of a period in the stride
         longest = math.ceil(_HALF_LENGTH / float(np.min(filters.cutoff)) / period)
         self._half = half = min(longest, self._count - 2)
-        # The time one stride ago lies between two samples, so the filters interpolate.
+        # The time one stride ago lies between two samples, so that the filters interpolate.
         shift = -self._part * period
         tuning = np.stack([filters.cutoff, filters.lead, filters.speed_per_command, crossover])
         kernels = [
@@ -124,7 +124,7 @@ class IterativeLearning:
     def correction(self, reference: np.ndarray) -> np.ndarray:
         """Computes command corrections, (joints,), for reference positions [rad], (joints,)."""
         half, last = self._half, slice(self._next, self._next + self._length)
-        # Of the kept samples, oldest first, the sample at index `half + 1` is `_count` periods old.
+        # In the kept samples, oldest first, the sample at index `half + 1` is `_count` periods old.
         then = self._reference[last][half : half + 2]
         earlier = then[1] + self._part * (then[0] - then[1])
         known = self._periods > self._count
@@ -149,7 +149,7 @@ class IterativeLearning:
 
         Args:
             error: Measured tracking errors of this period [rad], (joints,); NaN if missing.
-            correction: Correction in the sent commands, reduced by their clipping, (joints,).
+            correction: Correction that the commands contain after clipping, (joints,).
         """
         self._store(self._error, np.nan_to_num(error))
         self._store(self._correction, correction)
@@ -180,7 +180,7 @@ def _kernels(
     learning = learning_function(
         frequency, lead=lead, speed_per_command=speed_per_command, crossover=crossover
     )
-    # Sample n of a response weights the input n samples earlier, so the oldest comes with n = half.
+    # Sample n of a response weights the input n samples earlier, so that n = half is the oldest.
     wanted = np.arange(half, -half - 1, -1)
     return tuple(  # type: ignore[return-value]
         np.fft.irfft(response, _TRANSFORM)[wanted] for response in (passed, passed * learning)

@@ -6,8 +6,8 @@ from leglab.control.backstepping.cylinder import CylinderModel
 from leglab.control.backstepping.data import NominalCylinders
 from leglab.control.contract import Measurement
 
-# `_BANDWIDTH`: bandwidth w of the force loop times the control period. `_INTEGRAL`: w_i/w, rate of
-# the integral part. With hold, latency and valve lag they give about 30 degrees of phase margin.
+# `_BANDWIDTH`: bandwidth w of the force loop times the control period. `_INTEGRAL`: w_i/w, relative
+# rate of the integral part. With hold, latency and valve lag, the phase margin is about 30 degrees.
 _BANDWIDTH, _INTEGRAL = 0.4, 0.5
 
 
@@ -58,7 +58,7 @@ class TorqueLoop:
             velocity: Measured velocities [rad/s], (joints,).
             pressure: Measured pressures on cap and rod side [Pa], (2, joints).
             supply_pressure: Measured supply pressure [Pa], one number or (joints,).
-            rests: Mask of joints whose machines are not stepped: not integrated, (joints,).
+            rests: Mask of joints, (joints,), whose machines rest, so that nothing is integrated.
         """
         data = self._model.data
         lever, piston = self._model.geometry(position)

@@ -70,7 +70,7 @@ class ColumnMap:
 
     @property
     def time(self) -> tuple[str, ColumnRule] | None:
-        """Name in the recording and rule of the column that becomes `time`."""
+        """Recorded name of the column that becomes `time`, and its conversion; None without one."""
         return next((item for item in self.rules.items() if item[1].name == "time"), None)
 
     def apply(

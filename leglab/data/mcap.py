@@ -159,7 +159,7 @@ def _topics(
 
 
 def _transforms(scene: Scene, index: int, stamp: int) -> dict[str, Any]:
-    """Returns the message with the poses of a scene at one of its rows."""
+    """Returns the message with the poses of all links of a scene at one sample, `index`."""
     places, turns = scene.positions[index].tolist(), scene.quaternions[index].tolist()
     placed = []
     for link, parent in enumerate(scene.parents[1:], start=1):

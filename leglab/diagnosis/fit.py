@@ -1,9 +1,9 @@
 """Fit of parameters that the user chooses, by least squares of replay errors.
 
-Bounds are the only prior. If a recording's metadata name no simulation, the time by which commands
-act early is uncertain by half a time step (standard deviation). Errors of neighbouring windows are
-correlated, so the covariance is estimated from parts of the recordings (the "sandwich" of Liang and
-Zeger 1986, Biometrika 73, 13).
+The user's bounds are the only prior. If a recording's metadata name no simulation, the times at
+which commands act are uncertain by half a time step (standard deviation). Since errors of
+neighbouring windows are correlated, the parameters' covariance is estimated from the scatter
+between parts of the recordings (the "sandwich" of Liang and Zeger 1986, Biometrika 73, 13).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ from leglab.diagnosis.thresholds import FINE, SAME
 from leglab.diagnosis.verdict.notes import notes
 from leglab.diagnosis.verdict.verdict import errors_of
 
-# Number of fits: the first weights windows equally, its errors give the second fit's weights.
+# Number of fits: the first weights windows equally, and its errors determine the second's weights.
 _ROUNDS = 2
 
 
@@ -184,7 +184,7 @@ class _Fitted:
                 for p, ends in zip(self._rows, self._ends, strict=True)
             ]
         ).T
-        # The start is inside the bounds, at which a reflective trust region takes tiny steps.
+        # The start is inside the bounds, because at a bound the solver takes tiny steps.
         inside = np.minimum(1.0, 0.1 * (self._upper - self._lower))
         self._z = np.clip(np.zeros(len(places)), self._lower + inside, self._upper - inside)
         self._weight = np.ones(int(problem.fitted.sum()))
@@ -224,7 +224,7 @@ class _Fitted:
         return own - (1.0 - (1.0 + square) ** -0.5) / square * float((early * own).sum()) * early
 
     def _half_a_step_early(self) -> np.ndarray:
-        """Returns the change of the errors if commands act half a step early, (windows, size).
+        """Returns the errors' change if commands act half a time step early, (windows, size).
 
         It is zero for recordings whose metadata name a simulation, see `Recording.command_lead`.
         """
@@ -251,7 +251,7 @@ class _Fitted:
         return np.stack([(one - here) / h for one, h in zip(moved, step, strict=True)], axis=2)
 
     def solve(self, progress: Callable[[str], None], round_: int) -> None:
-        """Fits the parameters, then weights windows by how unusual their errors are."""
+        """Fits the parameters, then lowers the weights of windows with unusually large errors."""
         count = len(self._places)
 
         def flat(z: np.ndarray) -> np.ndarray:
@@ -272,7 +272,7 @@ class _Fitted:
         square = np.mean(self._residual(self._z) ** 2, axis=1) / self._weight
         limit = self._problem.thresholds.robust_limit
         self._weight = robust_weight(square / max(float(np.median(square)), 1.0), limit)
-        # The noise model changes, since errors of start states propagate by the fitted model.
+        # The noise model is renewed, since errors of start states propagate by the fitted model.
         self._problem = self._problem.about(self._hypothesis(self._z))
         self._errors = Errors(self._problem, self._errors.unknowns, self._problem.fitted)
         self._early = self._half_a_step_early()
@@ -285,7 +285,7 @@ class _Fitted:
         slopes = np.einsum("wip,wi->wp", jacobian, white)
         sums = np.stack([slopes[part == k].sum(axis=0) for k in range(int(part.max()) + 1)])
         few = len(sums) / max(len(sums) - 1, 1)
-        # The covariance of noise alone is added, so that no variance falls below its variance.
+        # The covariance by sensor noise is added, so that no variance is smaller than by noise.
         return np.asarray(bread @ (few * sums.T @ sums) @ bread + bread)
 
     def told(self, began: float) -> ParameterFit:

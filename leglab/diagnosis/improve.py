@@ -1,4 +1,4 @@
-"""Improvement of a model by recordings: effects of high confidence, and a learned remainder."""
+"""Improvement of a model by recordings: effects of high confidence, and learned static forces."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -70,7 +70,7 @@ class ImprovedModel:
     """Parts of the improved model."""
 
     problem: Problem  #: Recordings and machine, without the learned remainder
-    hypothesis: Hypothesis  #: Effects, and parameters that moved noticeably within tolerances
+    hypothesis: Hypothesis  #: Named effects, and parameters moved noticeably within tolerances
     named: tuple[Key, ...]
     remainder: Remainder | None  #: Learned remainder; None if none was learned
 
@@ -132,8 +132,8 @@ def improved_model(
 ) -> ImprovedModel | None:
     """Returns a diagnosis's recalibrated model with the named effects and a learned remainder.
 
-    Effects that were fitted but not named are left out. A remainder is learned if much error is
-    left. Returns None if the original model replays held-out recordings equally well.
+    Effects that were fitted but not named are left out. A remainder (static forces that no effect
+    describes) is learned if much error is left. None if the original model replays as well.
     """
     problem, result = found.problem, found.result
     limits = problem.thresholds
@@ -155,7 +155,7 @@ def improved_model(
 def _recalibrated(
     found: Outcome, kept: Iterable[NamedEffect]
 ) -> tuple[tuple[Key, ...], Hypothesis]:
-    """Returns the keys of kept effects, and the written hypothesis without other named ones."""
+    """Returns the keys of kept effects, and the written hypothesis without other named effects."""
     told = {(e.name, e.element) for e in kept}
     named = tuple(key for key in found.named if key in told)
     return named, found.written.without(*(set(found.named) - set(named)))
@@ -164,9 +164,9 @@ def _recalibrated(
 def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:
     """Restores the model's values of unnamed parameters whose change the errors hardly show.
 
-    Backward elimination: one parameter after another goes back to the model's value, each time the
-    parameter that costs least after a refit of the others by linearised errors. The elimination
-    ends before the replay errors of fitted windows grow by more than a tenth.
+    Backward elimination: parameters return to the model's value one by one. The next is the one
+    that costs least after the others are refitted by linearised errors. The elimination ends before
+    the replay errors of the fitted windows grow by more than a tenth.
     """
     library, chosen = problem.library, thinned(~problem.held, WINDOWS)
     whole = library.whole(fitted)
@@ -179,7 +179,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     ]
 
     def at(back: np.ndarray) -> Hypothesis:
-        """Returns the hypothesis in which each parameter has gone back by its share, (moved,)."""
+        """Returns the hypothesis with each parameter moved back by a share of its change."""
         values = {key: whole[key].copy() for key in {*fitted, *(key for key, *_ in moved)}}
         for share, (key, i, value, own, _) in zip(back.tolist(), moved, strict=True):
             values[key][i] = own if share == 1.0 else value + share * (own - value)
@@ -198,7 +198,7 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
     stay = np.zeros(count)
     before = errors(stay).ravel()
     columns = np.stack([errors(one).ravel() - before for one in np.eye(count)], axis=1)
-    # Departures in tolerances; without a tolerance the departure of a parameter counts as 1.
+    # Departures in multiples of the tolerance; the departure counts as 1 without a tolerance.
     away = np.array([(v - own) / (tolerance or abs(v - own)) for _, _, v, own, tolerance in moved])
     paths = [stay, *_going_back(before, columns, away)]
     limit = (1.0 + SMALL) * level(stay)
@@ -207,12 +207,12 @@ def _noticeable(problem: Problem, fitted: Hypothesis, named: tuple[Key, ...]) ->
 
 
 def _going_back(before: np.ndarray, columns: np.ndarray, away: np.ndarray) -> Iterator[np.ndarray]:
-    """Yields shares by which parameters go back to the model's values, each time one more of 1.
+    """Yields shares by which parameters go back to the model's values, with one more share of 1.
 
     Args:
         before: Errors before any parameter goes back, (errors,).
         columns: Change of the errors if a parameter alone goes back, (errors, parameters).
-        away: Distance of each parameter from the model's value, in tolerances, (parameters,).
+        away: Each parameter's departure from the model, in tolerances, (parameters,).
 
     Yields:
         Shares, (parameters,).

@@ -1,6 +1,6 @@
 """Result of a diagnosis: verdict and all figures of reports and pages; immutable.
 
-`before` is a result of the original model, `baseline` of the model with its parameters refitted
+`before` is a quantity of the original model, `baseline` of the model with its parameters refitted
 within their tolerances, and `after` of the model that also has the named effects.
 """
 
@@ -55,14 +55,14 @@ class NamedEffect:
     #: Probability in [0, 1] that the effect is the cause, rather than another of the fitted sets of
     #: effects or a cause that no effect describes; the least of several estimates.
     confidence: float
-    contribution: float  #: Share of the gap that the effect closes when it is added last
+    contribution: float  #: Share of the error above noise that the effect removes if added last
     parameters: tuple[Estimate, ...]
     indistinguishable_from: tuple[str, ...]  #: Effects that explain these recordings equally well
     #: Normalised replay error on the held-out recordings without this effect alone.
     without: float = math.nan
-    #: Recording, earliest and latest time [s] of the onset; no motion in between shows it.
+    #: Recording, earliest and latest time [s] of the onset: no motion between them shows it.
     onset_interval: tuple[tuple[str, float, float], ...] = ()
-    #: Differences between values for the two directions; surer than the values themselves.
+    #: Differences between values for the two directions, which are surer than the values.
     differences: tuple[Estimate, ...] = ()
 
     @property
@@ -141,12 +141,12 @@ class Gap:
     before: float
     baseline: float
     after: float
-    #: Error that the calibrated specimen had in its healthy recordings; None without any.
+    #: Error of the calibrated specimen in its healthy recordings; None without such recordings.
     healthy: float | None = None
     #: Error of the final fit without the named effects; NaN if no effect is named.
     unnamed: float = math.nan
-    #: Value of `shown` if effects are named: errors relative to noise and the healthy specimen, of
-    #: all recordings if the held-out ones hardly show the effects. None if no effect is named.
+    #: Value of `shown` if effects are named, else None: errors relative to noise and the healthy
+    #: specimen, of all recordings if the held-out recordings hardly show the effects.
     compared: tuple[float, float, float] | None = None
     held_out: tuple[str, ...]
 
@@ -157,9 +157,9 @@ class Gap:
 
     @property
     def explained(self) -> float | None:
-        """Share of the gap without the named effects that they close; None if nothing is named.
+        """Share of the gap that the named effects close; None if no effect is named.
 
-        Noise, and model errors from before the machine changed, are no part of the gap.
+        The gap excludes noise, and the model error from before the machine changed.
         """
         share = closed(*self.shown)
         return None if share is None else min(max(share, 0.0), 1.0)
@@ -171,7 +171,7 @@ class Gap:
 
 
 def closed(before: float, after: float, floor: float = 1.0) -> float | None:
-    """Returns the closed share of the gap between an error and its noise floor; None if no gap."""
+    """Returns the closed share of an error's excess over the noise floor; None if it has none."""
     room = before - floor
     return (before - after) / room if room > ROOM else None
 
@@ -184,8 +184,8 @@ class Rank:
     element: str
     #: First-order log of the factor by which this effect alone makes the recordings more probable.
     gain: float
-    #: Predicted log evidence of the best set with this effect that is one step from a good set,
-    #: minus the log evidence of the best set of all; None if no set with this effect was scored.
+    #: Predicted log evidence of the best set with this effect among neighbours of good sets, minus
+    #: the best set's log evidence; None if no set with this effect was scored.
     added: float | None = None
 
 
@@ -210,9 +210,9 @@ class Certainty:
     evidence: float  #: Probability of the sets with the effect, by all recordings
     #: `evidence` without the least favourable part of the recordings, and without sets at a bound.
     parts: float
-    drive: float  #: `parts` if errors count in units of the drive
+    drive: float  #: `parts` if errors are divided by the motion that commands cause
     explained: float  #: Share of the errors that the effect explains
-    inside: float  #: Probability that the cause is not outside of the library, by `explained`
+    inside: float  #: Probability that the library contains the cause, by `explained`
     differs: float  #: Probability that directions differ noticeably; 1 for a symmetric effect
     ties: int  #: Number of rivals that the data do not distinguish from the effect
 
@@ -292,7 +292,7 @@ class Proposal:
     description: str
     rivals: tuple[str, str]
     separation: float  #: Expected chi-square between the rivals
-    separation_now: float  #: Their chi-square in the present recordings
+    separation_now: float  #: Chi-square between the rivals in the present recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,7 +4,8 @@
 constants below it. Physical constants, guards against rounding and cache sizes are defined where
 they are used. Terms: A "set" is a set of effects that a fit adds to the model. The "trials" of a
 parameter are values that are tried; the smallest is the least departure that a user would notice.
-"Costs" are robust mean squares of whitened errors, so that sensor noise alone costs 1.
+"Costs" are robust mean squares of whitened errors, so that sensor noise alone costs 1. A "replay"
+simulates a short piece of a recording (a "window") under its measured commands.
 """
 
 import math
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Limits of recordings, windows, noise and verdict, in the order in which they are met."""
+    """Thresholds for recordings, windows, noise and verdict, in the order of their use."""
 
     # Recordings: checks before any replay.
     # Share of a joint's range by which a recorded position may lie outside of the range before its
@@ -33,8 +34,8 @@ class Thresholds:
     # At low sampling rates `window_length` increases the lengths [s] of windows and bins.
     window: float = 0.3  # length of a window, a piece of a recording that is replayed by itself
     bin: float = 0.01  # length of a bin, over which predictions and data are averaged
-    # Number of samples that a window keeps from either end of its recording, in addition to half of
-    # the longest filter, because slopes of filtered signals need neighbouring samples.
+    # Number of samples between a window and either end of its recording, in addition to half of the
+    # longest filter, because slopes of filtered signals need neighbouring samples.
     margin_samples: int = 2
     # A window rests if no command changes and no channel moves by more than this number of standard
     # deviations of the channel's noise.
@@ -56,7 +57,7 @@ class Thresholds:
     # If no pressures are measured, a replay of this duration [s] that ends at the start of a window
     # computes the window's initial pressures; it is long enough to forget its own initial state.
     warm_up: float = 0.15
-    # A friction bristle rests if it slid by less than twice its full deflection in this time [s].
+    # A friction element rests if it slid by less than twice its full deflection in this time [s].
     rest_time: float = 0.03
 
     # Noise model.
@@ -71,7 +72,7 @@ class Thresholds:
     timing_share: tuple[float, float] = (3e-4, 3e-3)
     # Standard deviation [Pa] of a window's initial pressures if they are computed, see `warm_up`.
     unseen_pressure: float = 3e5
-    # Standard deviation of a bristle's initial deflection, as a share of its full deflection.
+    # Standard deviation of a friction element's initial deflection, as a share of the full one.
     bristle_share: float = 0.3
     # Limit up to which a window's cost (or its ratio to the median cost) counts in full. Beyond it
     # only the logarithm counts: one window with a bad start must not outvote a hundred others.
@@ -94,18 +95,18 @@ class Thresholds:
     # Least share of the misfit that a worthwhile term removes. A simpler form is preferred if it
     # loses at most this share of the gain.
     worthwhile: float = 0.05
-    # A gain must also exceed this multiple of its standard error over blocks or windows.
+    # A gain must also exceed this multiple of its standard error over blocks of time or windows.
     beyond_chance: float = 2.5
     # Number of windows whose replays refine a remainder, and least number of windows of a balance.
     learned_windows: int = 60
-    # Number of combinations of a remainder's coefficients that replays refine, fewer than windows.
+    # Number of principal directions of coefficients that replays refine, shared by all remainders.
     learned_directions: int = 24
 
 
 DEFAULT = Thresholds()
 
 # Relative difference below which two periods, numbers of turns, counts or parameter values are
-# equal: clocks and converters of one kind differ by less, others by more. Lost rows up to this
+# equal: clocks and converters of one kind differ by less, others by more. Lost samples up to this
 # share of a recording, and jitter up to this share of a period, are not reported.
 SAME = 0.02
 # Share of any whole that does not matter, for example of a period by which stamps miss the grid
@@ -135,14 +136,14 @@ EXPLANATION = 0.5
 # Scales of parameters by recorded magnitudes.
 # Trial values as shares of recorded magnitudes. Good models leave 2 to 7 % of a good machine's
 # forces unexplained, so a user would not notice a fault below 2 %. Each further trial is about four
-# times as large, because a secant is valid from 0.4 to 2 times its jump.
+# times as large, because a secant is valid from 0.4 to 2 times the step over which it is computed.
 TRIALS = (0.02, 0.08, 0.3)
 # Upper bound of a force parameter as a multiple of the largest single force (of the drive, of
 # weight or of inertia), because the three kinds of force add up.
 KINDS_OF_FORCE = 3.0
 TOP_QUANTILE = 0.99  # quantile used as the largest value: one bad sample must not set a scale
-# Longest delay or lag [s] that is tried: windows hardly show longer ones. The bound is shorter if
-# the commands' correlation time is; trials are shares of the time in which commands change.
+# Longest delay or lag [s] that is tried, since windows hardly show longer ones, or the commands'
+# correlation time if that is shorter. Trials are shares of the time in which commands change.
 LONGEST_DELAY = 0.5
 
 # Windows and their start states.
@@ -168,22 +169,21 @@ FAULT_ODDS = 0.3
 # all are equally probable. The largest is that of the roughest machine, where one parameter in five
 # departs noticeably. Still larger ones would explain a fault by many small departures.
 SPREADS = (0.05, 0.1, 0.2, 0.4)
-# WIDER: further candidates, only with healthy recordings. BESIDE: largest of them that is allowed,
-# as a share of a set's largest fault. The law of a large fault errs by such a share, since good
-# models leave 2 to 7 % of a good machine's forces unexplained.
+# WIDER: further candidates, only with healthy recordings. BESIDE: largest of these that is allowed,
+# as a share of a set's largest fault: good models leave 2 to 7 % of a machine's force unexplained.
 BESIDE, WIDER = 0.05, (0.8, 1.6)
 # Candidate scales of the model error relative to the errors that a set leaves; 0: an exact model.
 SIZES = (0.0, 0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5)
 # Tolerances are known for the smallest of SPREADS. A wider spread multiplies them by the ratio of
 # the two spreads times this factor, at least by 1; the product does not exceed the wider spread.
 USUAL = 0.5
-# Standard deviation, in smallest trials, of the parameters of a moving part that is absent, and of
-# all parameters without a tolerance in a fit that assumes that the machine equals its model.
+# Standard deviation, in smallest trials, of the parameters of effects that a machine either has or
+# lacks, and of parameters without a tolerance if the machine is assumed to equal its model.
 ABSENT = 1e-3
 # Standard deviation of a shape parameter, as a share of its range: all of the range is possible.
 SHAPE_SPREAD = 0.3
-# Factor on known tolerances for a machine that has left its healthy state on another day, below 1
-# because it is the same machine; other deviations are as between good machines and their models.
+# Factor on known tolerances between the healthy recordings of a machine and those of another day,
+# below 1 because the machine is the same. Deviations without a tolerance have no such factor.
 DAY_TOLERANCES = 0.5
 # DAY_SIZES: candidate scales of the model error on another day, relative to its scale in the
 # healthy recordings; the large ones apply while an effect is missing. DAY_FACTOR: prior standard
@@ -194,9 +194,9 @@ DAY_SIZES, DAY_FACTOR = (0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 9.0, 16.0), 0.4
 # A tangent is a difference over a step: a number of smallest trials or, if larger, a share of the
 # departure. COARSE steps come first, since effects that are not smooth have no FINE tangent.
 COARSE, FINE = (0.3, 0.1), (0.05, 0.02)
-# Factor by which commands are raised to compute their influence on the motion.
+# Factor by which commands or gains are raised to compute the influence of commands on the motion.
 LOUDER = 1.0 + FINE[1]
-# Smallest and largest multiple of a jump to a trial value for which its secant is valid.
+# Smallest and largest multiple of a step to a trial value for which the step's secant is valid.
 SECANT = (0.4, 2.0)
 # Initial weight of the log likelihood, below 1 because errors are correlated.
 KAPPA = 0.1
@@ -233,7 +233,7 @@ LADDER = (0.3, 0.5, 0.75, 1.3, 1.8, 2.8)
 WINDOWS, MANY_UNKNOWNS = 32, 60
 # First share of every recording that the model must explain if an onset is to be searched for.
 EARLY_SHARE = 0.25
-# Fewest windows on either side of a change: two do not distinguish a mean from chance.
+# Fewest windows before or after a change: two do not distinguish a mean from chance.
 FEWEST_WINDOWS = 3
 # Least rise at a change, as the ratio of the geometric means of squared errors: the errors of
 # healthy windows hardly vary.
@@ -243,10 +243,10 @@ ONSET_TOLD = 12.0
 # Upper limit on the number of times that error covariance and best set are estimated in turn; it
 # ends earlier if neither changes.
 ANNEALINGS = 4
-# Number of most probable sets that are extended by further parameters and reported as rivals:
-# others are far less probable.
+# Number of most probable sets that are extended by further parameters and reported as rivals,
+# because others are far less probable.
 BEST_SETS = 6
-# Largest number of parameters of a set before any fit, by the linearisation; fitted sets get more.
+# Largest number of parameters of a set that is proposed before any fit; fitted sets may get more.
 DEPTH = 5
 # Number of additions to a set whose evidence is computed, those with the largest first-order gain:
 # twice this number for a fitted set, five times for the first parameter.
@@ -265,11 +265,11 @@ LARGEST_SET = 7
 # A parameter of a set is idle if it gains less than IDLE[0] nats plus the share IDLE[1] of the best
 # set's gain over no effect: the linearisation errs by this amount.
 IDLE = (3.0, 0.03)
-# NEAR: a set is fitted if its log evidence is at most this far [nats] below the best set's; a turn
-# of a fit that gains this much keeps its tangents. BEHIND: sets further than BEHIND * NEAR below
-# the best set are not extended by parameters, and an onset must gain more than BEHIND * NEAR.
+# NEAR: a set is fitted if its log evidence is at most this far [nats] below the best set's. A fit
+# keeps its tangents after an iteration that gains this much. BEHIND: sets more than BEHIND * NEAR
+# below the best set are not extended, and an onset must gain more than BEHIND * NEAR.
 NEAR, BEHIND = 10.0, 3.0
-# FURTHER_FITS: upper limit on fits of further sets, each of which takes seconds. FRUITLESS: the
+# FURTHER_FITS: limit on fits of sets derived from fitted sets; a fit takes seconds. FRUITLESS: the
 # search ends after more than this number of successive fits that do not come near the best set.
 FURTHER_FITS, FRUITLESS = 7, 2
 
@@ -280,7 +280,7 @@ LIBRARY_ODDS = 2.0
 # explains: mean and standard deviation of the share's logit, and the prior's weight as a number of
 # computed shares.
 IMPOSTOR = (-0.85, 1.8, 5.0)
-# Width of a soft threshold at one half: the right cause hardly explains less of the errors.
+# Width of a soft threshold at one half, because the right cause rarely explains less of the errors.
 EDGE = 0.5  # [logits]
 # Chi-square of a trial value, with all parameters of good machines free, from which it is visible.
 VISIBLE = CERTAIN**2

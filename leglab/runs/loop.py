@@ -511,7 +511,7 @@ class _Records:
         self.rows = row + 1
 
     def _keep(self, reports: dict[str, np.ndarray], row: int) -> None:
-        """Stores reports one by one; row 0 sets up a fast copier for rows of the same arrays."""
+        """Stores a controller's reports as a row; row 0 makes a fast copier of the same arrays."""
         kept = self._reports
         for key, value in reports.items():
             if key not in kept:

@@ -1,4 +1,4 @@
-"""Recursive estimation of leakage, valve and friction parameters, by the machine's equations."""
+"""Recursive estimation of leakage, valve and friction parameters from the machine's equations."""
 
 import math
 
@@ -23,15 +23,15 @@ _LEAST_SPEED = 3e-3
 class Adaptation:
     """Recursive estimator of the physical parameters of all joints from smoothed measurements.
 
-    The flow balances of both chambers give (C_i, C_A, C_B, null, lap), with Q by the valve equation
-    at the spool position computed from the commands:
+    The flow balances of both chambers give (C_i, C_A, C_B) and, as the flows Q follow the valve
+    equation at the spool position by the commands, also the valve's null and lap:
 
         Q_A - A_A v - V_A/beta p_A' = C_i (p_A - p_B) + C_A p_A
         Q_B + A_B v - V_B/beta p_B' = -C_i (p_A - p_B) + C_B p_B
 
-    The force balance gives (b, F_c, s, d_0, d_1, d_2). tau is the torque that the nominal inverse
-    dynamics give for the measured motion, z the bristle force over F_c, q the distance from
-    mid-range over half the range, d a load that the nominal machine lacks, such as foot contact:
+    The force balance gives (b, F_c, s, d_0, d_1, d_2). tau is the nominal inverse dynamics' torque
+    for the measured motion, s its relative error, r the lever, z the bristle force over F_c, q the
+    distance from mid-range over half the range; d_0 to d_2 are a missing load, e.g. foot contact:
 
         p_A A_A - p_B A_B = b v + F_c z + (1 + s) tau/r + d_0 + d_1 q + d_2 q^2
 
@@ -42,8 +42,8 @@ class Adaptation:
         latency: Age of a measurement when its command is sent [s].
         valve_delay: Delay of the spool behind its command [s].
         speed: No-load speed [m/s], (joints,).
-        flow_memory: Forgetting time constant of the flow balances, counted while learning [s].
-        force_memory: Forgetting time constant of the force balance, counted while learning [s].
+        flow_memory: Forgetting time constant of the flow balances, in time spent learning [s].
+        force_memory: Forgetting time constant of the force balance, in time spent learning [s].
         dead_zone: Residuals up to `dead_zone` times the noise are ignored.
 
     Attributes:
@@ -71,9 +71,9 @@ class Adaptation:
         self._step = _INTERVAL * period
         low, high = data.position[:, 0], data.position[:, -1]
         self._middle, self._half = (low + high) / 2, (high - low) / 2
-        # Signals in the window: positions, pressures of both sides, commands, supply pressure.
+        # Signals in the window: positions, pressures of both chambers, commands, supply pressure.
         self._window = SmoothingWindow(4 * joints + 1, _WINDOW, period, derivatives=2)
-        # Time shift from command samples to spool position: half a period of hold, latency, valve.
+        # Time shift from command samples to the spool: half a period of hold, latency, valve delay.
         self._shift = period / 2 - latency - valve_delay
         self._least_speed = _LEAST_SPEED * speed
         ones, zero = np.ones(joints), np.zeros(joints)

@@ -11,8 +11,8 @@ import numpy as np
 from leglab.control.backstepping.data import NominalCylinders
 
 _ATMOSPHERE = 101325.0  # Pa
-# Lower bound of the pressure drop over a metering edge, as a share of the supply pressure; with a
-# drop of zero the flow equation cannot be inverted.
+# Lower bound of the pressure drop over a metering edge, as a share of the supply pressure, because
+# the flow equation cannot be inverted at a drop of zero.
 _LEAST_DROP = 0.02
 # Bound of the spool position in Newton's method; the spool's mechanical stops are at 1.
 _FULL = 1.5
@@ -114,7 +114,7 @@ class CylinderModel:
     def rate_for(
         self, speed: np.ndarray, pressure: np.ndarray, leakage: np.ndarray, chambers: Chambers
     ) -> np.ndarray:
-        """Computes the force rate [N/s] that valve flow must cause to balance speed and leakage.
+        """Computes the force rate [N/s] that the valve flow must cause, given speed and leakage.
 
         Args:
             speed: Piston speeds [m/s], (joints,).
@@ -131,8 +131,8 @@ class CylinderModel:
     def spool_for(self, rate: np.ndarray, chambers: Chambers, lap: np.ndarray) -> np.ndarray:
         """Computes the spool positions at which valve flow changes the force at a rate, (joints,).
 
-        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's method. It starts at the
-        solution with only the edges of one spool direction open.
+        Solves w_A Q_A(x) - w_B Q_B(x) = rate, monotone in x, by Newton's method from the solution
+        with only the edges of one spool direction open.
 
         Args:
             rate: Wanted force rate by valve flow alone [N/s], (joints,).
@@ -174,7 +174,7 @@ class Bristles:
     """
 
     def __init__(self, data: NominalCylinders) -> None:
-        # The result is multiplied by Coulomb friction; if that is zero, any finite result will do.
+        # The result is multiplied by Coulomb friction, so it is arbitrary if that friction is zero.
         coulomb = np.maximum(data.coulomb, 1e-6)
         self._excess = np.maximum(data.static / coulomb, 1.0) - 1.0
         self._stiffness = data.sigma_0 / coulomb

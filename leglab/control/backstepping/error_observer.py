@@ -72,7 +72,7 @@ class ErrorObserver:
         self._transition = whole
         self._older = np.einsum("nij,nj->ni", late, late_input)
         self._newer = early_input
-        # The prediction is for the middle of the period in which the new command acts.
+        # The state is predicted for the middle of the period in which the new command acts.
         self._ahead, self._ahead_input = _sampled(a, b, delay + period / 2)
         rows = zip(whole, noise.T, drift.T, frequency, strict=True)
         self._gain = np.stack([self._kalman(a, period, *row) for a, *row in rows])
@@ -92,7 +92,7 @@ class ErrorObserver:
 
         c = np.zeros((2, _STATES))
         c[0, 0] = c[1, 2] = 1.0
-        # Units: noise for lengths, 1/w for times. In SI units the equation is ill-conditioned.
+        # Lengths are in units of noise, times of 1/w; in SI units the equation is ill-conditioned.
         scale = noise[0] * np.array([1.0, frequency, 1.0, 1.0, frequency])
         process = np.zeros((_STATES, _STATES))
         process[3, 3], process[4, 4] = period * (drift / scale[3:]) ** 2
@@ -108,7 +108,7 @@ class ErrorObserver:
         self._inputs = [np.zeros(len(self.state)) for _ in range(self.past + 2)]
 
     def start(self, error: np.ndarray, force_error: np.ndarray) -> None:
-        """Starts at rest with measured e and p [m]; assumes phi = p, hence no resulting force."""
+        """Starts at rest with measured e and p [m]; assumes phi = p, so that no force results."""
         self.clear()
         self.state[:, 0] = error
         self.state[:, 2] = self.state[:, 3] = force_error
@@ -128,7 +128,7 @@ class ErrorObserver:
         return ahead + self._ahead_input * inputs[-1][:, None]
 
     def sent(self, velocity: np.ndarray) -> None:
-        """Records the input v of this period, the speed asked of the valve [m/s], (joints,)."""
+        """Records the input v of this period, the speed demanded of the valve [m/s], (joints,)."""
         self._inputs = [*self._inputs[1:], velocity]
 
     def matrices(self, joint: int) -> tuple[np.ndarray, ...]:

@@ -7,7 +7,7 @@ from leglab.control.backstepping.data import BacksteppingGains, NominalCylinders
 from leglab.control.backstepping.error_observer import ErrorObserver
 
 # Lower bounds of the noise of positions [rad] and of pressures [Pa] that the observer assumes: the
-# noise of the default sensors. With less noise the observer would be so fast that the loop becomes
+# noise of the default sensors. With less noise the observer would be so fast that the loop would be
 # unstable, because the observer models the valve's lag as a pure delay.
 _LEAST_NOISE = (2e-5, 1.5e4)
 
@@ -23,7 +23,7 @@ def no_load_speed(data: NominalCylinders) -> np.ndarray:
 
 
 class Feedback:
-    """State feedback: a piston speed, added to the reference's, that removes tracking errors.
+    """State feedback: piston speed, added to the reference's speed, that removes tracking errors.
 
     Backstepping: with virtual load force F_v = F_d - k phi + m ((k_1 + k_2) e' + k_1 k_2 e) and a
     speed that makes the force error decay at k_3, the error has the characteristic polynomial
@@ -91,6 +91,6 @@ class Feedback:
     def __call__(self, error: np.ndarray, force_error: np.ndarray) -> np.ndarray:
         """Computes the speed v [m/s], (joints,), from measured e and p [m], (joints,) each.
 
-        Updates `observer`; the caller then reports the speed that it sent by `observer.sent`.
+        Updates `observer`; the caller then calls `observer.sent` with the speed that was sent.
         """
         return np.einsum("ij,ij->i", self.weights, self.observer.predict(error, force_error))

@@ -63,8 +63,8 @@ class BoundedLeastSquares:
         phi = (regressor * self._scale / self._noise).T
         phi = np.where(usable[:, None], phi, 0.0)
         scaled = np.where(usable, scaled, 0.0)
-        # Forgotten information is replaced by the prior's information, the identity matrix, so that
-        # no eigenvalue falls below 1 and rounding cannot make the information matrix indefinite.
+        # Forgotten information is replaced by that of the prior, the identity matrix, so that no
+        # eigenvalue falls below 1 and rounding cannot make the information matrix indefinite.
         new = np.where(usable, 1.0 - self._factor, 0.0)
         information = self._information
         information *= (1.0 - new)[:, None, None]

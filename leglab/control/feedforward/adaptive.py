@@ -1,4 +1,4 @@
-"""Adaptive feed-forward from an inverse map that is learned in operation, with safeguards."""
+"""Adaptive feed-forward from an inverse map (motion to flow) learned online, with safeguards."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,36 +19,36 @@ from leglab.identification import ChangeDetection, Rls, SplineNarx
 # Names of the signals that the C++ core writes each period, in the rows after the command's row.
 _REPORTED = ("feedforward", "feedback", "model_error", "fallback")
 
-# Passed to the core for a contender without a valve state of its own: it assumes `learner`'s state.
+# Passed to the core for a contender (competing map) that assumes the valve state of `learner`.
 _AS_USED = np.empty((0, 5))
 
 # Tuning constants, by their names in the C++ core.
 _CONSTANTS = {
     # Acceleration [rad/s^2] above which a position reading is rejected; in walking the knee has 63.
     "greatest_acceleration": 1000.0,
-    # Supervisor: replaces the learned map by the calibrated map while the learned map errs more.
+    # Supervisor: it replaces the learned map by the calibrated map while the learned map errs more.
     "trust_time": 0.5,  # time constant of the mean squared errors of both maps [s]
     "margin": 1.05,  # ratio of RMS errors, learned over calibrated map, above which it replaces
-    "noise": 0.2e-3,  # RMS tracking error [rad] below which it never replaces
+    "noise": 0.2e-3,  # RMS tracking error [rad] below which it never replaces the learned map
     # The slow map is a running mean of the learned map. Snapshots of their difference predict the
     # flow. Only the share of the difference that the measured flow confirms is used in the
     # feed-forward (`csrc/feedforward/proof.h`).
     "proof_time": 0.15,  # averaging time of the share [s]
     "proof_horizon": 0.02,  # time between two snapshots [s]
     "proof_doubt": 0.06,  # weight of a prior share of 1, in mean squared errors of the slow map
-    "proof_noise": 0.0005,  # difference that is used without confirmation [share of full speed]
-    # Smallest step back of a command that counts as a reversal [1]; above the feedback's noise.
+    "proof_noise": 0.0005,  # difference used without confirmation [share of full speed]
+    # Smallest step back of a command that counts as a reversal [1]; larger than feedback noise.
     "turn": 0.002,
-    # Time constant with which the assumed valve state adapts [s]: half a stride, during which each
+    # Time constant with which the assumed valve state adapts [s]: half a stride, in which each
     # command reverses a few times.
     "state_time": 0.5,
     "state_step": 0.01,  # step of the valve state for the finite difference of the flow [1]
     # Contenders: maps that learn in parallel, weighted by their prediction errors.
     "contest_time": 0.08,  # averaging time of their squared errors [s]
-    "contest_gather": 0.25,  # averaging time of the log ratios of these means [s]; 1/4 of a stride
+    "contest_gather": 0.25,  # averaging time of the log ratios of mean errors [s]; 1/4 of a stride
     "contest_errors": 4.0,  # number of independent errors in each of these averages
-    # Ratio of mean squared errors, contender over `learner`, above which the contender is excluded:
-    # `learner` has just learned this motion, so even a true contender may err a little more.
+    # Ratio of mean squared errors, contender over `learner`, above which the contender is excluded.
+    # It exceeds 1, since `learner` has just learned this motion and a true contender may err more.
     "contest_window": 6.0,
     "acceleration": ACCELERATION,
     "jerk": JERK,
@@ -56,35 +56,34 @@ _CONSTANTS = {
 
 
 class LearningConfiguration(Configuration):
-    """How the map is learned and its use kept safe; the core reads these names.
+    """Settings of learning and of safeguards for the use of the map; the core reads these names.
 
     Attributes:
-        stop_time: Adaptation stops then [s]; None for never.
-        window: Samples over which measured motion is smoothed; odd.
+        stop_time: Time at which adaptation stops [s]; None for never.
+        window: Number of samples over which measured motion is smoothed; odd.
         interval: Control periods from one learned sample to the next.
         initial_gain: F(0), in squared units of scaled parameters against scaled error.
-        change_gain: Gain to which F is opened on a detected change.
-        change_ratio: Of quick and slow mean squared error at which a change is declared.
-        change_windows: Learned samples in the quick and in the slow mean.
-        hold_off: Learned samples without another alarm after one.
+        change_gain: Gain to which F is raised on a detected change.
+        change_ratio: Ratio of quick to slow mean squared error at which a change is declared.
+        change_windows: Numbers of learned samples in the quick and in the slow mean.
+        hold_off: Number of learned samples after an alarm without another alarm.
         memory: N_0 of variable forgetting [learned samples].
-        noise: Error of the model [share of full speed] that is no reason to forget; 0 takes the
-            change detector's slow mean.
-        least_memory: Lambda never falls so far that less than so many learned samples a parameter
-            are remembered.
-        restore_interval: Learned samples from one parameter to the next that is drawn back to the
-            calibration by as much as was forgotten since its last turn; 0 for never.
-        restore_gain: Variance of the parameters about the calibration by which they are drawn.
-        route: "inverse" learns what flow a motion takes; "forward" learns what speed a flow gives
-            and solves for the flow.
-        velocity_splines: Splines of velocity; 0 for a linear map.
-        position_splines: Splines of position; 0 for a linear term.
+        noise: Error of the model [share of full speed] that counts as noise in variable forgetting;
+            0 takes the change detector's slow mean.
+        least_memory: Least number of learned samples per parameter that forgetting keeps.
+        restore_interval: Number of learned samples after which the next parameter is drawn back to
+            the calibration by as much as was forgotten since its last time; 0 for never.
+        restore_gain: Variance of the parameters about the calibration to which they are drawn back.
+        route: "inverse" learns the flow for a motion; "forward" learns the speed by a flow and
+            solves for the flow.
+        velocity_splines: Number of splines of velocity; 0 for a linear map.
+        position_splines: Number of splines of position; 0 for a linear term.
         limit: Largest feed-forward [valve command].
         rate_limit: Fastest change of the feed-forward [1/s].
         least_speed: Nothing is learned while all joints are slower, as a share of their full speed.
-        settle_time: Time constant of a slow mean of the parameters [s]: what was learned beyond it
-            is used as far as its predictions held. 0 uses all that was learned at once.
-        supervised: Whether the calibrated map takes over where it predicts better.
+        settle_time: Time constant of a slow mean of the parameters [s]. The learned departure from
+            this mean is used in proportion to how well it has predicted; with 0, all of it is.
+        supervised: Whether the calibrated map takes over at joints where it predicts better.
     """
 
     stop_time: float | None = Field(default=None, ge=0)
@@ -157,7 +156,7 @@ class AdaptiveFeedforward:
         loads: Structure of the map from motion to load; None without pressures.
         sheets: Data sheets of the cylinders by the names of `csrc/feedforward/pressure_valve.h`,
             (joints,) or (joints, p) each; None without pressures.
-        valve_states: Whether `propose` accepts maps that assume a valve state of their own.
+        valve_states: Whether `propose` accepts maps that assume another valve state.
         control_period: [s].
         latency: Age of a position measurement when its command takes effect [s].
         velocity_delay: Age of a velocity estimate when its command takes effect [s].
@@ -221,7 +220,7 @@ class AdaptiveFeedforward:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything learned: the feed-forward is the calibrated map's again."""
+        """Forgets everything learned, so that the feed-forward is the calibrated map's again."""
         self.learner, self.contenders = self._map.learner(), list[SplineNarx]()
         self._with_valves: list[bool] = []
         self.loads = None if self._load_map is None else self._load_map.learner()
@@ -243,8 +242,8 @@ class AdaptiveFeedforward:
         Args:
             learner: The map, of the same structure as `self.learner`.
             odds: Prior odds of this map against `self.learner`.
-            error: Mean squared error of the map on the latest samples, divided by the mean squared
-                error of `self.learner` on them.
+            error: Mean squared error of the map on the latest samples, divided by that of
+                `self.learner`.
             valves: Valve state that the map assumes, (joints, 5); None for `self.valves`.
         """
         self._core.propose(
@@ -274,7 +273,7 @@ class AdaptiveFeedforward:
         return np.array(self._core.valves())
 
     def shares(self) -> np.ndarray:
-        """Returns weights of `learner` and each contender in the map in use, (1 + contenders,)."""
+        """Returns the weights of `learner` and contenders in the map in use, (1 + contenders,)."""
         return np.array(self._core.shares())
 
     def narrow(self, best: int) -> None:
@@ -318,9 +317,9 @@ class AdaptiveFeedforward:
         """Learns from a measurement and computes the valve commands; call it once a period.
 
         If `sheets` were passed, the measurement must have pressures. The feedback compares a
-        measurement with the reference at its time. If the measurement is NaN, the command is the
-        feed-forward alone. The learner assumes that the command is sent clipped to [-1, 1]. The
-        next period overwrites the returned array, (joints,).
+        measurement with the reference at the time of the measurement. If this is NaN, the command
+        is the feed-forward alone. The learner assumes that the command is sent clipped to [-1, 1].
+        The next period overwrites the returned array, (joints,).
         """
         time, position, velocity, pressure_a, pressure_b, supply = measurement
         if self.loads is None or supply is None:

@@ -1,4 +1,4 @@
-"""Conditions: reversible changes of a sound machine, such as of oil temperature; not wear."""
+"""Conditions: reversible changes of a sound machine, such as of oil temperature, but not wear."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from leglab.causes.fault_names import ALL
 from leglab.causes.table import CAUSES
 from leglab.control.feedforward.fault_bank import FaultBank, FaultCurve, Moments
 
-# Names of the conditions, each with the names of the faults whose sizes are values of it.
+# Names of the conditions, each with the names of the faults whose sizes are its values.
 CONDITIONS = {
     condition: tuple(cause.name for cause in CAUSES.values() if cause.condition == condition)
     for condition in dict.fromkeys(c.condition for c in CAUSES.values() if c.condition)
@@ -14,10 +14,10 @@ CONDITIONS = {
 
 
 def with_conditions(bank: FaultBank) -> FaultBank:
-    """Returns the bank with the curves of `CONDITIONS` in place of the faults that belong to them.
+    """Returns the bank with curves of `CONDITIONS` in place of the faults that belong to them.
 
-    The value of a condition at the start of a run is unknown. So each tabulated value is the start
-    of two curves, one towards larger and one towards smaller values.
+    The value of a condition at the start of a run is unknown. Therefore each tabulated value is the
+    start of two curves, one towards larger and one towards smaller values.
     """
     curves = [c for c in bank.curves if not any(c.fault in own for own in CONDITIONS.values())]
     for name, faults in CONDITIONS.items():

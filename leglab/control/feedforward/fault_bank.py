@@ -1,6 +1,7 @@
-"""Bank of faults: for each fault, the shift of the learned map's parameters by size of the fault.
+"""Bank of faults: for each fault, the shift of the learned map's parameters by its size.
 
-Sums over samples (`Moments`) and fits are C++ (`csrc/monitor`); the tests compare them with NumPy.
+The size of a fault is its magnitude, for example a ratio of leakages. Sums over samples (`Moments`)
+and fits are C++ (`csrc/monitor`); the tests compare them with NumPy.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ class FaultCurve:
         LeglabError: Shapes do not fit, sizes are not monotone or the first shift is not zero.
     """
 
-    fault: str  #: Name of the fault and of the scenario that it was simulated with
+    fault: str  #: Name of the fault and of the scenario with which it was simulated
     element: str  #: Name of the joint whose cylinder and spring have the fault, or "all"
     meaning: str  #: Meaning of the size, with its unit
     sizes: np.ndarray  #: Sizes of the fault, strictly monotone, the healthy size first, (sizes,)
@@ -33,10 +34,10 @@ class FaultCurve:
     #: `AdaptiveFeedforward.valves`; None unless the fault affects valves alone.
     valves: np.ndarray | None = None
     #: Share of the fault's effect that the map's structure can represent: share of the weighted
-    #: squared error beyond noise that the shifts removed in the simulation they were fitted to.
+    #: squared error beyond noise that the shifts removed in the simulation of their fit.
     explains: float = 1.0
-    #: Onset [s] of the change that this curve undoes, for the curve of a repair, whose sizes start
-    #: at the present size of the change; None for a fault that appears or grows.
+    #: For a repair, whose sizes start at the present size of a change: onset [s] of that change.
+    #: None for a fault that appears or grows.
     undoes: float | None = None
 
     def __post_init__(self) -> None:

@@ -1,10 +1,10 @@
 """Fault monitor: detects changes of a machine while a controller learns, and names the fault.
 
-Its only input are the learner's samples. A cumulative sum of the prediction error (Page 1954,
+Its only input is the learner's samples. A cumulative sum of the prediction error (Page 1954,
 Biometrika 41, 100) detects a change and its onset. At growing intervals after the onset, the size
-of every fault of the bank is fitted by least squares to the samples since the onset. The best fault
-is named if its fit is clear enough. Maps with the shifts of the most probable faults are proposed
-to the controller. Later fits may revise name and maps. A change that no fault explains is unknown.
+(magnitude) of every fault of the bank is fitted by least squares to the samples since the onset.
+The best fault is named if its fit is clear enough; a change that no fault explains is "unknown".
+Maps with the likeliest faults' shifts are proposed to the controller. Later fits may revise both.
 
 Sums and fits are C++ (`csrc/monitor`, which also suits a microcontroller); this module decides
 which names are reported and which changes persist.
@@ -85,8 +85,8 @@ class ProposedMap(NamedTuple):
         parameters: Parameters of the map, (joints, parameters).
         gain: New gain of the learner divided by `change_gain`, (joints,); NaN keeps its gain.
         odds: Prior odds of this map against the map that learns without a fault: the probability
-            of the fault among all faults of the bank. The prediction error of the map is left out
-            because the controller compares the errors of the maps afterwards.
+            of the fault among all faults of the bank. They do not depend on the map's prediction
+            error, because the controller compares the errors of the maps afterwards.
         valves: Change of the valve state by the fault, (joints, 5); None if the fault changes
             anything but valves.
     """
@@ -106,8 +106,8 @@ class _Case:
     base: np.ndarray
     bank: FaultBank
     look: int = 0
-    # Per evaluation ("look"): its time; sum since the onset of squared errors of the map before the
-    # change, (joints,); number of samples since the onset, (joints,).
+    # For each evaluation ("look"): its time; the sum since the onset of squared errors of the map
+    # before the change, (joints,); the number of samples since the onset, (joints,).
     errors: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     size: float = 0.0
     key: tuple[str, str] | None = None
@@ -235,7 +235,7 @@ class FaultMonitor:
         return self._decide(case, time)
 
     def absorb(self, shift: np.ndarray) -> None:
-        """Records that a new valve state now has the effect that this parameter shift had."""
+        """Records a parameter shift whose effect a new valve state has taken over."""
         self._absorbed = self._absorbed + shift
 
     def _close(self, case: _Case) -> None:
@@ -294,7 +294,7 @@ class FaultMonitor:
     def _still_off(self, case: _Case, time: float) -> np.ndarray:
         """Returns a mask of the joints that the map before the change still predicts badly.
 
-        Errors older than `RECENT` do not count, because a new motion, too, causes errors at first.
+        Errors older than `RECENT` do not count, because a new motion also causes errors at first.
         """
         _, power, count = case.errors[-1]
         earlier = [look for look in case.errors if look[0] <= time - self._pace * RECENT]

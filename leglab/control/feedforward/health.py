@@ -1,10 +1,10 @@
-"""Health monitor: estimates slow wear while a controller learns: fault, rate, remaining life.
+"""Health monitor: estimates slow wear (fault, rate and remaining life) while a controller learns.
 
-A learner adapts to slow wear, so its prediction error does not show wear. This monitor uses the
-errors of a fixed map of the healthy machine instead. It divides the learner's samples into segments
-of a few strides, called looks. The fixed map is fitted to the samples of the first looks. In every
-later look the sizes of all faults of the bank are fitted to the errors of the fixed map. A
-straight line is fitted to the sizes of the best fault over time, from the onset of the wear on
+A learner adapts to slow wear, so that its prediction error does not show wear. This monitor uses
+the errors of a fixed map of the healthy machine instead. It divides the learner's samples into
+segments of a few strides, called looks. The fixed map is fitted to the samples of the first looks.
+In every later look the sizes (magnitudes) of all faults of the bank are fitted to the errors of the
+fixed map. A straight line is fitted to the best fault's sizes over time, from the onset of the wear
 (`wear_line`); the remaining life is the time until the line reaches the end-of-life size.
 """
 
@@ -157,12 +157,12 @@ class HealthMonitor:
         self._tell(None)
 
     def drop(self) -> None:
-        """Discards the samples of the present look, in which the machine changed abruptly."""
+        """Discards the samples of the present look, because the machine changed abruptly in it."""
         self._sums: Moments | None = None
         self._number = 0
 
     def renew(self) -> None:
-        """Starts a new fit of the healthy map, after an abrupt change; excludes the wear so far."""
+        """Fits the healthy map anew after an abrupt change, without the wear so far."""
         self.drop()
         if self._base is not None:
             judged = self._judged if self.trends else None
@@ -216,7 +216,7 @@ class HealthMonitor:
         """Reports the fault, condition or unknown change, if any, that the last looks show."""
         config = self._config
         beyond = np.array([look.error for look in self._looks]) / np.maximum(self._normal, 1e-300)
-        least = beyond.max(axis=1).min()  # worst joint of each look, then the least of the looks
+        least = beyond.max(axis=1).min()  # maximum over joints, then minimum over looks
         if least <= CHANGED:
             return
         if judged.enough(config.explained, config.evidence):
@@ -225,7 +225,7 @@ class HealthMonitor:
         elif (condition := self._condition(time, judged)) is not None:
             self._say(condition)
         elif least > UNEXPLAINED and not (self.trends and self.trends[-1].key == judged.key):
-            # A fault already reported stands while it fits best, even if it explains too little.
+            # A reported fault stands while it fits best, even if it explains too little.
             unknown = judged.unknown(self._joints, beyond[-1] > UNEXPLAINED)
             since = self._history.of(0)[0][-TOGETHER]
             self._say(FaultTrend(since=since, time=time, seen=time, **unknown))
@@ -236,8 +236,8 @@ class HealthMonitor:
         Called only if no fault of the bank explains enough, because a condition with a free value
         per joint is flexible enough to fit the effects of wear as well.
 
-        Values and origins per joint, instead of common ones, are 2 joints - 2 more parameters. Each
-        parameter raises the cost by log(samples) (Schwarz 1978, Annals of Statistics 6, 461).
+        Separate values and origins of the joints are 2 joints - 2 parameters more than common ones.
+        Each parameter raises the cost by log(samples) (Schwarz 1978, Annals of Statistics 6, 461).
 
         Returns:
             The first condition that explains the last looks well enough; None if none does.
@@ -295,7 +295,7 @@ class HealthMonitor:
         size = float(np.clip(line.value + line.rate * late, *ends))
         value, rate = (line.quantile / NINETY * np.sqrt(np.diag(line.covariance))).tolist()
         low, high = interval(curve, size, value, scale)
-        # Model error of the nominal machine scales all sizes, hence the rate, by an unknown factor.
+        # Model error of the nominal machine scales all sizes and the rate by an unknown factor.
         spread = NINETY * math.hypot(rate, scale * line.rate)
         told |= {
             "since": line.onset,
@@ -340,7 +340,7 @@ class HealthMonitor:
 
 
 def _check_end(bank: FaultBank, fault: str, size: float) -> None:
-    """Raises `SettingsError` for an end-of-life size that no wear of the fault reaches."""
+    """Raises `SettingsError` unless an end-of-life size is beyond healthy in wear's direction."""
     wears = [c for c in bank.curves if c.fault not in CONDITIONS]
     curves = [c for c in wears if c.fault == fault]
     if not curves:

@@ -1,4 +1,4 @@
-"""Structure of the learned map from motion to flow of every joint, linear in its parameters."""
+"""Structure of the learned map from motion to each joint's flow, linear in its parameters."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ ACCELERATION, JERK = 50.0, 2000.0
 # Chosen on the walking leg and the squat on the ground with worn seals and valves, external
 # leakage, hot oil and tired springs; factors of two change the errors by some 10 %. The prior of
 # products is wide, because products are small in slow motion (1 % in the squat). In the squat with
-# friction 2 gives 1.5 times, 5 gives 1.2 times the offline fit's error; 20 bursts with worn valves.
+# friction, 2 gives 1.5 times, 5 gives 1.2 times the offline fit's error; 20 bursts at worn valves.
 _PRIOR = {"a": 1.0, "q": 0.3, "v": 1.0, "j": 1.0, "product": 5.0}
 
 # Inputs for the flows of leak paths at measured pressures (`csrc/feedforward/pressure_valve.h`):
@@ -40,9 +40,9 @@ class InverseMap:
 
         s(v_i) + p(q_i) + j_i + v_i q_i + sum_k (a_k + q_k + v_k + |v_i| a_k + |v_i| q_k),
 
-    each term with its own parameter. The spline s represents valve overlap and friction; the spline
-    p a joint spring; the terms a_k, q_k, v_k the load, which causes leakage flow; j the rate of
-    change of the load (compression flow); the products the load's effect on the valve's pressure.
+    each term with its own parameter. The spline s represents valve overlap and friction, the spline
+    p a joint spring. The terms a_k, q_k, v_k represent the load, which causes leakage flow, j its
+    rate of change (compression flow), and the products its effect on the valve's pressure.
 
     Args:
         joints: Number of joints.
@@ -118,6 +118,6 @@ def _structure(
         inputs=tuple(inputs),
         features=tuple(features),
         rls=rls,
-        # No range check with leaks: a wide prior makes the range so narrow that leaks exceed it.
+        # No range check with leaks, whose wide prior makes the range so narrow that they exceed it.
         plausible_range=0.0 if leaks else 5.0,
     )

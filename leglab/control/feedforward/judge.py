@@ -1,7 +1,7 @@
-"""Decision which fault of a bank explains the samples of a learner, and its report.
+"""Decision which fault of a bank explains the samples of a learner, and the fault's report.
 
-Used for abrupt changes (`fault_monitor`) and for slow wear (`health`). Sizes, costs and odds of
-all faults are C++ (`csrc/monitor`); explained shares, evidence and intervals are computed here.
+It serves abrupt changes (`fault_monitor`) and slow wear (`health`). Sizes, costs and odds of all
+faults are computed in C++ (`csrc/monitor`), explained shares, evidence and intervals in Python.
 """
 
 import math
@@ -58,7 +58,7 @@ def explained_share(cost: Any, without: float, noise: float) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
-    """How well the faults of a bank explain a change."""
+    """Fit of the faults of a bank to a change, with shares explained and probabilities."""
 
     bank: FaultBank  #: The bank
     fit: SizeEstimate  #: Latest fit of the bank's curves, with costs summed over all fits
@@ -82,7 +82,7 @@ class Explanation:
     def odds(self, cost: np.ndarray, keys: list[int]) -> np.ndarray:
         """Computes the probabilities of faults, (keys,), from costs; curve i has the fault keys[i].
 
-        Odds are computed once from noise and once from the model error of the nominal machine; the
+        Odds are computed once from noise and once from the model error of the nominal machine. The
         less decisive of the two are used (`csrc/monitor/fault_fit.h`).
         """
         config, noise = self.config, self.fit.noise
@@ -116,7 +116,7 @@ class Explanation:
 
     @property
     def certain(self) -> bool:
-        """True if at most `TOLD` faults are `alike` and their probabilities sum to enough."""
+        """True if at most `TOLD` faults are `alike` and the sum of their probabilities suffices."""
         enough = self.chance[self.alike].sum() >= self.config.confidence
         return len(self.alike) <= TOLD and bool(enough)
 
@@ -172,7 +172,7 @@ class Explanation:
 def judge(
     bank: FaultBank, looks: Sequence[SizeEstimate], config: JudgeConfiguration
 ) -> Explanation:
-    """Combines several fits of one change: sums of their costs, with the sizes of the last fit."""
+    """Combines several fits of one change: sums of the costs, and the sizes of the last fit."""
     together = looks[-1]._replace(
         cost=np.sum([look.cost for look in looks], axis=0),
         without=sum(look.without for look in looks),
@@ -186,7 +186,7 @@ def interval(
 ) -> tuple[float, float]:
     """Computes the 90 % interval of a size, clipped to the range of the curve.
 
-    Its variance is the sum of the sampling variance and of a variance due to model error.
+    The variance is the sum of a variance due to sampling and of one due to model error.
 
     Args:
         curve: Curve of the fault.
@@ -203,7 +203,7 @@ _Named = TypeVar("_Named", bound=NamedFault)
 
 
 def say(names: list[_Named], name: _Named, *, stands: bool) -> None:
-    """Appends a name; replaces a last name that `stands` with the same key, but keeps its time."""
+    """Appends a name, or replaces the last name if it `stands` with this key; keeps its time."""
     if names and stands and names[-1].key == name.key:
         names[-1] = name.model_copy(update={"time": names[-1].time})
     else:

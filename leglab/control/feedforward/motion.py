@@ -11,8 +11,8 @@ from leglab.control import ReferencePoint
 def smoothing_kernel(window: int, timestep: float) -> np.ndarray:
     """Computes weights for the value and three derivatives in the middle of a window of samples.
 
-    Savitzky and Golay 1964, Anal. Chem. 36(8), 1627: the coefficients of a least-squares
-    polynomial, here of order 4, are linear in the samples.
+    The coefficients of a least-squares polynomial, of order 4, are linear in the samples (Savitzky
+    and Golay 1964, Anal. Chem. 36(8), 1627).
 
     Args:
         window: Number of samples, odd, more than 4.
@@ -41,7 +41,7 @@ class SmoothingWindow:
     def __init__(self, signals: int, window: int, timestep: float, *, derivatives: int = 3) -> None:
         self._window = window
         self._kernel = smoothing_kernel(window, timestep)[: derivatives + 1]
-        # Every sample is written twice, `window` rows apart: the last `window` samples are a slice.
+        # Every sample is written twice, `window` rows apart, so the last samples are one slice.
         self._rows = np.zeros((2 * window, signals))
         self.clear()
 

@@ -1,4 +1,4 @@
-"""Persistent faults: keeps their estimated size and follows repair or growth.
+"""Record of persistent faults with their estimated sizes (magnitudes), and of repair or growth.
 
 For a machine with faults the curves of the bank start at the present sizes, not at healthy ones.
 The curve of a repair is not simulated. It is the negative of the parameter shift that the learner
@@ -25,7 +25,7 @@ class Standing:
     #: Parameter shift learned because of the fault, (joints, parameters). Before `settle` it has
     #: only the shift learned for an earlier, smaller size of the fault.
     learned: np.ndarray
-    settled: bool = False  #: Whether `settle`, called when the next change begins, was called
+    settled: bool = False  #: Whether `settle` was called, which happens when the next change begins
 
     def settle(self, now: np.ndarray) -> None:
         """Completes `learned` with the learner's present parameters, (joints, parameters)."""
@@ -84,7 +84,7 @@ class Standings:
         return FaultBank(curves=tuple(c for c in (*curves, *ways_back) if c is not None))
 
     def _drop_undone(self, now: np.ndarray, regressor: np.ndarray) -> None:
-        """Forgets changes that disappeared unnoticed: the learner has unlearned their shifts.
+        """Forgets changes that disappeared unnoticed, whose shifts the learner has unlearned.
 
         The effect of all changes on predictions is fitted by the effects of the learned shifts, by
         non-negative least squares. A change whose coefficient is low has disappeared.
@@ -114,7 +114,7 @@ class Standings:
             self._origin = before
         earlier = [one for one in self._changes if one.name.key == name.key]
         if earlier and name.fault != UNKNOWN:
-            # The fault has grown: a repair undoes both shifts.
+            # The fault has grown, so a repair undoes both shifts.
             change.learned = change.learned + earlier[0].learned
             self._changes.remove(earlier[0])
         self._changes.append(change)

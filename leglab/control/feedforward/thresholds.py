@@ -11,13 +11,13 @@ STRIDE = 1.2
 # Criteria for reporting a fault by name.
 
 # Standard deviation of the share of the error that the true fault leaves unexplained, because no
-# machine equals its nominal model: the effect of two components that differ from it by a tenth.
+# machine equals its nominal model: it is as if two components differed from the model by a tenth.
 DISCREPANCY = 0.15
 # Ratio of a joint's mean squared error to its normal value above which the joint counts as affected
 # by a change; in a sound machine the strides differ by less.
 CHANGED = 2.0
-# Ratio as for `CHANGED`, for the map before the change, above which a change that no fault explains
-# is reported: about threefold RMS error. It is high because the report has no other evidence.
+# Ratio as `CHANGED`, for the map before the change, above which a change that no fault explains is
+# reported (about threefold RMS error). It is high, because the report has no other evidence.
 UNEXPLAINED = 10.0
 # `ALIKE`: ratio of probabilities up to which less probable faults are reported with the most
 # probable one, because each may be true. `TOLD`: maximum number of faults in a report.
@@ -30,9 +30,9 @@ RIDGE = 1e-2
 
 # Abrupt changes.
 
-# `LOOKS`: times after the onset of a change at which the bank is fitted [s], dense at first, when
-# evidence accumulates fast. The examination of a change ends at the last of these times, or when a
-# name is `STEADY` [s] old; then another change can be detected.
+# `LOOKS`: times after the onset of a change at which the bank of faults is fitted [s], dense at
+# first, when evidence accumulates fast. The examination of a change ends at the last of these
+# times, or when a name is `STEADY` [s] old; then another change can be detected.
 _EARLY = (0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.36, 0.43, 0.5, 0.6, 0.72, 0.86, 1.0)
 LOOKS = (*_EARLY, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.2)
 STEADY = 2.0

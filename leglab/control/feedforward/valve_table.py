@@ -57,7 +57,7 @@ class ValveTable:
 
 
 def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray:
-    """Makes rows monotone, extrapolates saturated ends; mostly saturated rows copy a neighbour."""
+    """Makes rows monotone; extrapolates saturated ends; replaces mostly saturated rows."""
     rows: dict[int, np.ndarray] = {}
     for place, row in enumerate(command):
         good = np.abs(row) < _SATURATED
@@ -72,7 +72,7 @@ def _repaired(command: np.ndarray, share: np.ndarray, sign: float) -> np.ndarray
         after = y[middle] + np.concatenate([[0.0], np.cumsum(steps[middle:])])
         before = y[middle] - np.cumsum(steps[:middle][::-1])[::-1]
         rows[place] = sign * np.concatenate([before, after])
-    if not rows:  # all commands are saturated, so a straight line is as good as any map
+    if not rows:  # all commands are saturated, so that a straight line is as good as any map
         return np.tile(sign * share, (len(command), 1))
 
     def nearest(place: int) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Straight line through the size of a wear fault over time, and the time when it reaches a size.
+"""Straight line through a fault's sizes (magnitudes) over time, and when it reaches a size.
 
-The interval of this time is by Fieller 1954, Journal of the Royal Statistical Society B 16, 175.
+The interval of that time is by Fieller 1954, Journal of the Royal Statistical Society B 16, 175.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class Line:
     def reaches(self, level: float, scale: float) -> tuple[float | None, float, float | None]:
         """Computes when the line reaches a level: best estimate and ends of its 90 % interval.
 
-        The ends are the times at which the level lies on the confidence bounds of the line
-        (Fieller 1954): the roots of (v + r t - level)^2 = q^2 var(v + r t) + var(level).
+        The ends are the times at which the level lies on the confidence bounds of the line with
+        value v and rate r (Fieller): roots of (v + r t - level)^2 = q^2 var(v + r t) + var(level).
 
         Args:
             level: Size of the fault to be reached.

@@ -1,11 +1,11 @@
 // Python module leglab._native.batch: control periods of many machines, in threads. A machine is a
-// MuJoCo model and its data, which Python creates and owns; this module steps them and writes sensor
-// readings and reference of the next period into arrays with one row per machine.
+// MuJoCo model and its data, which Python creates and owns. This module steps the machines and
+// writes the next period's sensor readings and reference into arrays with one row per machine.
 //
 // Each thread has one mjData, into which it copies a machine's state and back. The states of hundreds
-// of machines fit into the caches; their whole mjData would not, and a step would take twice as long.
-// Derived quantities in a machine's data (body positions, forces) are not updated. The models of all
-// machines would not fit into the caches either, so machines with equal models step on one copy.
+// of machines fit into the caches; with their whole mjData a step would take twice as long. Derived
+// quantities in a machine's data (body positions, forces) are not updated. All models would not fit
+// into the caches either, so machines with equal models are stepped with one copy of the model.
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
@@ -122,8 +122,8 @@ class Batch {
     look(i);
   }
 
-  // Steps machines, except those flagged in `rests`, with commands (machines, joints) and begins their
-  // next period. Machines flagged in `late` are measured later, after a change of their parameters.
+  // Steps machines not flagged in `rests`, with commands (machines, joints), and begins their next
+  // period. Machines flagged in `late` are measured later, after a change of their parameters.
   void step(Input commands, Array<const bool> late, Array<const bool> rests) {
     const std::size_t n = machines_.size();
     require_size(n * joints_, commands);

@@ -1,5 +1,5 @@
-// Adaptive feed-forward and valve maps of leglab._native.identification. The banks of learners of the
-// same module are in another source file, so that both compile independently.
+// Adaptive feed-forward and valve maps of leglab._native.identification. The banks of learners of
+// the same module are in another source file, so that the two compile independently.
 #include <nanobind/stl/array.h>
 
 #include "bindings/identification_bank.h"
@@ -44,7 +44,7 @@ class ValveTables {
   std::vector<ff::ValveTable> tables_;
 };
 
-// Commands of calibrated valve maps; beyond the ends of a map, the commands at its ends.
+// Commands by calibrated valve maps; beyond the ends of a map, the commands at its ends.
 class ValveMaps {
  public:
   explicit ValveMaps(const nb::dict& parts) : tables_(parts), full_speed_(get<Numbers>(parts, "full_speed")) {}
@@ -63,7 +63,7 @@ class ValveMaps {
   Numbers full_speed_;
 };
 
-// Data sheets of all joints; none if the settings have no "lever".
+// Data sheets of all joints' valves and cylinders; none if the settings have no "lever".
 std::vector<ff::PressureValve> read_valves(const nb::dict& parts) {
   std::vector<ff::PressureValve> out;
   if (!parts.contains("lever")) return out;
@@ -213,10 +213,10 @@ class Team {
  public:
   explicit Team(int threads) : threads_(std::max(threads, 1)) {}
 
-  // Computes a control period of machines with the indices `rows` in the arrays: time (machines,),
-  // pressures (machines, 2 joints + 1) or empty, the others (machines, joints). `sent` holds the last
-  // commands. Writes the results of `Feedforward::step` to `outs`, and their command and feed-forward
-  // to the arrays.
+  // Computes a control period of the machines whose indices in the arrays are `rows`: time
+  // (machines,), pressures (machines, 2 joints + 1) or empty, the other arrays (machines, joints).
+  // `sent` holds the last commands. Writes the results of `Feedforward::step` to `outs`, and their
+  // command and feed-forward to the arrays.
   void step(const std::vector<Feedforward*>& cores, const std::vector<Output>& outs, Index rows,
             Input time, Input sent, Input measured, Input measured_velocity, Input position,
             Input velocity, Input acceleration, Input pressures, Output command,

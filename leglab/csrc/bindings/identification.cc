@@ -1,4 +1,4 @@
-// Python module leglab._native.identification: banks of identifiers, and the feed-forward on them.
+// Python module leglab._native.identification: banks of identifiers, and feed-forward with them.
 #include "bindings/identification_bank.h"
 
 namespace leglab::bindings {

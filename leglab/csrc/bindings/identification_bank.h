@@ -26,7 +26,7 @@ class Bank {
     }
   }
 
-  // A bank cannot be copied, because its models point into the block and the store.
+  // A bank cannot be copied, because its models point into its memory block and its settings.
   Bank(const Bank&) = delete;
   Bank& operator=(const Bank&) = delete;
 
@@ -64,7 +64,7 @@ class Bank {
     sweep(u.data(), y.data(), prediction.data(), int(y.shape(0)));
   }
 
-  // Does `run`, and writes every joint's parameters after each sample: (samples, joints, count).
+  // As `run`, but also writes every joint's parameters after each sample: (samples, joints, count).
   void run_recorded(Input u, Input y, Output prediction, Output trajectory) {
     double* to = trajectory.data();
     for (std::size_t t = 0; t < y.shape(0); ++t) {
@@ -75,8 +75,8 @@ class Bank {
   }
 
   // Predicts with frozen parameters; afterwards the history and all other state are restored.
-  // The first `given` predictions are the measured outputs; after them, measured outputs (one step
-  // ahead) or the model's predictions (free run) enter the history.
+  // The first `given` predictions are the measured outputs. Then the history takes the model's
+  // predictions in a free run, otherwise the measured outputs (prediction one step ahead).
   void simulate(Input u, Input y, Output prediction, int given, bool free_run) {
     const nb::bytes before = state();
     const int samples = int(prediction.shape(0));
@@ -138,7 +138,7 @@ class Bank {
     for (Model& model : models_) visit_parameters(model, [&](T& value) { value = T(*from++); });
   }
 
-  // Full gain matrix of one joint, (n, n).
+  // Full gain matrix of the least squares of one joint, (n, n).
   Made gain(int joint) {
     const auto& factor = models_[std::size_t(joint)].rls().gain();
     const int n = factor.size();

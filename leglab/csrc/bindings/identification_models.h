@@ -1,4 +1,4 @@
-// Order of each model's parameters, and its diagnostics, for the bank.
+// Order of each model's parameters, and each model's diagnostics, for the bank of models.
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Conversion of the front-end's settings (frozen dataclasses, validated there) to the core's.
+// Conversion of the front-end's settings (validated frozen dataclasses) to the core's settings.
 #pragma once
 
 #include <nanobind/stl/string.h>
@@ -51,7 +51,7 @@ Enum choice(nb::handle settings, const char* name, std::initializer_list<const c
   return static_cast<Enum>(found - all.begin());
 }
 
-// Storage that the core's settings point into; a deque never moves its elements.
+// Storage that the core's settings point into; a deque, because it never moves its elements.
 template <class T>
 struct Store {
   std::deque<std::vector<T>> knots;

@@ -15,7 +15,7 @@ void gather(const Output& from, const Index& index, double* to) {
   for (std::size_t i = 0; i < index.size(); ++i) to[i] = from.data()[index.data()[i]];
 }
 
-// Encoders that sample at one instant and are read later, at the start of the next period.
+// Encoders that sample at one instant and are read at the start of the next period.
 class Readings {
  public:
   // noise, shift, lost: (periods, joints); position, velocity: (joints,), written by `read`.
@@ -32,7 +32,7 @@ class Readings {
 
   void sample() { gather(positions_, joints_, sample_.data()); }
 
-  // True positions of the last sample plus the noise of a period, (joints,).
+  // True positions of the last sample plus the noise of the period `period`, (joints,).
   void noisy(std::size_t period, Output out) const {
     const double* noise = noise_.data() + at(period);
     require_size(sample_.size(), out);
@@ -130,8 +130,8 @@ class Reports {
   std::vector<Entry> entries_;
 };
 
-// Writes centre + half x command to an array, with commands clipped to [-1, 1]. Returns false, without
-// writing, if the commands are not an array of the right number of finite numbers.
+// Writes centre + half range x command to an array, with commands clipped to [-1, 1]. Returns
+// false, without writing, if the commands are not an array of the right number of finite numbers.
 class Drives {
  public:
   Drives(Output to, Input centre, Input half)

@@ -1,5 +1,5 @@
-// Python module leglab._native.monitor: moments of learned samples, fits of a bank of faults, and the
-// monitor that detects changes.
+// Python module leglab._native.monitor: moments (sums of products) of learned samples, fits of a
+// bank of faults to moments, and the monitor that detects changes.
 #include <initializer_list>
 #include <string>
 #include <tuple>
@@ -100,7 +100,7 @@ void bind_moments(nb::module_& module) {
       .def_prop_ro("count", count, nb::rv_policy::move);
 }
 
-// Probability of every key from the costs and keys of all curves.
+// Probability of every key (fault and element) from the costs and keys of all curves.
 Made chances(Input cost, std::vector<int> keys, double correlation, double independent,
               double noise) {
   require("costs", cost, {long(keys.size())});

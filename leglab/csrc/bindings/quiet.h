@@ -5,8 +5,8 @@
 
 namespace leglab::bindings {
 
-// Removes MuJoCo's clock, and its warnings, which go to a log file, during its lifetime: the caller
-// checks for the causes of warnings.
+// During its lifetime, MuJoCo reads no clock and writes no warnings to its log file; the caller
+// checks for the causes of warnings itself.
 class Quiet {
  public:
   Quiet() : clock_(mjcb_time), warning_(mju_user_warning) {

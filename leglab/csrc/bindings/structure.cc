@@ -8,7 +8,7 @@
 namespace leglab::bindings {
 namespace {
 
-// A model (SplineNarx `settings` without Hammerstein), candidate features (`further`), and a record.
+// A model (SplineNarx `settings` without Hammerstein), candidate features (`further`) and a record.
 class Runs {
  public:
   Runs(nb::handle settings, nb::handle further, Input u, Input y)

@@ -27,7 +27,7 @@ struct AdaptiveSettings : SupervisorSettings, ProofSettings, ContenderSettings, 
   double least_speed = 0.0;     // share of full speed below which nothing is learned
   double saturation = 1.0;      // windows with a larger command are not learned
   double greatest_acceleration = 0.0;  // largest possible acceleration of a joint [rad/s^2]
-  bool forward = false;         // the map predicts a flow's speed and is solved for the flow
+  bool forward = false;         // the map predicts the speed by a flow and is solved for the flow
   bool supervised = true;
   std::vector<double> learn_lower, learn_upper;  // range of positions for learning [rad]
   std::vector<double> position_gain, velocity_gain;  // [1/rad], [s/rad], with the valve's sign
@@ -91,8 +91,8 @@ class AdaptiveFeedforward {
   }
 
   // Adds a contender: a map that competes with the map in use until `reset` or `settle`. It learns,
-  // too, and is weighted by its prior log odds and its errors. error: see `Contenders::add`; shapes:
-  // valve states that the contender assumes, (joints), null for the states in use.
+  // too, and is weighted by its prior log odds and its errors. error: see `Contenders::add`;
+  // shapes: valve states that the contender assumes, (joints); null for the states in use.
   void propose(std::vector<Learner*> learners, double odds, double error,
                const ValveShape* shapes = nullptr) {
     const int place = shapes ? valves_.propose(shapes, window_) : ValveStates::in_use;
@@ -182,8 +182,8 @@ class AdaptiveFeedforward {
   }
 
  private:
-  // Flow for the speed `share`, both as shares of full speed. In the forward model the excess depends
-  // weakly on the flow itself: a few fixed-point iterations find the flow that gives the speed.
+  // Flow for the speed `share`, both as shares of full speed. In the forward model the excess
+  // depends weakly on the flow itself, so a few fixed-point iterations find the flow.
   double wanted_flow(int i, double share) {
     double flow = share;
     for (int k = 0; k < (settings_.forward ? 4 : 1); ++k) {
@@ -208,8 +208,8 @@ class AdaptiveFeedforward {
     return contenders_.any() ? contenders_.used(j, inputs_, count_, own) : own;
   }
 
-  // Weighted mean of the commands of all maps. For each map the flow `share` plus the predicted excess
-  // gives a command, to which the feedback `beside` is added; then the map's valve state is inverted.
+  // Weighted mean of the commands of all maps. A map's command is that for flow `share` plus the
+  // predicted excess, plus the feedback `beside`, corrected by the inverse of its valve state.
   double command(std::size_t j, double share, double beside) const {
     const std::vector<double>&weight = contenders_.weight(), &said = contenders_.said();
     const auto sent = [&](int place, double excess) {
@@ -229,7 +229,7 @@ class AdaptiveFeedforward {
     return alike > 0.0 ? sum + alike * sent(ValveStates::in_use, excess / alike) : sum;
   }
 
-  // A proof's delay: one period from a requested motion to its measurement, and half a window.
+  // Proofs of all joints. Their delay is one period from request to measurement, and half a window.
   std::vector<Proof> proofs(const std::vector<Learner*>& learners) const {
     std::vector<Proof> out;
     for (const Learner* learner : learners) {
@@ -304,8 +304,8 @@ class AdaptiveFeedforward {
     if (kept_.any()) kept_.put(i, usable ? learners_[j]->regressor() : nullptr, excess, error_[j]);
   }
 
-  // Learns the magnitude of a valve's state. A second map predicts the flow's sensitivity (slope) from
-  // the motion. Learning uses the unpredicted rest; the map in use takes up the predicted part.
+  // Learns the magnitude of a valve's state. A second map predicts the flow's sensitivity to it by
+  // the motion. Only the unpredicted part is used, as the map in use explains the predicted part.
   void learn_state(std::size_t j, bool usable) {
     const double slope = valves_.slope(j);
     Learner& told = *slope_learners_[j];

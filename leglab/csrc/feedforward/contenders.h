@@ -11,7 +11,7 @@ namespace leglab::feedforward {
 
 struct ContenderSettings {
   double contest_time = 0.0;    // time constant of mean squared errors [s]
-  double contest_gather = 0.0;  // time constant of the mean logarithm of their ratio [s]
+  double contest_gather = 0.0;  // time constant of the mean logarithm of the errors' ratio [s]
   double contest_errors = 0.0;  // number of independent errors in each of these two averages
   double contest_floor = 0.0;   // squared error of a joint due to noise [square of full speed]
   double contest_window = 0.0;  // ratio of mean squared errors at which a contender is excluded
@@ -22,7 +22,7 @@ struct ContenderSettings {
 // squared error of the map in use. The contender's prior odds are multiplied by the likelihood ratio of
 // errors with unknown variance, r^(-errors/2), with the present r and again with the geometric mean of
 // past r. A contender with a large r (Occam's window; Madigan and Raftery 1994) is excluded until
-// `revise`: because it also learns, it would otherwise return when the motion is easy.
+// `revise`, because it also learns and would otherwise return when the motion is easy.
 template <class Learner>
 class Contenders {
  public:
@@ -94,7 +94,7 @@ class Contenders {
   // Predictions of all maps in the latest call of `used`, the map in use first.
   const std::vector<double>& said() const { return said_; }
 
-  // Takes a joint's sample. own: error of the map in use; found_with(i): output for valve state i.
+  // Takes a joint's sample. own: error of the map in use; found_with(i): output with valve state i.
   template <class Found>
   void take(std::size_t j, const double* inputs, const Found& found_with, bool usable, double own,
             long period) {

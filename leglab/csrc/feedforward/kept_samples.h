@@ -1,4 +1,4 @@
-// Buffer of learned samples for a reader that empties it from time to time.
+// Buffer of learned samples for a reader (fault and health monitor) that empties it block by block.
 #pragma once
 
 #include <algorithm>
@@ -6,8 +6,8 @@
 
 namespace leglab::feedforward {
 
-// Array (kept, joints, parameters + 3). The row of a sample and joint holds regressor, output, a-priori
-// error and 1, or only zeros if the joint did not learn the sample.
+// Array (samples, joints, parameters + 3). The row of a sample and joint holds regressor, output,
+// a-priori error and 1, or only zeros if the joint did not learn the sample.
 class KeptSamples {
  public:
   // Empties the buffer and sets its capacity to `samples`; 0 keeps none.

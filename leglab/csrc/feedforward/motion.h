@@ -15,7 +15,7 @@ using Motion = std::vector<double>;
 // smoothed values in its middle.
 class SmoothingWindow {
  public:
-  // kernel: (4, window), oldest sample first; weights for value and three derivatives in the middle.
+  // kernel: (4, window), oldest sample first: weights for value and derivatives in the middle.
   SmoothingWindow(int joints, std::vector<double> kernel)
       : joints_(joints), window_(int(kernel.size()) / 4), kernel_(std::move(kernel)) {
     position_.resize(std::size_t(2 * window_ * joints));
@@ -40,7 +40,7 @@ class SmoothingWindow {
     smooth(flow_, 0, flow);
   }
 
-  // Access for callers that store a further series of `size()` numbers for the same samples.
+  // For callers that store and smooth a further series, of `size()` numbers, for the same samples.
   std::size_t size() const { return flow_.size(); }
   const double* position(int k) const { return position_.data() + row_at(k) * joints_; }
   const double* command(int k) const { return command_.data() + row_at(k) * joints_; }
@@ -98,10 +98,10 @@ class SmoothingWindow {
   int next_ = 0, filled_ = 0;
 };
 
-// A reference shifted by Taylor series: forward by the lead, back by the delays of the sensors.
+// A reference shifted in time by Taylor series: forward by the lead, back by the sensors' delays.
 class ReferenceMotion {
  public:
-  // lead: time from now for which the motion is computed; delays: ages of present measurements [s].
+  // lead: time by which the computed motion is ahead of now; delays: ages of the measurements [s].
   ReferenceMotion(int joints, double period, double lead, double position_delay,
                   double velocity_delay)
       : joints_(joints), rate_(1.0 / period), lead_(lead), position_delay_(position_delay),

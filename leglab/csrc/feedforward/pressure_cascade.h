@@ -1,4 +1,4 @@
-// Learned load of a motion, and inverse of the valves at the pressures that carry this load.
+// Learned load of a motion, and the valves' inverse (command for a flow) at this load's pressures.
 #pragma once
 
 #include <cmath>
@@ -15,9 +15,9 @@ struct Pressures {
   double supply = 0.0;
 };
 
-// Feed-forward with data sheets and measured pressures: a load map, learned from the measured load,
+// Feed-forward with data sheets and measured pressures. A load map, learned from the measured load,
 // predicts the load of a motion. The valve's equation at the pressures for that load replaces the
-// calibrated valve map; the losses of leak paths are further inputs of the map of the excess flow.
+// calibrated valve map. The losses of leak paths are further inputs of the map of the excess flow.
 template <class Learner>
 class PressureCascade {
  public:
@@ -57,8 +57,8 @@ class PressureCascade {
     window.middle_pressures(middle_a_.data(), middle_b_.data(), middle_command_.data());
   }
 
-  // Command for the flow that `flow()` returns. `inputs` holds `count` inputs of the motion; the losses
-  // of leak paths are appended to `inputs` before `flow()` is called.
+  // Command for the flow that `flow()` returns. `inputs` holds `count` inputs of the motion; the
+  // losses of leak paths are appended to it before `flow()` is called.
   template <class Flow>
   double command(std::size_t j, double position, double* inputs, int count, Flow flow) {
     const ChamberPressures now{a_[j], b_[j]};
@@ -67,9 +67,9 @@ class PressureCascade {
     return valves_[j].command(at, expected, flow());
   }
 
-  // Updates the load map with the middle of the window; appends the losses of leak paths to `inputs`.
-  // Returns the flow of the sample's command at predicted minus its flow at measured pressures. The map
-  // of the excess flow learns with this difference, because it is used with predicted pressures.
+  // Updates the load map with the middle of the window; appends the losses of leak paths to
+  // `inputs`. Returns the sample's flow at predicted minus measured pressures, which the map of the
+  // excess flow learns too, because it is used with predicted pressures.
   double learn(std::size_t j, double position, double* inputs, int count, bool usable) {
     const PressureValve& valve = valves_[j];
     const ChamberPressures measured{middle_a_[j], middle_b_[j]};
@@ -82,9 +82,9 @@ class PressureCascade {
   }
 
  private:
-  // Pressures with the load that the load map predicts and the measured common mode of the chambers.
-  // With the measured load the inverse of the valve would cancel the damping of the oil spring by valve
-  // and leakage, with a delay.
+  // Pressures with the load that the load map predicts and the measured common mode of the
+  // chambers. With the measured load, the inverse of the valve would cancel, with a delay, the
+  // damping of the oil spring by valve and leakage.
   ChamberPressures expect(std::size_t j, const PressureValve::Place& at,
                           const ChamberPressures& measured, double* inputs, int count) const {
     const double load = loads_[j]->peek(inputs);

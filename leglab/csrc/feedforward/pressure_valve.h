@@ -39,7 +39,7 @@ class PressureValve {
         oil_{sheet_.entrained_air, 1.0 / sheet_.polytropic_index, 1.0 / sheet_.bulk_modulus},
         transition_(sheet_.laminar_transition_pressure * sheet_.laminar_transition_pressure) {}
 
-  // Unit of load forces: force of the piston at nominal supply pressure [N].
+  // Unit of load forces: force of the piston at nominal supply pressure on the cap side [N].
   double full_force() const { return sheet_.area_a * sheet_.supply_pressure; }
 
   // Coefficients at a position and supply pressure [Pa], valid near the given chamber pressures.
@@ -76,7 +76,7 @@ class PressureValve {
     return at.sign * (sheet_.area_a * p.a - sheet_.area_b * p.b) / full_force();
   }
 
-  // Pressures for another load with the same common mode w_B p_A + w_A p_B, which motion of the piston
+  // Pressures for another load with the same common mode w_B p_A + w_A p_B, which piston motion
   // does not change.
   ChamberPressures with_load(const Place& at, const ChamberPressures& p, double load) const {
     const double force = at.sign * load * full_force();

@@ -1,4 +1,4 @@
-// Share of a map's recently learned change that is used, according to its predictions' success.
+// Share of a map's recently learned change that is used, by how well this change has predicted.
 #pragma once
 
 #include <algorithm>
@@ -10,18 +10,18 @@ namespace leglab::feedforward {
 
 struct ProofSettings {
   double settle_time = 0.0;    // time constant of the slow map [s]; 0 for no slow map
-  double proof_time = 0.0;     // time constant of the means of products and squared errors [s]
+  double proof_time = 0.0;     // time constant of the means for the least-squares slope [s]
   double proof_horizon = 0.0;  // time between snapshots of the learned parameters [s]
   double proof_doubt = 0.0;    // weight of the prior share of 1, in mean squared errors
   double proof_noise = 0.0;    // prediction difference up to which the share is near 1 [full speed]
 };
 
-// A learner with high gain follows its errors within a few samples. Through the machine this closes a
-// feedback loop with the delays of window and valve: on a compliant machine the joint oscillates, and
-// the map learns the oscillation instead of the reference. So there is also a slow map, the mean of the
-// parameters. The difference of learned and slow map is multiplied by a share: the least-squares slope
-// of the measured flow minus the slow map's, over the difference that an earlier snapshot predicts. It
-// is small for an oscillation, because an oscillating joint has reversed since the snapshot.
+// A learner with high gain follows its errors within a few samples. With the machine this closes a
+// feedback loop with the delays of window and valve, so that on a compliant machine the joint
+// oscillates and the map learns the oscillation. So there is also a slow map, the mean of the
+// parameters. The difference of learned and slow map is multiplied by a share: the least-squares
+// slope of measured flow minus the slow map's, over that difference as an earlier snapshot predicts
+// it. The share is small for an oscillation, because the joint has reversed since the snapshot.
 class Proof {
  public:
   // sample: time between learned samples [s]; delay: periods from a prediction to the sample that it
@@ -34,7 +34,7 @@ class Proof {
         slow_(std::size_t(parameters)), recent_(slow_), old_(slow_),
         said_(std::size_t(delay) + 1) {}
 
-  // Combined prediction of slow and learned map in a period, from the learner's regressor and output.
+  // Combined prediction of slow and learned map, from the learned map's regressor and output.
   double used(long period, const double* phi, double learned) {
     if (!(settle_ > 0.0)) return learned;
     Said said{0.0, 0.0};
@@ -64,7 +64,7 @@ class Proof {
     for (std::size_t k = 0; k < slow_.size(); ++k) recent_[k] = theta[k] - slow_[k];
   }
 
-  // Makes these parameters the slow map, and gives full weight to what is learned next.
+  // Makes these parameters the slow map, and gives full weight to changes that are learned next.
   void trust(const double* theta) {
     std::copy_n(theta, slow_.size(), slow_.begin());
     std::fill(recent_.begin(), recent_.end(), 0.0);

@@ -1,4 +1,4 @@
-// Choice, for each joint, between the learned map and the calibration as feed-forward.
+// Choice, for each joint, between the learned map and the calibrated map as feed-forward.
 #pragma once
 
 #include <algorithm>
@@ -10,13 +10,13 @@ namespace leglab::feedforward {
 struct SupervisorSettings {
   double trust_time = 0.0;        // time constant of the compared mean squared errors [s]
   double margin = 1.0;            // ratio learned/calibrated RMS error that switches to the calibration
-  double noise = 0.0;             // RMS tracking error below which it does not switch [rad]
+  double noise = 0.0;             // RMS tracking error below which the map is not switched [rad]
   std::vector<double> bandwidth;  // crossover of the feedback loops [rad/s]
 };
 
-// The feedback loop responds to a flow error like a first-order lag at its crossover frequency. This
-// gives the part of the tracking error that is due to the excess flow in use, and with the measured
-// tracking error the errors that would occur with the learned excess flow and without excess flow.
+// The feedback loop responds to a flow error like a first-order lag at its crossover frequency. So
+// the part of the tracking error due to the excess flow in use is known, and with the measured
+// error also the errors that would occur with the learned map and with the calibration.
 class Supervisor {
  public:
   // control_period: [s]; speed: full speeds [rad/s].

@@ -15,14 +15,14 @@ namespace leglab::feedforward {
 struct ValveSettings {
   double turn = 0.0;         // least change of a command that sets its direction [valve command]
   double state_step = 0.0;   // step of a state for the finite difference of the flow
-  double state_time = 0.0;   // time constant of learning a state [s]; command ranges have ten times it
+  double state_time = 0.0;   // time constant of learning a state; of command ranges 10 times it [s]
   double state_doubt = 0.0;  // prior standard deviation of a state over its proposed magnitude
   double state_noise = 0.0;  // noise of flow errors [share of full speed]
 };
 
 // State of one worn valve. The command u that gives the flow of the calibrated valve at command x is
 //   u = shift + x (1 + more) + dead_band clip(x/w, -1, 1) + play/2 sign(du/dt)
-// with `more` for the sign of x, and w from `knee`. The unit is valve command, of `more` 1.
+// with the `more` of the sign of x, and w from `knee`. Units: valve command; 1 for `more`.
 using ValveShape = std::array<double, 5>;
 enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 
@@ -31,7 +31,7 @@ enum : std::size_t { SHIFT, DEAD_BAND, PLAY, MORE_POSITIVE, MORE_NEGATIVE };
 // inverts play and the other deviations. The magnitude of the state in use is learned from the map's
 // errors by least mean squares; the regressor is the part of the flow's sensitivity to the magnitude
 // that the map cannot explain. Play and dead band are limited to a quarter of the command's recent
-// range: a wider one would pass so little of the command that it fits any motion.
+// range, because wider ones pass so little of the command that they fit any motion.
 class ValveStates {
  public:
   static constexpr int in_use = -1;  // index of the state in use; proposed states count from 0
@@ -181,7 +181,7 @@ class ValveStates {
   }
 
   // Half width w of the ramp through the dead band: at least twice the command change that sets a
-  // direction, and four times a negative dead band (worn overlap), so that u(x) is strictly increasing.
+  // direction, and four times a negative dead band (worn overlap), so that u(x) increases strictly.
   double knee(const ValveShape& shape) const {
     return std::max(2.0 * settings_.turn, 4.0 * std::abs(std::min(shape[DEAD_BAND], 0.0)));
   }
@@ -195,7 +195,7 @@ class ValveStates {
     return std::copysign((far - shape[DEAD_BAND]) / slope, beyond);
   }
 
-  // Limits each side's gain to 0.5 to 2, the null shift to 0.5, play and dead band to `widest`.
+  // Limits each sign's gain to [0.5, 2], the null shift to 0.5, play and dead band to `widest`.
   ValveShape limited(ValveShape shape, std::size_t j) const {
     const double widest = 0.25 * (highest_[j] - lowest_[j]);
     shape[SHIFT] = std::clamp(shape[SHIFT], -0.5, 0.5);
@@ -249,7 +249,7 @@ class ValveStates {
 
   ValveSettings settings_;
   double settle_;  // adaptation gain per sample of a state in use
-  double leak_;    // share of a command's recent range that is forgotten per period
+  double leak_;    // share of a command's recent range that is forgotten per control period
   std::vector<ValveTable> tables_;
   State used_, further_;  // state in use, and that state plus `state_step`
   std::vector<State> proposed_;

@@ -45,7 +45,7 @@ struct CylinderCoefficients {
   double gain_positive, gain_negative;  // K of the edges open at x_s > 0 and x_s < 0
   double transition_squared;         // Pa^2
   double mu_40;                      // Pa s
-  double inverse_w_floor;            // 1/w at the pressure floor
+  double inverse_w_floor;            // 1/w (see `Oil`) at the pressure floor
   Oil oil;
   Viscosity viscosity;
 
@@ -100,7 +100,7 @@ struct Volumes {
   }
 };
 
-// Both chambers at a piston position x: expansions of the oil about their pressures, amounts of oil.
+// Both chambers at a piston position: amounts of oil, and relative volumes near its pressures.
 struct Chambers {
   Oil::Expansion a, b;
   double amount_a, amount_b;  // m^3
@@ -120,7 +120,7 @@ inline Chambers chambers_at(const CylinderParameters& p, const CylinderCoefficie
   Chambers k;
   const auto fill = [&](double size, double pressure, double held, Oil::Expansion& oil, double& amount) {
     const double guess = pressure + kAtmosphere;
-    // An amount of zero means that the pressure is prescribed, so it is kept at any piston position.
+    // An amount of zero means a prescribed pressure, which is kept at any piston position.
     oil = held > 0.0 ? c.oil.solve(size / held, guess) : c.oil.expand(std::max(guess, kPressureFloor));
     amount = held > 0.0 ? held : size / oil.w;
   };
@@ -156,17 +156,17 @@ inline double bristle_level(const CylinderParameters& p, double v, double pressu
                   p.stribeck_velocity_, p.stribeck_exponent_);
 }
 
-// The smaller of two loads of equal sign, otherwise zero, so that an impact in one step is ignored.
+// The smaller of two loads of equal sign, otherwise zero, so that an impact of one step is ignored.
 inline double sustained(double load, double before) {
   if (load * before <= 0.0) return 0.0;
   return std::abs(load) < std::abs(before) ? load : before;
 }
 
-// Forces that act over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the LuGre
-// law in v. v* lies between the velocity before the step and the velocity after it, which is predicted
-// from the effective mass and the load of the last steps. The middle gives second order. For k = h D/m
-// > 2 (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which damps within a
-// step without overshoot. At steady speed D v* is exactly D v; infinite mass gives v* = v.
+// Forces over the next step. Friction is F = sigma_0 z + D v*, with D the slope of the LuGre law in
+// v. v* lies between the velocity before the step and the velocity after it, which is predicted
+// from the effective mass and the load of the last steps. v* in the middle gives second order. With
+// k = h D/m > 2 (cold oil has 13 times the viscous friction) v* is at 1 - 1/k of the way, which
+// damps in a step without overshoot. At steady speed D v* equals D v; infinite mass gives v* = v.
 inline PistonForces piston_forces(const CylinderParameters& p, const CylinderCoefficients& c,
                                   const OilCondition& oil, const CylinderState& s,
                                   const Chambers& k, double x, double v, double step_over_mass) {

@@ -77,7 +77,7 @@ struct Oil {
   }
 
   // Expansion at the pressure where w = target, from a guess. The error of Halley's method shrinks
-  // with the cube of the step: after a last step of `reach` p it is about reach^3 p at most. So the
+  // with the cube of the step: after a last step of at most `reach` p it is about reach^3 p. So the
   // default reach, 1e-5, is exact in double precision.
   Expansion solve(double target, double guess, double reach = 1e-5) const {
     Expansion e = expand(std::max(guess, kPressureFloor));
@@ -89,7 +89,7 @@ struct Oil {
     return e.moved_to(p, target);
   }
 
-  // Solves w = target like `solve`, starting from a known expansion.
+  // Solves w = target like `solve`, but from a known expansion.
   Expansion follow(const Expansion& from, double target, double reach) const {
     const double p = from.pressure_at(target);
     return std::abs(p - from.p) <= reach * from.p ? from.moved_to(p, target)

@@ -7,8 +7,8 @@ namespace leglab::hydraulics {
 
 inline constexpr double kFlankDamping = 0.5;  // damping ratio of a flank in contact, with reduced mass
 
-// Position of the piston relative to its pin. Before the first step, and after a change of the play,
-// it is in contact with the flank towards which the pressures push.
+// Position of the piston relative to its pin. Before the first step, and after a change of the
+// play, the piston is in contact with the flank towards which the pressures push.
 inline double play_offset(const CylinderParameters& p, const CylinderCoefficients& c,
                           const CylinderState& s) {
   if (p.play_ == 0.0) return 0.0;
@@ -22,9 +22,9 @@ struct PlayStep {
 };
 
 // One implicit step of the flank between the piston, driven by `force`, and the mechanism of the
-// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m]. It is implicit, because an
-// explicit spring would make the light piston oscillate within the play. It acts on the relative
-// velocity of piston and pin, so that it adds nothing while a flank is in contact.
+// effective mass `mass`, driven by `load`. The oil is a spring `oil` [N/m]. This spring is
+// implicit, because an explicit one would make the light piston oscillate within the play. It acts
+// on the relative velocity of piston and pin, so that it adds nothing while a flank is in contact.
 inline PlayStep play_step(const CylinderParameters& p, double offset, double v_piston, double v_pin,
                           double force, double load, double mass, double oil, double h) {
   const double reduced = 1.0 / (1.0 / p.piston_mass_ + 1.0 / mass);

@@ -76,13 +76,13 @@ struct StepTotals {
   double edges = 0, leakage = 0, stored = 0;      // J
 };
 
-// Share of a pressure up to which a change within a step is extrapolated, with a relative error of the
-// share's cube. The errors do not accumulate: the next step solves for pressures from the oil amounts.
+// Relative change up to which a step extrapolates a pressure, with a relative error of its cube.
+// Errors do not accumulate, because the next step solves for pressures from the oil amounts.
 inline constexpr double kPressureReach = 1e-2;
 
-// A sub-step whose embedded error estimate exceeds kPressureError is halved, at most kHalvings times.
-// This is rare (an orifice near zero pressure drop, a slammed valve), but otherwise the square root of
-// an orifice can keep the scheme at a wrong pressure, by 5 % at full opening.
+// A sub-step whose embedded error estimate exceeds kPressureError is halved, at most kHalvings
+// times. This is rare (an orifice near zero pressure drop, a slammed valve), but without it the
+// square root of an orifice can keep the scheme at a wrong pressure, by 5 % at full opening.
 inline constexpr double kPressureError = 2e5;  // Pa
 inline constexpr int kHalvings = 4;
 
@@ -105,7 +105,7 @@ inline void advance_chambers(const CylinderCoefficients& c, const OilCondition& 
   const double slope_bb = f1.db_dpb - oil.internal_leakage - oil.external_leakage_b;
   // dp/dV = 1/(w' N) at constant amount, dp/dN = -w dp/dV at constant volume.
   const double stiff_a = 1.0 / (k.a.slope * k.amount_a), stiff_b = 1.0 / (k.b.slope * k.amount_b);
-  // With vapour the pressure stays at the floor while the piston moves, so the rise is zero. The
+  // With vapour the pressure stays at the floor while the piston moves, so its rise is zero. The
   // stiffness stays, so that a chamber that fills up within the sub-step does not overshoot.
   const double rise_a = k.a.p > kPressureFloor ? stiff_a * (volume_end.a - volume.a) : 0.0;
   const double rise_b = k.b.p > kPressureFloor ? stiff_b * (volume_end.b - volume.b) : 0.0;

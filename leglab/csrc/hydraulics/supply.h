@@ -45,7 +45,7 @@ inline void advance_supply(const SupplyParameters& p, double demand, double time
                          p.compensator_gain_ * stiffness * timestep * demand) /
                         (1.0 + p.compensator_gain_ * stiffness * timestep);
   const double pump = std::clamp(wanted, 0.0, p.pump_flow_);
-  // The gas law is also used below the precharge: an empty accumulator makes the pressure collapse.
+  // Below the precharge the gas law is used too: when the accumulator is empty, pressure collapses.
   const double next = std::clamp(gas + (demand - pump) * timestep, 0.1 * gas, 2.0 * gas);
   const double after = absolute * std::pow(gas / next, p.polytropic_index_) - kAtmosphere;
   s.pressure_ = std::clamp(after, 0.0, 1.1 * p.supply_pressure_);  // relief valve

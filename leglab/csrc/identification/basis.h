@@ -32,12 +32,12 @@ struct QuadraticBasis {
   int offset = 0;            // full splines dropped on each side
   T inverse_spacing = 0;     // 1 / knot distance; 0 if the knots are not equidistant
   Outside outside = Outside::clamp;
-  bool printed = false;         // middle piece of Eq. 9 as printed, (u - k_i + dk)
+  bool printed = false;         // whether the middle piece of Eq. 9 is as printed, (u - k_i + dk)
 
   T lower() const { return knots[2]; }
   T upper() const { return knots[knot_count + 1]; }
 
-  // Greville abscissa i: with these weights a network with the full basis is the identity.
+  // Greville abscissa i; with these as weights, a network with the full basis is the identity.
   T greville(int i) const { return (knots[i + offset + 1] + knots[i + offset + 2]) / T(2); }
 
   // Length of an array of weights with `offset` unused entries at each end; see evaluate_padded.
@@ -50,7 +50,7 @@ struct QuadraticBasis {
     return local;
   }
 
-  // Writes in place: a copy of the struct would stall on the fields that were just written.
+  // Writes in place, because a copy of the struct would stall on the fields that were just written.
   template <bool Slope = false>
   void evaluate(T u, LocalBasis<T>& local) const {
     locate<Slope>(u, local);
@@ -118,7 +118,7 @@ struct QuadraticBasis {
     local.first = interval - offset;
   }
 
-  // Returns the last interval whose left knot is not above u; the last is closed on the right.
+  // Returns the last interval whose left knot is not above u; the outermost is closed on the right.
   int search(T u) const {
     int low = 0, high = knot_count - 1;
     while (high - low > 1) {
@@ -170,7 +170,7 @@ QuadraticBasis<T> make_basis(const T* knots, int p, T* extended, bool full) {
   basis.knot_count = p;
   basis.offset = full ? 0 : 2;
   basis.count = full ? p + 1 : p - 3;
-  // If the inverse is infinite (very close knots), a product gives no index: intervals are searched.
+  // If 1/spacing is infinite (very close knots), a product cannot give the index: it is searched.
   basis.inverse_spacing = equidistant && is_finite(inverse) ? inverse : T(0);
   return basis;
 }

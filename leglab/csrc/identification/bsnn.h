@@ -32,7 +32,7 @@ class Bsnn {
   struct Tally {
     std::int64_t clipped;     // inputs outside the knots while learning
     std::int64_t violations;  // steps whose learning constant broke the bound of Eq. 21
-    T largest_contraction;    // largest eta N^T (N (1 - |W|)); Eq. 21 asks for less than 2
+    T largest_contraction;    // largest eta N^T (N (1 - |W|)), which Eq. 21 requires to be below 2
     T bias;
     T learning_scale;            // factor on the learning constants; 1 without a gain schedule
   };

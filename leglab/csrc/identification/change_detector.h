@@ -55,7 +55,7 @@ class ChangeDetector {
     return change;
   }
 
-  // Suppresses alarms for the hold-off, after a change that the caller knows of.
+  // Suppresses alarms for the hold-off after a change of which the caller knows.
   void hold() { state_->last_change = state_->samples; }
 
   const State& state() const { return *state_; }

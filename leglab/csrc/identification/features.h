@@ -10,9 +10,9 @@ namespace leglab::identification {
 enum class Feature : int {
   lags,         // x(t - lag), x(t - lag - 1), ...
   constant,     // 1
-  spline,       // N_i(x(t - lag)), optionally times another signal's lag
+  spline,       // N_i(x(t - lag)), optionally times another signal at a lag
   hammerstein,  // n(t - lag), n(t - lag - 1), ... with n = sum_i w_i N_i(x)
-  term,         // g(x(t - lag)), optionally of the change of x and times another signal's lag
+  term,         // g(x(t - lag)), optionally of the change of x and times another signal at a lag
 };
 
 // g of a term, with d = x - at.
@@ -128,7 +128,7 @@ class Features {
   const T* phi() const { return phi_; }
   Support support() const { return {support_, nonzero_}; }
 
-  // Number of spline evaluations outside their knots in the last build.
+  // Number of splines in the last build whose input was outside their knots.
   int clipped() const { return clipped_; }
 
   // Fills the regressor; `weights`: weights of the hammerstein blocks.

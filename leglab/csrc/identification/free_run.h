@@ -18,8 +18,8 @@ struct Record {
   int samples = 0;
 };
 
-// Sums over samples, with psi = d y / d theta of the simulated output y. theta are `width` parameters:
-// the model's, then the parameters of candidate features, which are zero.
+// Sums over samples, with psi = d y / d theta of the simulated output y. theta has `width`
+// parameters: those of the model, then those of candidate features, which are zero.
 template <class T>
 struct Sums {
   Products<T> products;     // (width, parameters): sum of psi_i psi_j

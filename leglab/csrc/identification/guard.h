@@ -53,7 +53,7 @@ class Guard {
 
   void configure(const GuardSettings<T>& settings) {
     settings_ = settings;
-    // No limit is stored as the largest number, so that one comparison also rejects NaN and infinities.
+    // "No limit" is stored as the largest number, so that one comparison rejects NaN and infinity.
     constexpr T any = sizeof(T) == 4 ? T(3.4e38) : T(1.7e308);
     if (!(settings_.output_limit > T(0))) settings_.output_limit = any;
     for (T& limit : settings_.input_limit) limit = limit > T(0) ? limit : any;

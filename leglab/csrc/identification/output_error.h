@@ -16,7 +16,7 @@ class OutputError {
   struct State {
     std::int64_t resynchronised;
     std::int64_t samples;
-    T mean_square;  // of the simulation error, which is taken before the sample is learned
+    T mean_square;  // mean square of the simulation error, taken before the sample is learned
     bool running;
   };
 

@@ -27,8 +27,8 @@ bool poles_within(const T* a, int n, T radius, T* scratch) {
   return true;
 }
 
-// Returns the largest factor g <= 1 for which the roots times g lie inside the radius. Coefficients
-// a_i g^i have the roots times g. Exactly 1 if no root has to move. `scratch` needs 3 n entries.
+// Returns the largest factor g <= 1 for which the roots times g lie inside the radius, exactly 1 if
+// no root has to move. Coefficients a_i g^i have the roots times g. `scratch` needs 3 n entries.
 template <class T>
 T pole_contraction(const T* a, int n, T radius, T* scratch) {
   if (poles_within(a, n, radius, scratch)) return T(1);

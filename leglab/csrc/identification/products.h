@@ -8,7 +8,7 @@
 
 namespace leglab::identification {
 
-// Sums of psi_i psi_j for i < width, j < columns <= width. For i < columns only j <= i is computed.
+// Sums of psi_i psi_j for i < width, j < columns <= width; for i < columns only with j <= i.
 template <class T>
 class Products {
  public:

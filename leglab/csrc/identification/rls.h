@@ -1,4 +1,4 @@
-// Recursive least squares on the factorised gain, with four kinds of forgetting.
+// Recursive least squares with the factors of the gain matrix F, and four kinds of forgetting.
 #pragma once
 
 #include <cstdint>
@@ -36,9 +36,9 @@ class Rls {
     std::int64_t in_a_row;  // consecutive refused updates
     std::int64_t restarts;  // resets of theta and F after too many refused updates
     T factor;               // forgetting factor of the last update
-    T forgotten;            // sum of (1 - factor) since `visit` was last 0
+    T forgotten;            // sum of (1 - forgetting factor) since `visit` was last 0
     std::int64_t until;     // updates until the next parameter is restored
-    std::int64_t visit;     // index of the parameter that is restored next
+    std::int64_t visit;     // index of the parameter to restore next
   };
 
   void layout(Workspace& workspace, int parameters) {
@@ -158,7 +158,7 @@ class Rls {
     for (int k = 0; k < n; ++k) theta_[k] += gain[k] * weight;
   }
 
-  // Counts a refused update. After too many it resets: errors of huge parameters may overflow.
+  // Counts a refused update; resets after too many, because the errors of huge parameters overflow.
   void reject() {
     constexpr std::int64_t patience = 10;
     ++tally_->rejected;
@@ -179,7 +179,7 @@ class Rls {
       case Forgetting::directional: {
         const T lost = (one - settings_.forgetting_factor) * variance;
         const T beta = settings_.forgetting_factor - lost / power;
-        // Without excitation there is nothing to forget, and 1 / power overflows.
+        // Without excitation nothing is forgotten, because 1 / power would overflow.
         const bool excited = power > T(1e-12);
         factor_.update(variance, excited ? beta : T(0), one, settings_.gain_bound);
         return variance + power;

@@ -1,5 +1,5 @@
 // The deployed identifier: a NARX model, linear in its parameters, of lags, splines of lags and a
-// Hammerstein input, learned by recursive least squares and optionally refined as output-error.
+// Hammerstein input, learned by recursive least squares and optionally by its simulation error.
 #pragma once
 
 #include "identification/guard.h"
@@ -68,8 +68,8 @@ class SplineNarx {
     if (workspace.measuring()) return;
     rls_.start(settings_.rls);
     start_weights();
-    // Nothing is learned until samples have replaced the zeros of the empty history: least squares
-    // would keep equations with these zeros for the whole pass.
+    // Nothing is learned until samples have replaced the zeros of the empty history, because least
+    // squares would keep equations with these zeros for the whole pass.
     guard_.state().dirty = past_.depth;
   }
 
@@ -113,7 +113,7 @@ class SplineNarx {
     }
     T own = measured;  // value that the simulation stores for y(t)
     if (refines() && simulation_.state().running) own = refine(measured, verdict);
-    // Learns also if the simulation has just diverged, because a model that is far off must learn.
+    // It also learns if the simulation has just diverged, because a wrong model has to learn.
     if (learns && !(refines() && simulation_.state().running)) {
       learn(features_.phi(), features_.support(), measured - prediction);
     }
@@ -192,11 +192,11 @@ class SplineNarx {
     move_weights(weight_slope_, error);
   }
 
-  // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). 0.01, the
-  // square of a scaled sensitivity of 0.1, is added to the power to limit the first steps, where theta
-  // is zero; of 1, 0.1, 0.01 and 0.001, 0.1 suits a dead zone and u|u| best at mu = 0.1. Weights are
-  // limited, because with outliers their product with theta could grow to infinity. Larger weights are
-  // not needed: scaled weights are about one (the identity), and theta takes up any gain.
+  // Does a gradient step along the sensitivity of the output, normalised by its power (NLMS). 0.01,
+  // the square of a scaled sensitivity of 0.1, is added to the power to limit the first steps, when
+  // theta is zero; of 1, 0.1, 0.01 and 0.001, 0.1 suits a dead zone and u|u| best at mu = 0.1.
+  // Weights are limited, because with outliers their product with theta could grow to infinity.
+  // Scaled weights need not exceed about one (the identity), as theta contains any gain.
   void move_weights(const T* slope, T error) {
     T* w = weights_;
     for (const Block<T>& block : settings_.structure) {

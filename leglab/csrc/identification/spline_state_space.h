@@ -1,7 +1,7 @@
-// Identifier of a state-space model with curves: an extended Kalman predictor estimates the state,
-// recursive least squares on the predictor's sensitivities estimates the parameters (recursive
-// prediction error method, Ljung 1979, "Asymptotic behavior of the extended Kalman filter as a
-// parameter estimator").
+// Identifier of a state-space model with static curves. An extended Kalman predictor estimates the
+// state; recursive least squares on the predictor's sensitivities estimates the parameters
+// (recursive prediction error method, Ljung 1979, "Asymptotic behavior of the extended Kalman
+// filter as a parameter estimator").
 #pragma once
 
 #include "identification/guard.h"
@@ -101,7 +101,7 @@ class SplineStateSpace {
     }
     if (verdict == Sample::learned) {
       ++state_->learned;
-      // An error says the less about the parameters, the more of it the state's uncertainty explains.
+      // The more of an error the state's uncertainty explains, the less it tells of the parameters.
       rls_.update(psi_, error, {}, variance / settings_.noise);
     }
     return settings_.output.undo(prediction);

@@ -14,7 +14,7 @@ namespace leglab::identification {
 
 template <class T>
 struct StateStructure {
-  static constexpr T reach = T(2);  // limit of the states; in training data they are within 1
+  static constexpr T reach = T(2);  // limit of the states, which are within 1 in training data
   int states = 1;
   int inputs = 1;
   int curves = 0;
@@ -26,7 +26,7 @@ struct StateStructure {
   int parameters() const { return linear() + curves * curve(); }
 };
 
-// One step and its sensitivities in `width` columns: to the parameters, then to others of the caller.
+// One step and its sensitivities in `width` columns: to the parameters, then to the caller's.
 template <class T>
 class StateSpace {
  public:

@@ -24,12 +24,12 @@ struct Support {
 };
 
 // U is unit upper triangular, its columns packed consecutively; D is positive. So F is symmetric
-// positive definite by construction, in spite of rounding. Two limits leave D positive: D is kept above
-// `floor`, and each column's share of the trace below a bound.
+// positive definite by construction, in spite of rounding. Two limits keep it so: D stays above
+// `floor`, and each column's share of the trace stays below a bound.
 template <class T>
 class UdFactor {
  public:
-  // Smallest entry of D: far below any useful gain, far above underflow of its products.
+  // Smallest entry of D: far below any useful gain, but far above the underflow of products of D.
   static constexpr T floor = sizeof(T) == 4 ? T(1e-24) : T(1e-100);
 
   void layout(Workspace& workspace, int n) {
@@ -209,7 +209,7 @@ class UdFactor {
     bool floored;  // whether an entry of D was raised to the floor
   };
 
-  // Returns the factor with which b is added to column j of U; advances the sweep and D.
+  // Returns the factor on b that is to be added to column j of U; advances the sweep and D.
   [[gnu::always_inline]] T turn(Sweep& sweep, int j) {
     const T f = sweep.beta * f_[j];
     const T ratio = -f * sweep.inverse;

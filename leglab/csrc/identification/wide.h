@@ -3,7 +3,7 @@
 
 namespace leglab::identification {
 
-// Elements are computed separately and no operations are fused: all versions are bit-identical.
+// Elements are computed separately and no operations are fused, so all versions are bit-identical.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && __STDC_HOSTED__ && \
     !defined(__SANITIZE_ADDRESS__)
 #define LEGLAB_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))

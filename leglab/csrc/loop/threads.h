@@ -50,7 +50,7 @@ class Threads {
   void serve(std::size_t thread) {
     for (;;) {
       turn_.arrive_and_wait();
-      if (!work_) return;  // the end
+      if (!work_) return;  // the pool ends
       take(thread);
       turn_.arrive_and_wait();
     }

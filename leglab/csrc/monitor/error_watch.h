@@ -11,7 +11,7 @@ namespace leglab::monitor {
 struct WatchSettings {
   double sample_period = 0.0;  // time between learned samples [s]
   double error_ratio = 4.0;    // factor by which a change to be detected raises the mean square error
-  double alarm = 4.0;          // excess of the log-likelihood ratio over its usual peaks for an alarm
+  double alarm = 4.0;          // threshold of the cumulative sum, in addition to its usual peaks
   double correlation = 1.0;    // number of correlated samples with the information of one
   int slow_window = 1;         // number of samples over which the normal mean square error is averaged
 };
@@ -54,7 +54,7 @@ class ErrorWatch {
       all += step;
       const double seen =
           j < joints ? seen_[j] : *std::min_element(seen_.begin(), seen_.end());
-      // In every stride some motion is hard to predict: the sum's peak there raises the limit.
+      // In every stride some motion is hard to predict, so the sum's peak there raises the limit.
       const double limit = settings_.alarm + margin * peak_[j];
       const double total =
           seen >= settings_.slow_window ? std::max(sum_[j] + step, 0.0) : 0.0;
@@ -87,8 +87,8 @@ class ErrorWatch {
   }
 
  private:
-  // `margin`: multiple of the sum's earlier peak by which the alarm threshold grows. `peak_windows`:
-  // time constant with which the peak decays, in slow windows.
+  // `margin`: factor on a cumulative sum's earlier peak, which is added to the alarm threshold.
+  // `peak_windows`: time constant of the peak's decay, in multiples of the slow window.
   static constexpr double margin = 2.0, peak_windows = 2.5;
   // Multiple of the normal mean squared error to which a block's error is clipped before averaging.
   static constexpr double outlier = 9.0;

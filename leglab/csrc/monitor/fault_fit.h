@@ -10,8 +10,8 @@
 
 namespace leglab::monitor {
 
-// Shifts of a map's parameters due to one fault, piecewise linear in the fault's magnitude. The arrays
-// are constants of the caller, possibly in read-only memory; `Shift` is double or float.
+// Shifts of a map's parameters due to one fault, piecewise linear in the fault's magnitude. The
+// arrays are constants of the caller, possibly in read-only memory. `Shift` is double or float.
 template <class Shift>
 struct FaultCurve {
   int nodes = 0;                  // number of tabulated magnitudes (nodes), the healthy one first
@@ -19,8 +19,8 @@ struct FaultCurve {
   const Shift* shifts = nullptr;  // for all nodes but the healthy one, (nodes - 1, joints, parameters)
 };
 
-// Weighted least squares fit of the magnitude of every fault, a few curves per call of `advance`.
-// On a linear piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost sum_j w_j sum (y - phi D_j(t))^2,
+// Weighted least squares fit of every fault's magnitude, for a few curves per call of `advance`. On
+// a linear piece D(t) = D_0 + t (D_1 - D_0) of a curve the cost sum_j w_j sum (y - phi D_j(t))^2,
 // with the outputs y, regressors phi and weight w_j of joint j, is a parabola in t. So the minimum
 // within [0, 1] has a closed form.
 template <class Shift>
@@ -31,9 +31,9 @@ class FaultFit {
       : weight_(std::size_t(joints)), packed_(std::size_t(parameters * together)),
         size_(std::size_t(most_curves)), spread_(size_), cost_(size_) {}
 
-  // Starts a fit. moments: relative to the map before the fault; normal: mean squared errors before the
-  // fault, (joints); discrepancy: see `Moments::weight`; joint: index of the joint whose samples are
-  // used, -1 for all joints. Curves and moments must not change until `advance` returns true.
+  // Starts a fit. moments: of outputs minus predictions of the map before the fault; normal: mean
+  // squared errors before it, (joints); discrepancy: see `Moments::weight`; joint: the only joint
+  // used, or -1 for all. Curves and moments must not change until `advance` returns true.
   void begin(const FaultCurve<Shift>* curves, int count, const Moments& moments,
              const double* normal, double discrepancy, int joint = -1) {
     curves_ = curves;
@@ -80,7 +80,7 @@ class FaultFit {
   void fit(const FaultCurve<Shift>& curve, std::size_t place) {
     const int shifted = curve.nodes - 1;
     double best = -std::numeric_limits<double>::infinity();
-    double linear = 0.0, square = 0.0;  // forms of a piece's first node; 0 at the healthy node
+    double linear = 0.0, square = 0.0;  // forms at a piece's first node; 0 at the healthy node
     for (int first = 0; first < shifted;) {
       // The last node of the previous group is repeated for its cross form with the next node.
       const int lead = first > 0 ? 1 : 0;
@@ -196,11 +196,11 @@ class FaultFit {
 // Relative uncertainty of the noise's share of a cost.
 constexpr double noise_doubt = 0.2;
 
-// Computes the probability of every key, (keys), from the least cost among the curves with that key.
-// The residual of the best fault is partly noise, which averages out with more samples, and partly
-// model error, which does not average out. Noise gives a likelihood of known variance, model error one
-// of unknown variance: cost^(-n/2) with n = `independent` errors. For each key the likelihood that is
-// less different from the best key's is used; for n = 0, the likelihood of noise.
+// Computes the probability of every key, (keys), from the least cost among the curves with that
+// key. The residual of the best fault is partly noise, which averages out with more samples, and
+// partly model error, which does not. Noise gives a likelihood of known variance. Model error gives
+// one of unknown variance, cost^(-n/2) with n = `independent` errors. For each key, of these two
+// the likelihood closer to the best key's is used; for n = 0, the likelihood of noise.
 // correlation: number of correlated samples with the information of one. noise: part of every cost due
 // to noise, clipped to the least cost; subtracted before the unknown variance is estimated, because the
 // noise of joints without information would otherwise hide differences.

@@ -1,4 +1,4 @@
-// Detection of a change from a learner's samples, and moments of the samples after the change.
+// Detection of a change from a learner's samples, and moments (sums of products) of later samples.
 #pragma once
 
 #include <algorithm>
@@ -51,10 +51,10 @@ class FaultMonitor {
   // Number of the first block after the change; at least one kept block precedes that block.
   long first_after() const { return first_after_; }
 
-  // Takes a block of at most `most_samples` samples, (samples, joints, parameters + 3), that ends at
-  // `time` [s], and the map at that time, (joints, parameters). Returns whether an examination begins.
+  // Takes a block of at most `most_samples` rows of `KeptSamples`, which ends at `time` [s], and
+  // the map's parameters at that time, (joints, parameters). Returns whether an examination begins.
   bool take(double time, const double* samples, int count, const double* parameters) {
-    // The new block would overwrite the next block to accumulate, so that block is accumulated first.
+    // The new block would overwrite the next block to accumulate, which is thus accumulated first.
     if (open_ && recent_.end() - waiting_ == recent_.blocks()) sum_block(everything);
     recent_.push(time, samples, count, parameters);
     measure(samples, count);

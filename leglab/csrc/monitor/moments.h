@@ -96,7 +96,7 @@ class Moments {
       double own[rows];
       bool shown = false;
       for (int k = 0; k < rows; ++k) shown |= (own[k] = x[k][i]) != 0.0;
-      if (!shown) continue;  // usual: a spline's basis function that is zero in all rows
+      if (!shown) continue;  // usually a basis function of a spline that is zero in all rows
       for (int j = i; j < parameters_; ++j) {
         double value = sum[j - i];
         for (int k = 0; k < rows; ++k) value += own[k] * x[k][j];

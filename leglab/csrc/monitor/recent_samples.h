@@ -53,9 +53,9 @@ class RecentSamples {
     std::copy_n(parameters, map, maps_.data() + at * map);
   }
 
-  // Maximum-likelihood estimate of the time of a change [s] (Hinkley 1970, Biometrika 57, 1), within
-  // the blocks after `since` [s]; `since` if the errors do not rise. The errors have the variances
-  // `normal`, (joints), before the change, and after it these times a fitted factor of at least 1.
+  // Maximum-likelihood estimate of the time of a change [s] (Hinkley 1970, Biometrika 57, 1),
+  // within the blocks after `since` [s]; `since` if the errors do not rise. Errors have variances
+  // `normal`, (joints), before the change, and these times a fitted factor of at least 1 after it.
   double onset(double since, const double* normal, double sample_period) const {
     long first = begin();
     while (first < end() && !(block(first).time > since)) ++first;

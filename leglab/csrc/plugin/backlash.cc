@@ -79,7 +79,7 @@ class Backlash : public Instance<BacklashTable> {
     collect_actuation(m, d);
     drive_ = actuation_[dof_];
 
-    // Joint acceleration without the motor: `column_`, a row of M^-1, times the forces.
+    // Joint acceleration without the motor side: `column_`, a row of M^-1, times the forces.
     mj_solveM(m, d, column_.data(), unit_.data(), 1);
     for (int i = 0; i < m->nv; ++i) {
       force_[i] = d->qfrc_passive[i] - d->qfrc_bias[i] + d->qfrc_applied[i];
@@ -103,8 +103,8 @@ class Backlash : public Instance<BacklashTable> {
       const double load = drive_ - inertia * (free + compliance * drive_);
       offset_ = load > 0 ? half : load < 0 ? -half : 0.0;
     }
-    // MuJoCo's integrator adds damping and the servo's slope to the joint's inertia. The slope belongs
-    // to the motor side, so `moved` takes it off the joint.
+    // MuJoCo's integrator adds damping and the servo's slope to the joint's inertia. The slope
+    // belongs to the motor side, so that `moved` subtracts it from the joint.
     const int integrator = m->opt.integrator;
     const bool implicit = integrator == mjINT_IMPLICIT || integrator == mjINT_IMPLICITFAST;
     const bool damped = implicit || !(m->opt.disableflags & mjDSBL_EULERDAMP);

@@ -49,7 +49,7 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
   const double h = m->opt.timestep;
   const bool started = s.started_ != 0.0;  // if not, all past commands equal the first one
 
-  // MuJoCo holds a command over a step, so that the mean over a step of the delayed command is an
+  // MuJoCo holds a command over a step, so that the delayed command's mean over a step is an
   // interpolation of two commands.
   const double steps = p.delay_ / h;
   const int whole = static_cast<int>(steps);
@@ -68,7 +68,7 @@ CommandPath::Signal CommandPath::pass(const mjModel* m, const mjData* d, double 
   const double width = p.dead_band_ + (positive ? p.dead_band_positive_ : p.dead_band_negative_);
   const double x = passed(behind_play, width, positive ? p.gain_positive_ : p.gain_negative_);
   if (p.time_constant_ == 0.0) return {behind_play, x, x};
-  // Mean of the exact response over the step.
+  // Mean over the step of the exact first-order response.
   const double before = started ? s.lag_output_ : x;
   const double ratio = h / p.time_constant_;
   return {behind_play, x, x - (before - x) * std::expm1(-ratio) / ratio};

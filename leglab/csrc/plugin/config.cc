@@ -150,7 +150,7 @@ void require_single_stage_integrator(const mjModel* m, int instance) {
 
 }  // namespace leglab::plugin
 
-// `element_named` for tools, over all elements of the kind.
+// `element_named` among all elements of a kind, exported for Python tools.
 extern "C" __attribute__((visibility("default"))) int leglab_element_named(
     const mjModel* m, int instance, int kind, const char* text) {
   const auto object = static_cast<mjtObj>(kind);

@@ -43,7 +43,7 @@ int element_attribute(const mjModel* m, int instance, const char* key, mjtObj ki
 // Joint that the attribute `joint` names; hinge or slide.
 int joint_attribute(const mjModel* m, int instance);
 
-// Plugin instances need a time integrator that calls `advance` once per evaluation of the forces.
+// Rejects a time integrator that does not call `advance` once per evaluation of the forces.
 void require_single_stage_integrator(const mjModel* m, int instance);
 
 inline mjtNum* state_of(const mjModel* m, const mjData* d, int instance) {

@@ -73,7 +73,7 @@ void Cylinder::reset(mjtNum* plugin_state) const {
 void Cylinder::refresh(const mjModel* m, const CylinderParameters& p) {
   const double timestep = m->opt.timestep;
   if (std::memcmp(&p, &seen_, sizeof p) == 0 && timestep == seen_timestep_) return;
-  CylinderParameters same = p;  // except the two parameters that the plugin itself changes
+  CylinderParameters same = p;  // copy, except the two parameters that the plugin itself changes
   same.oil_temperature_ = seen_.oil_temperature_;
   same.seal_clearance_ = seen_.seal_clearance_;
   if (std::memcmp(&same, &seen_, sizeof p) != 0 || timestep != seen_timestep_) {
@@ -169,7 +169,7 @@ void Cylinder::compute(const mjModel* m, mjData* d) {
 
 void Cylinder::advance(const mjModel* m, mjData* d) {
   const auto [p, s] = slots(m, d);
-  // qvel is already updated, actuator_velocity is not: apply the step's moments to the new qvel.
+  // qvel is already updated, actuator_velocity is not, so apply the step's moments to the new qvel.
   double v = 0;
   const int address = d->moment_rowadr[actuator_], count = d->moment_rownnz[actuator_];
   for (int i = address; i < address + count; ++i) {

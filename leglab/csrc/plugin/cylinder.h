@@ -9,8 +9,8 @@
 
 namespace leglab::plugin {
 
-// In addition to the plugin state it keeps ids, the outputs of the latest `compute`, and coefficients,
-// which are computed anew whenever the parameters differ from `seen_`.
+// In addition to the plugin state it keeps MuJoCo's ids, the outputs of the latest `compute`, and
+// coefficients, which are computed anew whenever the parameters differ from `seen_`.
 class Cylinder : public Instance<hydraulics::CylinderTable> {
  public:
   using Instance::slots;

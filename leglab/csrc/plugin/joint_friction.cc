@@ -23,8 +23,8 @@ class JointFriction : public Instance<hydraulics::FrictionTable> {
     const auto now = hydraulics::FrictionLevel::at(p, v, s.load_, d->time);
     double force = now.viscous * v;
     if (now.sliding > 0) {
-      // Mean of z' over the step, not z' at its start: at speed a bristle relaxes within
-      // microseconds.
+      // z' is a mean over the step instead of a value at its start, because at speed a bristle
+      // relaxes within microseconds.
       const double h = m->opt.timestep;
       const double next = hydraulics::advance_bristle(s.bristle_, v, now.sliding, p.sigma_0_, h);
       force += p.sigma_0_ * s.bristle_ + p.sigma_1_ * (next - s.bristle_) / h;

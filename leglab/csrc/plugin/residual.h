@@ -33,7 +33,7 @@ class Residual : public Instance<ResidualTable> {
  private:
   struct Spline {
     std::vector<double> knots;         // clamped: outermost knots with multiplicity four
-    std::vector<double> coefficients;  // from MJCF; the plugin state holds those in use
+    std::vector<double> coefficients;  // from MJCF; the plugin state holds the coefficients in use
   };
   static Spline spline_attribute(const mjModel* m, int instance, const char* variable);
 

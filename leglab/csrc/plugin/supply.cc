@@ -24,7 +24,7 @@ double Supply::pressure(const mjModel* m, const mjData* d, int instance) {
   return supply_pressure_now(p, s);
 }
 
-// Draws the volume that each cylinder took over its latest step; each volume is counted once.
+// Takes the volume that each cylinder drew over its latest step from the supply; counts each once.
 void Supply::advance(const mjModel* m, mjData* d) {
   double demand = 0;
   for (int i : consumers_) demand += Cylinder::slots(m, d, i).state.supply_flow_;

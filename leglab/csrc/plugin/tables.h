@@ -57,7 +57,7 @@ LEGLAB_TABLE(Spring, "leglab.spring_damper", LEGLAB_SPRING_PARAMETERS, LEGLAB_NO
   X(seated_width, "rad", "play of the last step; a new one seats anew on the loaded flank")
 LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BACKLASH_STATES, "joint")
 
-// In the order in which the elements act on a command. Commands have the unit of the actuator's ctrl.
+// In the order in which a path's elements act on a command. The unit "ctrl" is the actuator's.
 #define LEGLAB_COMMAND_PARAMETERS(X)                                                               \
   X(delay, "s", 0.0, 0.0, 1.0, true, "dead time, at most the attribute max_delay")                 \
   X(gain, "1", 1.0, -100.0, 100.0, true, "factor on the command")                                  \
@@ -81,7 +81,7 @@ LEGLAB_TABLE(Backlash, "leglab.backlash", LEGLAB_BACKLASH_PARAMETERS, LEGLAB_BAC
 LEGLAB_TABLE(Command, "leglab.command_path", LEGLAB_COMMAND_PARAMETERS, LEGLAB_COMMAND_STATES, "actuator",
              "max_delay")
 
-// In the plugin state the splines' coefficients follow the states: position, velocity, load, command.
+// Plugin state: these, then the spline coefficients of position, velocity, load and command.
 #define LEGLAB_RESIDUAL_PARAMETERS(X)                                                              \
   X(scale, "1", 1.0, -1e3, 1e3, true, "factor on the learned sum")                                 \
   X(bound, "N m", 1e9, 0.0, 1e9, true, "largest magnitude of the sum; of a cylinder in commands")

@@ -1,7 +1,7 @@
-"""Balances of forces and of oil along the measured motion, with the residual of the model.
+"""Balances of forces and of oil along the measured motion, and the residual that the model leaves.
 
-Balances are in integral form, so that sensor noise has little influence: the momentum or pressure
-gained over a window minus the impulses of all modelled forces or flows.
+The residual is the momentum or pressure gained over a window minus the impulses of all modelled
+forces or flows. In this integral form, sensor noise has little influence.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +25,7 @@ from leglab.machine.cylinder import Cylinder
 class Balance:
     """Residual of the forces on one joint, or of the oil of one cylinder.
 
-    Arrays have the shape (windows, samples); the mean over a window is its balance.
+    Arrays have the shape (windows, samples); a window's residual is the mean over its samples.
     """
 
     element: str  #: Joint or cylinder
@@ -34,12 +34,12 @@ class Balance:
     oil: bool  #: Whether it is an oil balance
     #: Residual force [N m or N], or residual d(p_A - p_B)/dt [Pa/s], (windows, samples).
     lacking: np.ndarray
-    #: d(`lacking`)/d(learned quantity), (windows, samples): 1 for a force; for oil, where a command
-    #: offset is learned, d(`lacking`)/d(valve opening).
+    #: d(`lacking`)/d(learned quantity), (windows, samples): 1 for forces. For oil, the learned
+    #: quantity is a command offset, and the gain is d(`lacking`)/d(valve opening).
     gain: np.ndarray
     inputs: dict[str, np.ndarray]  #: Position, velocity, load and command, each (windows, samples)
     moving: np.ndarray  #: Whether the joint moves at all samples, (windows,)
-    recording: np.ndarray  #: Index of the recording, (windows,)
+    recording: np.ndarray  #: Index of each window's recording, (windows,)
     time: np.ndarray  #: Time at the middle of each window [s], (windows,)
 
     @property
@@ -76,7 +76,7 @@ def balances(problem: Problem, hypothesis: Hypothesis) -> tuple[Balance, ...]:
 
 
 def _windows(problem: Problem, cut: Cut) -> tuple[np.ndarray, int]:
-    """Returns samples of the windows without a gap, (windows, samples), and half their distance."""
+    """Returns samples of windows without data gaps, (windows, samples), and half their spacing."""
     limits = problem.thresholds
     # Samples are `stride` apart, about two per bin. Windows are twice as long as the position
     # filter, so that the noise of neighbouring windows is nearly independent.
@@ -164,7 +164,7 @@ def _oil(
     a, b = (measured.pressure[f"{joint}_{chamber}"] for chamber in CHAMBERS)
     rate = ((a - b)[k + half] - (a - b)[k - half]) / (2 * half * measured.period)
     slot = plugin_offset(variant.model) + variant.slot(cylinder, "spool_position")
-    # Step of the finite difference for the gain; it matters only at the edge of a valve opening.
+    # Spool step of the finite difference for the gain; its size matters only at a metering edge.
     step = 0.01
     modelled = np.empty((3, k.size))
     for i, spool in enumerate(np.clip(states[:, slot], step - 1.0, 1.0 - step).tolist()):
@@ -182,7 +182,7 @@ def _oil(
 
 
 def forces_left(problem: Problem, hypothesis: Hypothesis) -> dict[str, ForceLeft]:
-    """Returns residual forces in fitted windows, by joint: M a + bias minus all modelled forces.
+    """Returns residual forces of fitted windows by joint: M a + bias minus all modelled forces.
 
     Joints of cylinders without measured pressures are left out, as their drive force is unknown.
     """

@@ -14,9 +14,9 @@ from leglab.diagnosis.result import Where
 def isolate(problem: Problem) -> tuple[Where, ...]:
     """Returns where the original model disagrees with the measured motion, largest first.
 
-    All inputs of a balance are measured, so valve faults do not affect mechanical residuals, and
-    mechanical faults do not affect hydraulic residuals. Residuals are in multiples of their noise.
-    Without measured pressures, errors of the replayed motion of each joint are returned instead.
+    All inputs of a balance of forces or oil are measured, so valve faults do not affect mechanical
+    residuals, nor mechanical faults hydraulic ones. Residuals are in multiples of their noise.
+    Without measured pressures, errors of the simulated motion of each joint are returned instead.
     """
     along = balances(problem, Hypothesis())
     if any(balance.oil for balance in along):
@@ -27,7 +27,7 @@ def isolate(problem: Problem) -> tuple[Where, ...]:
 
 
 def _of_balance(problem: Problem, balance: Balance) -> Where:
-    """Returns the residual of a balance over its noise, estimated from second differences."""
+    """Returns a balance's residual relative to its noise, estimated from second differences."""
     rest = balance.lacking
     noise = float(np.median(np.abs(np.diff(rest, 2, axis=1)))) / np.sqrt(6.0)
     length = "m" if balance.oil else problem.machine.unit(balance.joint)
@@ -55,7 +55,7 @@ def _motion(problem: Problem) -> list[Where]:
         length = problem.machine.unit(channel.joint)
         states = {"position": (position, length), "velocity": (velocity, f"{length}/s")}
         region = worst_region(errors[:, k].ravel(), states)
-        # Whitened like the reported errors, with uncertain start states, but only for this joint.
+        # Errors are whitened as in reports (with uncertain start states), but for one joint only.
         block = slice(k * replay.bins, (k + 1) * replay.bins)
         roots = inverse_roots(problem.noise.covariance(every, block))
         white = np.clip(whitened(roots, errors[:, k]), -limit, limit)

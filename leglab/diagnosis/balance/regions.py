@@ -17,10 +17,10 @@ def equally_filled(state: np.ndarray) -> list[np.ndarray]:
 
 
 def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]) -> str:
-    """Returns in words where an error, (samples,), is largest.
+    """Describes in words the range of a state in which an error, (samples,), is largest.
 
-    A region is reported if the mean absolute error of a bin exceeds the overall mean by a third. It
-    includes adjacent bins with over half of this excess. `states`: values, (samples,), and units.
+    The range is reported if the mean absolute error of a bin exceeds the overall mean by a third.
+    It includes adjacent bins with over half of this excess. `states`: values, (samples,), and unit.
     """
     finite = np.isfinite([error, *(values for values, _ in states.values())]).all(axis=0)
     error = error[finite]
@@ -43,7 +43,7 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
         small = np.flatnonzero(size <= 0.5 * (1.0 + size[peak]))
         first = max(small[small < peak], default=-1) + 1
         last = min(small[small > peak], default=len(parts)) - 1
-        ends = np.quantile(values, [0.01, 0.99])  # Outliers do not extend a region.
+        ends = np.quantile(values, [0.01, 0.99])  # so that outliers do not extend the range
         low = max(float(values[parts[first]].min()), float(ends[0]))
         high = min(float(values[parts[last]].max()), float(ends[1]))
         told = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"

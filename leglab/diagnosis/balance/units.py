@@ -1,4 +1,4 @@
-"""Detection of wrong units and signs of signals by replays.
+"""Detection of wrong units and signs of recorded signals, by replays (short simulations).
 
 Windows are replayed with the logged signal, and with the signal times each factor of
 `intake.units`. Faults are not mistaken for wrong units, because no factor near 1 is tried, and a
@@ -22,10 +22,10 @@ from leglab.diagnosis.replay.replay import Replay, at_replay_step
 from leglab.diagnosis.replay.windows import channels, window_length
 from leglab.diagnosis.thresholds import DEFAULT, FAR, FORCE_BLOCKS, SAME, SMALL, Thresholds
 
-# Number of replayed windows in total, then minimum and maximum per recording. Each factor needs a
-# replay of all windows, so many are slow; the mean over fewer windows is not significant.
+# Number of replayed windows in total, then minimum and maximum per recording. More are slow, since
+# each factor needs a replay of all windows; the mean over fewer windows is not significant.
 _WINDOWS, _FEWEST, _MOST = 16, 4, 8
-# Gains of a weak and a strong drive (effects). A unit must explain the motion better than both.
+# Gains of a weak and of a strong drive: a wrong unit must explain the motion better than these.
 _GAINS = (0.3, 3.0)
 # Upper limit of squared errors relative to the squared motion; diverged replays reach it.
 _BLOWN = 1e8
@@ -36,11 +36,11 @@ class Doubt:
     """Doubt about the unit or direction of columns of one recording."""
 
     recording: str
-    columns: tuple[str, ...]  #: Columns that share a unit
+    columns: tuple[str, ...]  #: Columns of the recording in doubt, which share a unit
     factor: float  #: Factor on the columns with which the model fits
     unit: str  #: Unit that the factor implies, or `OPPOSITE`
     times_better: float  #: RMS replay error without the factor over the RMS error with it
-    alike: tuple[str, ...] = ()  #: Columns that fit equally well with opposite sign
+    alike: tuple[str, ...] = ()  #: Columns with which the model fits as well at opposite sign
 
     @property
     def words(self) -> str:
@@ -64,7 +64,7 @@ def unquestioned(
     """Leaves out the recordings whose units or directions are in doubt.
 
     Raises:
-        RecordingError: At least half share a doubt, or no recording remains to fit or to judge by.
+        RecordingError: At least half of the recordings share a doubt, or too few remain.
     """
     found = doubts(machine, admitted.recordings, thresholds)
     asked = ((doubt.recording, (doubt.columns, doubt.unit), doubt.words) for doubt in found)
@@ -122,7 +122,7 @@ class _Errors:
     moved: np.ndarray  #: Mean square of the measured motion relative to its start
 
     def shares(self, squares: np.ndarray, rows: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Divides squares by the joint's total of `bent` and adds them over joints, (windows,)."""
+        """Divides squares by the joint's sum of `bent` and adds them over joints, (windows,)."""
         size = np.maximum(self.bent[rows].sum(axis=0), 1e-300)
         return np.minimum(squares[rows] / size, _BLOWN).sum(axis=1)
 
@@ -133,7 +133,7 @@ def _times(factor: float, samples: np.ndarray, period: float) -> np.ndarray:
 
 
 class _Trials:
-    """Replays of the liveliest segment of each recording, with factors on its columns."""
+    """Replays of each recording's segment with most motion, with trial factors on its signals."""
 
     def __init__(
         self, machine: Machine, recordings: Mapping[str, Recording], limits: Thresholds
@@ -142,11 +142,11 @@ class _Trials:
         #: Joints that each column measures or moves.
         self.joints = {f"{joint}_position": (joint,) for joint in machine.joints}
         self.joints |= {f"{a}_command": machine.driven[a] for a in machine.actuators}
-        # Two samples per bin are enough to find a unit, and take a fifth of the time of ten.
+        # Two samples per bin suffice to find a unit, in a fifth of the time that ten would take.
         period = max(common_period(recordings, limits), 0.5 * limits.bin)
         self.machine = at_replay_step(machine, period)
         shared = set.intersection(*(set(r.columns) for r in recordings.values()))
-        # One pose per block of a window is enough for the accelerations caused by commands.
+        # For accelerations by commands, one pose per block (fifth) of a window is enough.
         every = max(1, round(limits.window / FORCE_BLOCKS / period))
         limits = replace(limits, pose_every=every)
         windows = int(np.clip(_WINDOWS // len(recordings), _FEWEST, _MOST))
@@ -172,7 +172,7 @@ class _Trials:
         return Replay(self.machine, scaled, self.channels, self.limits, threads=1)
 
     def errors(self, factors: Mapping[str, float]) -> _Errors:
-        """Returns the errors of a replay with a factor on some columns, by column name."""
+        """Computes the errors of a replay in which some columns are multiplied by `factors`."""
         change, replay = Change(self.machine), self._as_logged
         for actuator in self.machine.actuators:
             if (factor := factors.get(f"{actuator}_command", 1.0)) != 1.0:
@@ -182,7 +182,7 @@ class _Trials:
             replay = self._replay(positions)
         joints = len(self.machine.joints)  # channels of positions come first
         errors = replay.error(change).values[:, :joints]
-        # An error that is equal in all windows comes from a constant force, not from a unit.
+        # The mean error over windows comes from a constant force, not from a wrong unit.
         for number in range(len(self.series)):
             own = replay.recording == number
             errors[own] -= errors[own].mean(axis=0) if own.any() else 0.0
@@ -195,7 +195,7 @@ class _Trials:
         return _Errors(replay.recording, left, bent, moved)
 
     def effects(self) -> Iterator[_Errors]:
-        """Yields the errors with weak and strong drives: effects that are not wrong units."""
+        """Yields the errors with weak and strong drives, which are faults but not wrong units."""
         commands = [column for column in self.joints if column.endswith("_command")]
         for group in dict.fromkeys([*((column,) for column in commands), tuple(commands)]):
             for gain in _GAINS:
@@ -208,7 +208,7 @@ class _Trials:
         If angles and commands of position servos are both in degrees, errors hardly show it, so
         degrees are tried whenever a hinge turns farther than most hinges can.
         """
-        # Motion is unexplained above half the RMS error of a straight line in time.
+        # A joint's motion is unexplained if its RMS error exceeds half that of a line in time.
         unexplained = as_it_is.left.sum(axis=0) > 0.25 * as_it_is.bent.sum(axis=0)
         poor = {j for j, bad in zip(self.machine.joints, unexplained, strict=True) if bad}
         groups: dict[tuple[str, str, float], list[str]] = {}
@@ -240,7 +240,7 @@ class _Trials:
     def clear(
         self, columns: tuple[str, ...], before: list[_Errors], after: _Errors
     ) -> Iterator[tuple[str, float]]:
-        """Yields recordings whose errors a factor clearly reduces, with the ratio of the errors."""
+        """Yields recordings whose errors a factor clearly reduces, and the ratio of the errors."""
         if any(errors.recording.shape != after.recording.shape for errors in before):
             return
         own = {self.machine.joints.index(j) for column in columns for j in self.joints[column]}

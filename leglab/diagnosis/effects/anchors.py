@@ -1,4 +1,4 @@
-"""Mounting points of cylinders, in which good machines differ: fitted but never named."""
+"""Mounting points of cylinders, which differ between good machines: fitted but never named."""
 
 import math
 
@@ -27,7 +27,7 @@ def _row(name: str, unit: str, own: float) -> EffectParameter:
 
 @register_effect
 class Anchors(TableEffect):
-    """Misplaced anchors: a cylinder's lever and length differ from the drawing at every angle."""
+    """Misplaced mounting points: a cylinder's lever and length differ from the drawing."""
 
     name = "anchors"
     group = "mechanics"
@@ -45,7 +45,7 @@ class Anchors(TableEffect):
     )
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns the cylinders that act between two anchors about one hinge."""
+        """Returns the cylinders whose two anchors move about one hinge relative to each other."""
         return tuple(c for c in machine.cylinders if anchors(machine, c))
 
     def apply(self, change: Change, element: str, values: Values) -> None:
@@ -65,7 +65,7 @@ class Anchors(TableEffect):
 
 
 def anchors(machine: Machine, cylinder: str) -> tuple[Anchor, ...]:
-    """Returns a cylinder's fixed and moving anchor; () unless both move about one hinge."""
+    """Returns a cylinder's fixed and moving anchor; () unless one hinge alone moves them."""
     model, driven = machine.base.model, machine.driven[cylinder]
     actuator, joint = model.actuator(cylinder), model.joint(driven[0])
     on_tendon = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_TENDON)

@@ -15,13 +15,13 @@ from leglab.diagnosis.plant.model import Change, Machine, Measured, Variant
 _BACKLASH = "leglab.backlash"
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-# Natural frequency [Hz] of a motor on the flank that it touches: rigid for any recording.
+# Natural frequency [Hz] of a motor on the gear flank that it touches: rigid for any recording.
 _FLANK_HZ = 500.0
 # Motor inertia as a share of the joint's inertia, if the model has no armature.
 _MOTOR_SHARE = 0.1
-# Negligible width [rad or m] of the play with elastic flanks that represents a flexibility.
+# Negligible play width [rad or m], for a play with elastic flanks that represents a flexibility.
 _NO_PLAY = 1e-9
-# Trials and lower bound [Hz] of the joint's natural frequency on its spring, motor fixed.
+# Trial values and lower bound [Hz] of a joint's natural frequency on its spring, motor fixed.
 _TRIALS_HZ, _SOFTEST_HZ = (30.0, 12.0), 1.5
 # Time before a window in which the motor's motion in the play is simulated.
 _HISTORY = 0.4  # s
@@ -115,7 +115,7 @@ class JointFlexibility(DriveEffect):
             every, zero = np.arange(velocity.size), np.zeros(velocity.size)
             torque = drive_torque(measured, variant.model, element)(every, zero, zero)
             # The twist o obeys J o'' + c o' + k o = tau - J q'' with the measured q. The filter
-            # computes k o, with a gain of 1, because the gain to o is as small as the compliance.
+            # computes k o, with a gain of 1, since a filter for o has a gain as small as 1/k.
             excess = torque - motor * acceleration
             under = [motor * compliance, damping * compliance, 1.0]
             over, under = bilinear([1.0], under, 1.0 / h)
@@ -163,7 +163,7 @@ def motor_states(
     index = (measured.samples[:, None] + np.arange(-round(_HISTORY / h), 1)).clip(0)
     torque = drive_torque(measured, model, joint)
     k, zero = index[:, 0], np.zeros(index.shape[0])
-    # Begins on the flank that a rigid gear would load.
+    # The motor begins on the flank that a rigid gear would load.
     offset = half * np.sign(torque(k, zero, zero) - inertia * acceleration[k])
     slip = zero  # motor velocity less the joint's
     for column in range(index.shape[1] - 1):
@@ -180,12 +180,12 @@ def motor_states(
     return offset, velocity[k] - 0.5 * model.opt.timestep * acceleration[k] + slip - lag
 
 
-# Torque by sample indices and by the motor's lead over the joint in position and speed; all (k,).
+# Torque by sample indices, and by position and speed of the motor minus the joint's; all (k,).
 Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def drive_torque(measured: Measured, model: mujoco.MjModel, joint: str) -> Torque:
-    """Returns the torque of a joint's actuators along a recording, with settled activations."""
+    """Returns a joint's drive torque along a recording, with activations in the steady state."""
     q, v, drives = measured.position[joint], measured.velocity[joint], _drives(model, joint)
     command = np.stack([measured.command[model.actuator(i).name] for i in drives])
     # Each (drives, 1), for samples along the second axis.

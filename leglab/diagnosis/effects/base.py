@@ -24,11 +24,11 @@ class EffectParameter:
     Attributes:
         name: Name in reports.
         unit: SI unit of all values.
-        nominal: Value at which the effect changes nothing; for a shape, start value of fits.
+        nominal: Value at which the effect changes nothing; of a shape parameter, the start value.
         lower: Smallest value that makes sense.
         upper: Largest value that makes sense.
-        trials: Values to screen: on each possible side a few, from barely noticeable to severe.
-            Trials of a shape are not screened; they only give its smallest significant step.
+        trials: Values to try on each possible side, from barely noticeable to severe. Trials of a
+            shape parameter are not tried; they only determine its smallest significant step.
         tolerance: Standard deviation between good machines. If positive, recalibration fits the
             parameter with this prior, and only a larger change is named.
         role: A "strength" at its nominal value switches the effect off; a "shape" has no influence
@@ -70,7 +70,7 @@ class EffectParameter:
 
     @property
     def scale(self) -> float:
-        """Smallest distance of a trial from nominal, the unit of steps; in 1/unit if `inverse`."""
+        """Least distance of a trial value from nominal, the unit of steps; 1/unit if `inverse`."""
         steps = [abs(self.from_nominal(t)) for t in self.trials if t != self.nominal]
         return min(steps) if steps else 0.1 * (self.upper - self.lower)
 
@@ -95,7 +95,7 @@ class EffectParameter:
 
     @property
     def slowest(self) -> float:
-        """Longest delay or lag among the trials [s]; infinite if the parameter is no time."""
+        """Longest delay or lag among the trials [s]; infinite if the unit is neither s nor Hz."""
         if self.unit == "Hz":
             return float(1.0 / (2.0 * np.pi * min(self.trials)))
         return max(self.trials) if self.unit == "s" else np.inf
@@ -127,8 +127,8 @@ class Effect(ABC):
         excitation: Motion that a recording must contain to show it.
         order: Effects are applied by rising order, then by name.
         gradual: Whether small values change little; false if, say, a moving part is inserted.
-        nameable: Whether a diagnosis searches for the effect. Otherwise the effect is the shape of
-            a law in which good machines differ: it is fitted with all others but never named.
+        nameable: Whether a diagnosis searches for the effect. Otherwise good machines differ in it
+            (in the form of a law), so that it is fitted with all other effects but never named.
         on_bodies: Whether its elements are bodies, whose names may equal names of joints.
         contains: Simpler effects that are special cases of this one. If a simpler effect at the
             same joint fits equally well, the simpler one is named.
@@ -161,7 +161,7 @@ class Effect(ABC):
         """Records the effect of the values in `change`; nominal values must change nothing."""
 
     def guess(self, left: ForceLeft) -> Values | None:
-        """Returns start values of shapes from the joint's residual force; None to use trials."""
+        """Estimates start values of shape parameters from residual forces; None if it cannot."""
         return None
 
     def write(self, change: Change, element: str, values: Values) -> None:

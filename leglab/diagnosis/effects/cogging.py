@@ -14,14 +14,14 @@ from leglab.diagnosis.plant.model import Change, ForceLeft, Machine
 # Limits on the number of cycles over the recorded positions; fewer cycles resemble a spring.
 _FEWEST_CYCLES = 0.8
 _MOST_CYCLES = 200
-# Step of the searched frequencies, in cycles over the recorded positions.
+# Spacing of the frequencies to search, in cycles over the recorded positions.
 _SPACING = 0.2
 # Limit at which forces are clipped, in median deviations: stick-slip and impacts are no cogging.
 _CLIP = 6.0
 
 
 def _period(machine: Machine, joint: str) -> EffectParameter:
-    """Returns the period, nominally short, because steps grow with the distance from nominal."""
+    """Returns the period; its nominal value is short, as steps grow with the distance from it."""
     travel = joints.travel(machine, joint)
     return EffectParameter(
         "period",
@@ -74,8 +74,8 @@ class Cogging(JointEffect):
 def wave(left: ForceLeft) -> Values | None:
     """Returns the wave at the highest peak of the force's spectrum over position, None if at rest.
 
-    The spectrum is a least-squares fit at uneven positions (Lomb 1976). Before, the effects of
-    friction, inertia and a cubic polynomial of the position are projected out.
+    The spectrum is a least-squares fit at uneven positions (Lomb 1976). Friction, inertia and a
+    cubic polynomial of the position are first projected out of the force.
     """
     q, v, a = left.position, left.velocity, left.acceleration
     reach = float(np.ptp(np.quantile(q, [0.01, 0.99])))

@@ -29,7 +29,7 @@ def write_command_path(
 ) -> None:
     """Combines values with an actuator's `leglab.command_path`, which is inserted if missing.
 
-    For paths in series, delays, offsets, dead bands and plays add, lags nearly so; gains multiply.
+    For paths in series, delays, offsets, dead bands, plays and (nearly) lags add; gains multiply.
     """
     path = next(
         (
@@ -80,8 +80,8 @@ def position_servos(machine: Machine) -> tuple[str, ...]:
 def command_size(machine: Machine, element: str) -> float:
     """Returns a typical command of a native actuator: half its range, or 1 without a range.
 
-    For a position servo it is a fifth of its joint's travel, because the range limits where the
-    servo can go and is no measure of its accuracy.
+    For a position servo it is a fifth of its joint's travel, because a servo's command range limits
+    its travel but says nothing about its accuracy.
     """
     actuator = machine.base.model.actuator(element)
     if element in position_servos(machine):
@@ -197,7 +197,7 @@ class ServoDeadband(TableEffect):
 
 @register_effect
 class CommandHysteresis(CommandEffect):
-    """The command passes through a play."""
+    """The command passes through a play (hysteresis)."""
 
     name = "command_hysteresis"
     physics = "play of full width h between command and what arrives"

@@ -15,7 +15,7 @@ _added = partial(Trials, step=plus)
 
 
 def row(trials: Trials) -> Row:
-    """Returns a function for the effect parameter of a plugin parameter, in the plugin's bounds."""
+    """Returns a function that builds the effect parameter of a plugin parameter, in its bounds."""
 
     def parameter(machine: Machine, cylinder: str) -> EffectParameter:
         nominal = machine.parameter(cylinder, trials.parameter)
@@ -96,7 +96,7 @@ class AsymmetricSealFriction(CylinderEffect):
     physics = "Seals: F_1 + b_1 v while the piston extends, F_2 + b_2 |v| while it retracts."
     source = "lip seals of one direction, a U-cup against a wiper; rod gland under pressure"
     excitation = "sliding in both directions at several speeds; reversals"
-    # Friction of the joint's bearing is contained: with a constant lever it acts like the seals'.
+    # It contains friction of the joint's bearing, which acts like the seals' at a constant lever.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_extending", "viscous_retracting"),
@@ -104,7 +104,7 @@ class AsymmetricSealFriction(CylinderEffect):
     )
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns friction by direction; trials scale with it, or with stall force if small."""
+        """Returns friction by direction; trials scale with it, or stall force if it is small."""
         pressure, bore = (machine.parameter(element, n) for n in ("supply_pressure", "bore"))
         found = []
         for name, unit, share in (("viscous", "N s/m", 0.02), ("coulomb", "N", 0.01)):
@@ -174,7 +174,7 @@ _valve(
 
 @register_effect
 class ValveGainAsymmetry(CylinderEffect):
-    """Another flow in one direction of the spool, or in both by different factors."""
+    """A valve flow that differs from the model's by another factor in each spool direction."""
 
     name = "valve_gain_asymmetry"
     group = "valve and command"
@@ -201,7 +201,7 @@ class ValveGainAsymmetry(CylinderEffect):
 
 @register_effect
 class ValveBandwidth(CylinderEffect):
-    """A slow spool, described by its lag at low frequencies for any damping."""
+    """A slow spool, described by its lag at low frequencies, whatever the damping."""
 
     name = "valve_bandwidth"
     group = "valve and command"
@@ -230,7 +230,7 @@ class SupplyDroop(TableEffect):
     physics = "p_s = p_0 - droop Q_s behind an accumulator, p V^n = constant."
     source = "HyQ leg parameters (Ledezma 2016): accumulator 0.04 l, 100 bar gas, n = 1.4"
     excitation = "large flows: fast motion, large openings"
-    order = 1  # after effects on the cylinders' supply pressure, which it takes over
+    order = 1  # after effects on the cylinders' supply pressure, which the unit takes over
     rows = (
         EffectParameter("droop", "Pa s/m^3", upper=3e12, trials=(1e10, 1e11, 5e11)),
         # Gas volume of the accumulator at its precharge pressure.
@@ -264,7 +264,7 @@ class SupplyDroop(TableEffect):
         change.set_parameter(name, "pump_flow", 0.1)  # the compensator limits, not the pump
 
 
-# Shapes of laws in which good machines differ by about one trial: calibrated, never named.
+# Parameters of laws in which good machines differ by about one trial: calibrated, never named.
 
 _valve(
     "metering_edges",
@@ -307,7 +307,7 @@ _friction(
     (
         Trials("stribeck_velocity", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=8.0),
         _added("stribeck_exponent", (-0.7, 1.0), tolerance=0.7, lower=0.3, upper=4.0),
-        # At the upper bound, 20 times the model's stiffness, the bristle is rigid under any load.
+        # At 20 times the model's stiffness, the upper bound, the bristle is rigid under any load.
         Trials("sigma_0", (0.5, 2.0), tolerance=0.5, lower=0.1, upper=20.0, inverse=True),
     ),
     physics=(

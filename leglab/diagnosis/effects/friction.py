@@ -13,7 +13,7 @@ from leglab.diagnosis.plant.model import FRICTION, Change, Machine
 # Natural frequency of LuGre bristles, half damped: stiff for a joint, yet stable at 1 ms steps.
 _BRISTLE = 2.0 * math.pi * 100.0  # rad/s
 
-# Impedance of MuJoCo's friction loss (solimp): share of a load that it holds without creep.
+# Impedance of MuJoCo's friction loss (solimp): share of a load that friction holds without creep.
 _HOLDS = 0.9999
 
 
@@ -49,8 +49,8 @@ def insert_friction(change: Change, joint: str, effect: str, values: Values) -> 
 class JointCoulombFriction(FrictionEffect):
     """Dry friction that differs from the model: less MuJoCo friction loss, or an added bristle.
 
-    MuJoCo's friction loss yields over the time `solreffriction`, 20 ms by default. Against a strong
-    drive it is no dry friction, so additional friction is a bristle, which holds the joint.
+    MuJoCo's friction loss yields over the time `solreffriction`, 20 ms by default, so that it does
+    not hold against a strong drive. A LuGre bristle holds and therefore models added friction.
     """
 
     name = "coulomb_friction"
@@ -120,7 +120,7 @@ class LoadDependentFriction(JointEffect):
         return tuple(joint for joint in machine.joints if _loads(machine, joint))
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns shares of the actuator's force and of gravity, Coriolis and centrifugal force."""
+        """Returns friction per unit of actuator force and of gravity (with Coriolis forces)."""
         loads = _loads(machine, element)
         return tuple(EffectParameter(n, "1", upper=1.0, trials=(0.03, 0.15)) for n in loads)
 
@@ -139,7 +139,7 @@ def _loads(machine: Machine, joint: str) -> tuple[str, ...]:
 
 
 def _viscous(name: str) -> Row:
-    """Returns the row of added viscous friction, down to minus 80 % of the drive's damping."""
+    """Returns the parameter of added viscous friction, at least -80 % of the drive's damping."""
     row = SizedRow(name, "{force} s/{length}", (0.02, 0.1), upper=10.0)
     return lambda machine, joint: replace(
         row(machine, joint), lower=-0.8 * joints.drive_damping(machine, joint)
@@ -155,7 +155,7 @@ class AsymmetricFriction(JointEffect):
     physics = "(F_1 + b_1 |v|) for v > 0, (F_2 + b_2 |v|) for v < 0, against the motion."
     source = "Armstrong-Helouvry et al. 1994: one-sided seals and preloaded gears"
     excitation = "motion in both directions at several speeds; reversals"
-    # Friction of cylinder seals is contained: with a constant lever it acts like the joint's.
+    # It contains friction of cylinder seals, which acts like the joint's at a constant lever.
     contains = ("viscous_friction", "coulomb_friction", "asymmetric_friction")
     by_direction = (
         ("viscous_forward", "viscous_backward"),

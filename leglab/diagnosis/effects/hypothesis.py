@@ -1,4 +1,4 @@
-"""Hypotheses, effects that a machine may have with their values, and the library of effects."""
+"""Hypotheses (effects that a machine may have, with their values), and the library of effects."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
@@ -23,7 +23,7 @@ class Site:
     effect: Effect
     element: str
     parameters: tuple[EffectParameter, ...]
-    #: Values of the calibrated specimen, (parameters,); None: the model's values apply.
+    #: Values of the specimen (calibrated machine), (parameters,); None for the model's values.
     own: np.ndarray | None = None
 
     @property
@@ -37,7 +37,7 @@ class Site:
         return np.array([p.nominal for p in self.parameters])
 
     def changes(self, values: np.ndarray) -> bool:
-        """Tests whether a strength among values, (parameters,), differs from the model's value."""
+        """Tests whether the value of a strength parameter differs from the model's value."""
         each = zip(self.parameters, values.tolist(), strict=True)
         return any(p.role == "strength" and value != p.nominal for p, value in each)
 
@@ -53,12 +53,12 @@ class Site:
 
     @property
     def slowest(self) -> float:
-        """Longest delay or lag among all trials [s]; infinite if any parameter is no time."""
+        """Longest delay or lag of all trials [s]; infinite if any is neither time nor frequency."""
         return max((p.slowest for p in self.parameters if p.trials), default=np.inf)
 
     @property
     def differences(self) -> np.ndarray:
-        """Matrix from values to the differences in pairs `by_direction`, (pairs, parameters)."""
+        """Matrix that converts values to the differences of directions, (pairs, parameters)."""
         names = [p.name for p in self.parameters]
         pairs = self.effect.by_direction
         rows = [[(n == first) - (n == second) for n in names] for first, second in pairs]
@@ -72,8 +72,8 @@ class Site:
 class Hypothesis(Mapping[Key, np.ndarray]):
     """Values of effects by effect and element; every other effect is absent. Immutable.
 
-    `onsets` holds the times [s] at which effects begin, (recordings,): -inf if present from the
-    start, inf if never present. An effect without onsets is present throughout.
+    `onsets` holds the times [s] at which effects begin, (recordings,): -inf if an effect is present
+    from the start, inf if it is never present. An effect without onsets is present throughout.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Library:
             for joint in machine.driven[cylinder][:1]
         }
         self.specimen = dict(specimen or {})
-        #: Effects to search for, effects of the specimen, and all effects that are not nameable.
+        #: Effects to search for, effects of the specimen, and all effects that cannot be named.
         self.sites: dict[Key, Site] = {}
         searched: set[Key] = set()
         for effect in all_effects():
@@ -204,7 +204,7 @@ class Library:
     def as_simpler(self, larger: tuple[Key, int], simpler: tuple[Key, int]) -> float:
         """Returns the factor that converts a parameter to a parameter of a simpler effect.
 
-        Arguments are effect and parameter number; the factor is 0 if the parameters differ in kind.
+        Arguments are effect and parameter number; the factor is 0 if the units differ in kind.
         Between joint and cylinder, forces scale with the lever, damping with the lever squared.
         """
         if not self.contains(larger[0], simpler[0]) or larger[0] == simpler[0]:
@@ -224,11 +224,11 @@ class Library:
         return other
 
     def neutral(self) -> Hypothesis:
-        """Returns the hypothesis that the machine equals its model, even with a specimen."""
+        """Returns the hypothesis that the machine equals its model, whatever the specimen."""
         return Hypothesis({key: self.sites[key].model for key in self.specimen})
 
     def whole(self, hypothesis: Mapping[Key, np.ndarray]) -> dict[Key, np.ndarray]:
-        """Returns the values of a hypothesis, and of the specimen for all other effects."""
+        """Returns the values of a hypothesis, and the specimen's values of all other effects."""
         return {**self.specimen, **hypothesis}
 
     def change(

@@ -34,7 +34,7 @@ def inertia(machine: Machine, joint: str) -> float:
 
 
 def force_scale(machine: Machine, joint: str) -> float:
-    """Returns a typical force at a joint [N m or N]: largest gravity, plus inertia x 10 /s^2."""
+    """Returns a typical force on a joint [N m or N]: largest gravity force + inertia x 10/s^2."""
     return gravity(machine, joint) + 10.0 * inertia(machine, joint)
 
 
@@ -76,7 +76,7 @@ def native(machine: Machine, joint: str, field: str) -> float:
 
 
 def set_native(change: Change, joint: str, field: str, value: float) -> None:
-    """Adds to a change an edit that sets a field of `native`, unless the field has the value."""
+    """Adds to a change an edit that sets a field as in `native`, unless it has the value."""
 
     def edit(spec: mujoco.MjSpec) -> None:
         if field in ("damping", "stiffness"):  # coefficients of a polynomial
@@ -114,7 +114,7 @@ def insert_on_joint(
 
 
 def mean_and_difference(pairs: tuple[tuple[str, str], ...], values: Values) -> dict[str, float]:
-    """Converts friction by direction, in pairs of names, to the plugins' mean and difference."""
+    """Converts friction by direction, in pairs of names, to its mean and difference."""
     found = {}
     for kind, (one, other) in zip(("viscous", "coulomb"), pairs, strict=True):
         found[kind] = 0.5 * (values[one] + values[other])
@@ -133,7 +133,7 @@ class SizedRow:
     lower: float = 0.0  #: Smallest value, as a multiple of `size`
     upper: float  #: Largest value, as a multiple of `size` above the model's value
     size: Size = force_scale  #: Scale of a joint or actuator
-    #: MuJoCo's field that holds a joint's value, see `native`; half of this value is a trial.
+    #: MuJoCo's field with the joint's value, see `native`; half of this value is also a trial.
     field: str = ""
     half_above: float = 0.0  #: Multiple of `size` above which half the value is a trial
     own: Size = lambda machine, element: 0.0  #: The model's value if `field` is empty

@@ -12,7 +12,7 @@ from leglab.diagnosis.effects.joints import JointEffect, SizedRow
 from leglab.diagnosis.plant.model import Change, Machine
 
 _AXES = {"roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
-# Least variation of a joint force per rad of tilt, relative to the force scale, that is visible.
+# Least visible variation of a joint force per rad of tilt, relative to the force scale.
 _SEEN = 1e-3
 
 
@@ -52,7 +52,7 @@ class Payload(Effect):
     excitation = "positions away from the balance point; speed changes separate m r from m r^2"
 
     def elements(self, machine: Machine) -> tuple[str, ...]:
-        """Returns the bodies with mass and a joint; a nameless body goes by its joint's name."""
+        """Returns the bodies with mass and a joint; a nameless body has its joint's name."""
         model = machine.base.model
         found = []
         for i in range(1, model.nbody):
@@ -64,7 +64,7 @@ class Payload(Effect):
         """Returns mass and distance."""
         body = moved_body(machine, element)
         own, reach = float(body.mass[0]), float((body.ipos**2).sum() ** 0.5)
-        # Good links are lighter than drawn as often as heavier; only an added load is a fault.
+        # Good links may be lighter or heavier than drawn, but only an added load is a fault.
         mass = EffectParameter(
             "mass",
             "kg",
@@ -73,7 +73,7 @@ class Payload(Effect):
             trials=(0.05 * own, 0.4 * own),
             faults="above",
         )
-        if reach == 0.0:  # the line has no length: the mass is at the centre
+        if reach == 0.0:  # the line has no length, so the mass is at the centre
             return (mass,)
         limits = 1.5 * reach, 0.1 * reach, 3.0 * reach
         return mass, EffectParameter.shape("distance", "m", *limits)
@@ -153,7 +153,7 @@ class BaseTilt(Effect):
         change.edit(("gravity", *turned.tolist()), edit)
 
     def _axes(self, machine: Machine) -> list[str]:
-        """Returns the axes about which a tilt changes a joint force by an amount that varies.
+        """Returns the tilt axes for which the change of a joint force varies with the position.
 
         A change that is equal at all positions (a level slide) is the effect `force_offset`.
         """

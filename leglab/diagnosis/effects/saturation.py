@@ -16,19 +16,19 @@ from leglab.diagnosis.effects.base import (
 from leglab.diagnosis.effects.command import command_size
 from leglab.diagnosis.plant.model import Change, Machine
 
-# Trials, as shares of the model's limit, until recordings show the magnitudes of commands and
-# forces: from a limit that clips only peaks to one that clips most of a motion.
+# Trial values as shares of the model's limit, from one that clips only peaks to one that clips most
+# of a motion. They apply until recordings show the magnitudes of commands and forces.
 _SHARES = (0.98, 0.9, 0.5, 0.2)
-# Limit that is never reached (no limit), as a multiple of the usual command or force.
+# Limit, as a multiple of the usual command or force, that stands for no limit.
 _UNLIMITED = 1e6
-# Lowest limit, as a multiple of the usual command or force: below it a drive moves nothing.
+# Lowest limit, as a multiple of the usual command or force. A drive with less moves nothing.
 _LEAST = 0.01
 
 
 def _limit(
     unit: str, of: Literal["command", "force"], size: float, most: float, inner: float = 0.0
 ) -> EffectParameter:
-    """Returns a limit between `inner` and `most`; at `most` it changes nothing.
+    """Returns a limit between `inner` and `most`; a limit of `most` changes nothing.
 
     `size` is the usual command or force.
     """
@@ -61,7 +61,7 @@ class CommandSaturation(TableEffect):
         return machine.actuators
 
     def parameters(self, machine: Machine, element: str) -> tuple[EffectParameter, ...]:
-        """Returns the limit, within the range of the model's commands."""
+        """Returns the limit, which lies within the range of the model's commands."""
         actuator = machine.base.model.actuator(element)
         low, high = actuator.ctrlrange.tolist() if actuator.ctrllimited[0] else (-np.inf, np.inf)
         size, inner = command_size(machine, element), max(low, -high, 0.0)
@@ -136,7 +136,7 @@ class ForceSaturation(Effect):
 
 
 def _alone(machine: Machine, joint: str) -> Any:
-    """Returns MuJoCo's view of a joint's only actuator if it acts on the joint; else None."""
+    """Returns MuJoCo's view of a joint's actuator if it is the only one and direct; else None."""
     driving = [a for a in machine.actuators if joint in machine.driven[a]]
     actuator = machine.base.model.actuator(driving[0])
     on_joint = int(actuator.trntype[0]) == int(mujoco.mjtTrn.mjTRN_JOINT)

@@ -1,4 +1,4 @@
-"""Faults of encoders and pressure sensors, written as numerics that `machine.sensors` reads."""
+"""Faults of encoders and pressure sensors, as custom numerics of the MJCF for `machine.sensors`."""
 
 from collections.abc import Iterator
 
@@ -12,8 +12,8 @@ from leglab.diagnosis.plant import paths
 from leglab.diagnosis.plant.model import CHAMBERS, Change, Machine
 from leglab.machine.sensors import delayed_sensor
 
-# Standard deviation of offsets of good pressure sensors [Pa]. Scales have no tolerance: two more
-# tangents take 8 % of a diagnosis's time, and their error, 0.5 % of 80 bar, is less than this.
+# Standard deviation of offsets of good pressure sensors [Pa]. Scales have no tolerance, because two
+# more unknowns take 8 % of a diagnosis's time, and a scale's error, 0.5 % of 80 bar, is smaller.
 _TOLERANCE = 5e4
 
 
@@ -31,7 +31,7 @@ class SensorFault(TableEffect):
                 change.correct(f"{joint}_{sensor}", undo, noise_gain=gain)
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Adds the fault to old scale s and offset o: measured = s (scale x true + offset) + o."""
+        """Adds the fault to the scale s and offset o: measured = s (scale x true + offset) + o."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             for joint, sensor, offset, scale in self._faults(change.machine, element, values):
@@ -106,7 +106,7 @@ class SensorDelay(JointEffect):
             change.correct(f"{element}_position", paths.undo_delay(values["delay"]))
 
     def write(self, change: Change, element: str, values: Values) -> None:
-        """Adds the delay to the `jointpos` sensor of the joint; inserts one if there is none."""
+        """Adds the delay to the joint's `jointpos` sensor, which is inserted if missing."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             sensor = spec.sensor(delayed_sensor(element))

@@ -1,4 +1,4 @@
-"""Gains of native valves and stages, and gains and dead bands that differ by command sign."""
+"""Gains of native valves and amplifiers, and gains and dead bands that differ by command sign."""
 
 import mujoco
 import numpy as np
@@ -66,7 +66,7 @@ def _path_of(spec: mujoco.MjSpec, actuator: str) -> dict[str, str]:
 
 @register_effect
 class CommandGain(_Gain):
-    """A valve passes more or less flow, an amplifier asks for more or less speed."""
+    """A valve passes more or less flow, or an amplifier demands more or less speed."""
 
     name = "command_gain"
     physics = "gain u, of the speed that is asked for; of a motor this is the gain of its force"
@@ -88,7 +88,7 @@ class CommandGain(_Gain):
 
 @register_effect
 class CommandGainAsymmetry(_Gain):
-    """One side of a valve or stage passes more than the other."""
+    """A valve or amplifier responds more strongly to commands of one sign than of the other."""
 
     name = "command_gain_asymmetry"
     physics = "g_1 u for positive and g_2 u for negative commands"

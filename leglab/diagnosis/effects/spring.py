@@ -28,7 +28,7 @@ def rest_position(machine: Machine, joint: str) -> float:
 
 
 def _size(machine: Machine, joint: str, slide: float) -> float:
-    """Returns the force scale, times `slide` for slides, which move decimetres, not radians."""
+    """Returns the force scale, for slides times `slide`, as they move decimetres, not radians."""
     return joints.force_scale(machine, joint) * joints.on_slide(slide)(machine, joint)
 
 
@@ -114,7 +114,7 @@ class SpringHardening(JointEffect):
 
 @register_effect
 class SpringOffset(JointEffect):
-    """A spring that rests elsewhere: mounted wrongly, set, or slipped."""
+    """A spring whose rest position has changed: mounted wrongly, set, or slipped."""
 
     name = "spring_offset"
     physics = "-k (q - q_0 - shift)"

@@ -57,7 +57,7 @@ def admit(
     refuse_shared(doubted, len(entries))
     fastest = min(entry.clock.period for entry in usable.values())
     for name, period in [(name, entry.clock.period) for name, entry in usable.items()]:
-        # If a recording has two samples per bin, others need at least one sample in two bins.
+        # If one recording has two samples per bin, all need at least one sample in two bins.
         if fastest <= 0.5 * thresholds.bin and period > 2.0 * thresholds.bin:
             dropped[name] = f"sampled every {period:.4g} s only, the others every {fastest:.4g} s"
             del usable[name]
@@ -86,7 +86,7 @@ def admit(
 def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> None:
     """Raises an error if at least half of `count` recordings share a doubt, e.g. about a unit.
 
-    A doubt consists of the recording's name, a key that equal doubts share, and a question.
+    A doubt consists of the recording's name, a key that equal doubts share, and a question to ask.
     """
     shared: dict[Hashable, list[tuple[str, str]]] = {}
     for name, alike, question in doubts:
@@ -125,7 +125,7 @@ def _pressures(usable: Mapping[str, "_Entry"], held: tuple[str, ...]) -> frozens
 
 
 class _Entry:
-    """One recording, checked for a diagnosis; `recording` has its usable columns, repaired."""
+    """A recording checked for a diagnosis; `recording` has its usable columns after repair."""
 
     def __init__(self, machine: Machine, recording: Recording, limits: Thresholds):
         self.columns = {one.name: one for one in usable_columns(machine)}
@@ -179,7 +179,7 @@ class _Entry:
     def _leave_out(self) -> str | None:
         """Removes samples that no motion explains; returns a fault if a position mixes two signals.
 
-        Commands are not checked, because they may jump.
+        Commands are not checked, because they may change abruptly.
         """
         for column, samples in self.recording.columns.items():
             if column.endswith("_command"):
@@ -198,9 +198,9 @@ class _Entry:
         return None
 
     def _pause(self, changes: Mapping[str, np.ndarray]) -> None:
-        """Removes samples near changes of discrete states, so that no window contains a change."""
+        """Removes samples near changes of a mode or contact, so that no window contains any."""
         column, time = self.machine.columns[0], self.recording.time
-        # Gaps of this length are not bridged by interpolation.
+        # Gaps of this length are not interpolated.
         reach = max(NEIGHBOURS * float(np.median(np.diff(time))), self.limits.bin)
         for state, rows in changes.items():
             samples = self.recording[column].copy()
@@ -250,7 +250,7 @@ class _Entry:
         if finite.size < 0.5 * values.size:
             return f"column {column!r} holds {finite.size} numbers in {values.size} rows"
         sizes, highest = np.abs(finite), np.abs(finite).max()
-        if highest >= self.limits.vapour_pressure:  # One chamber may be open to the tank.
+        if highest >= self.limits.vapour_pressure:  # one chamber may be open to the tank
             both = (columns.get(f"{one.element}_{c}", finite) for c in CHAMBERS)
             sizes = np.abs(np.concatenate([*both]))
         if found := other_unit(sizes, one):
@@ -282,7 +282,7 @@ class _Entry:
             if low == high:
                 text = "the same in every row, at rest or a sensor that is not connected"
                 yield text, f"{column!r} {low:.6g}"
-            # A signal that rests as long at values between its extremes is not saturated.
+            # A signal that also rests as long between its extremes is not saturated.
             inside = (values[1:] != low) & (values[1:] != high)
             resting = _longest_run((np.diff(values) == 0.0) & inside)
             for limit, word in ((low, "smallest"), (high, "largest")):

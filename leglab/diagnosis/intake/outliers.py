@@ -6,7 +6,7 @@ from scipy.ndimage import percentile_filter
 from leglab.diagnosis.intake.series import quantum
 from leglab.diagnosis.thresholds import CERTAIN
 
-# Window [samples] and percentile that define the usual step; a few outliers do not change it.
+# Window [samples] and percentile that define the usual step, which a few outliers do not change.
 _NEAR, _MOST = 41, 80
 
 
@@ -14,9 +14,9 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
     """Masks impossible samples of a signal with inertia, (n,), NaN where missing.
 
     These are single samples or runs of zeros to which the signal jumps and from which it returns,
-    and first values from which it jumps away. A jump is many times larger than the usual steps
-    nearby and the quantisation step. Impacts are kept, because they reverse a motion by steps of
-    the usual size. Commands must not be passed, because they may jump.
+    and first values from which it jumps away. A jump is a step many times larger than both the
+    usual steps nearby and the quantisation step. Impacts are kept, because they reverse a motion
+    by steps of the usual size. Commands may jump and therefore must not be passed.
     """
     good = np.flatnonzero(np.isfinite(samples))
     found = np.zeros(samples.size, dtype=bool)
@@ -29,7 +29,7 @@ def unsupported(samples: np.ndarray) -> np.ndarray:
     least = max(quantum(values), float(np.median(sizes[sizes > 0.0])))
     far = sizes > CERTAIN * np.maximum(usual, least)
     zeros = np.flatnonzero((values[:-1] == 0.0) & (values[1:] != 0.0))
-    for start in np.flatnonzero(far).tolist():  # An outlier begins after this step.
+    for start in np.flatnonzero(far).tolist():  # an outlier begins after this step
         if found[good[start]]:
             continue
         end = start + 1

@@ -48,7 +48,7 @@ _PLAIN = {
     "cylinder", "cyl", "state", "states", "measured", "meas", "actual", "feedback", "fb", "value",
     "values", "data", "filtered", "sensor", "robot", "observation",
 }  # fmt: skip
-# Least similarity of a line of the map that is applied, and of a line that is proposed as a guess.
+# Least similarity of names for a line of the map to be applied, and to be proposed as a guess.
 _SURE, _NEAR = 0.6, 0.3
 _TIME = UsableColumn("time", "", "time", "s")
 
@@ -133,7 +133,7 @@ def propose(
         wanted: Columns of a model. If empty, names are made from the words of each column, or
             "JOINT" if it has no usable words.
         needed: Columns of the model that a diagnosis needs.
-        given: A map that was applied already; its rules stay, and other columns are proposed.
+        given: A map that was applied already; it is kept, and lines for other columns are proposed.
     """
     given = given or ColumnMap()
     known = {r.name: Line(t, r.name, True, r.factor, r.offset) for t, r in given.rules.items()}
@@ -194,7 +194,7 @@ class _Column:
         return likeness * (0.5 if others and one.follows not in others else 1.0)
 
     def alone(self) -> Line:
-        """Returns a line whose name consists of the column's own words, without a model."""
+        """Returns a line named by the column's own words, for use without a model."""
         sent = self.kinds & {"command", "reference"}
         kind = "command" if sent else next(iter(self.kinds & {"position", "velocity"}), "")
         element = "_".join(w for w in self.rest if w not in _PLAIN) or "JOINT"
@@ -216,7 +216,7 @@ def _assigned(
     units = _units([(wanted[i], columns[k]) for i, k in pairs], table)
     for i, k in pairs:
         name, score = columns[k].name, float(scores[i, k])
-        # Columns nearly as similar to this model column that fit no other model column better.
+        # Columns that are nearly as similar to this model column, and fit no other one better.
         order = np.argsort(-scores[i], kind="stable").tolist()
         near = [j for j in order if j != k and scores[i, j] > max(0.8 * score, taken.get(j, 0.0))]
         tied = bool(near) and scores[i, near[0]] > score - 1e-9
@@ -253,8 +253,8 @@ def _units(
 ) -> dict[str, tuple[float, str, bool]]:
     """Returns the factor to the model's unit (0 if unknown), reason and certainty, by column.
 
-    The unit is taken from the column's name, or else from the range of joint, control or supply; in
-    the second case all columns of a kind have one unit.
+    The unit is taken from the column's name, or else guessed from the range of joint, command or
+    supply pressure; in the second case all columns of a kind get one unit.
     """
     found = {column.name: (1.0, "", True) for _, column in pairs}
     groups: dict[str, list[tuple[UsableColumn, str, np.ndarray]]] = defaultdict(list)
@@ -269,7 +269,7 @@ def _units(
             groups[kind].append((one, column.name, samples))
     for group in groups.values():
         guesses = [other_unit(samples, one) or ("", 1.0) for one, _, samples in group]
-        # The most common factor is used: a wrong unit affects all columns, a narrow range few.
+        # The most common factor is used: a wrong unit affects all columns, a narrow range only few.
         size = Counter(abs(factor) for _, factor in guesses).most_common(1)[0][0]
         usual = next(guess for guess in guesses if abs(guess[1]) == size)
         for (one, name, samples), guess in zip(group, guesses, strict=True):

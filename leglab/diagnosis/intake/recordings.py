@@ -67,7 +67,7 @@ def read_recordings(
     Args:
         paths: Files and folders; files in folders are left out if they cannot be read.
         columns: File of a column map for all recordings, see `leglab.data.read_column_map`.
-        span: First and last second of each recording's time that is used; None: all.
+        span: First and last time [s] of each recording that is used; None for no limit.
         salvage: Whether the intact part of broken files is read.
         tell: Called with lines of text about files that are no recordings or are left out.
 
@@ -103,7 +103,7 @@ def read_recordings(
 
 
 def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Returns the shortest ends of paths that differ, as runs of leglab share a file name."""
+    """Returns the shortest endings by which paths differ, as leglab's runs share a file name."""
     parts = [Path(os.path.abspath(path)).parts for path in paths]
     names = {}
     for path, own in zip(paths, parts, strict=True):
@@ -153,7 +153,7 @@ def split_held_out(
 
 
 def machine_for(model: str | Path | Machine, recordings: Iterable[Recording]) -> Machine:
-    """Returns the machine of a model; joints that a recording does not measure may be followers.
+    """Returns the machine of a model; unmeasured joints may be followers (see `Followers`).
 
     Raises:
         LeglabError: The model cannot be loaded or replayed.
@@ -173,7 +173,7 @@ def _fit(entry: str, name: str) -> int:
 def held_out_choice(recordings: Mapping[str, Recording], machine: Machine) -> tuple[str, ...]:
     """Chooses the recording, of at least two, whose values lie most within the others' ranges.
 
-    Held out, it judges the model by another excitation, but not by extrapolation. If
+    The held-out recording then tests the model by another excitation, without extrapolation. If
     several are equal, the recording with the fastest motion is chosen as the most informative.
     """
     tables = {}

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """One remark on a recording: a text that can be equal for several places, and a place.
+    """A remark on a recording: a text, which several remarks may share, and a place.
 
     A place is a column in quotes, with details of that column; "" for the recording as a whole.
     """

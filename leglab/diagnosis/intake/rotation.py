@@ -15,8 +15,8 @@ def unwrapped(
     A jump is a step of more than half of the encoder's range, after which the motion continues. On
     a `hinge` its size is 2 pi, or a multiple or fraction of 2 pi. Any other size is accepted if all
     jumps have this size and all angles of a turn occur (an encoder before a gear, a counter that
-    overflows). The joint must move less than half a turn between two `samples`, (n,), NaN if
-    missing, at `time` [s], (n,).
+    overflows). Between two samples, the joint must move by less than half a turn. `time` [s] and
+    `samples` have the shape (n,); missing samples are NaN.
 
     Returns:
         The samples without jumps, (n,), the size of a turn in their unit, and the number of jumps;
@@ -28,7 +28,7 @@ def unwrapped(
     steps, intervals = np.diff(samples[good]), np.diff(time[good])
     unit, spare = np.median(intervals), int(np.ceil(1e-3 * (good.size - 1)))
     shown = np.sort(samples[good])[spare : good.size - spare]
-    # Steps over longer intervals may be motion; below, the speeds before and after decide.
+    # Steps over longer intervals may be motion; further below, the speed around them decides.
     jumps = (intervals <= NEIGHBOURS * unit) & (np.abs(steps) > 0.5 * np.ptp(shown))
     usual = intervals <= 1.5 * unit
     still = np.flatnonzero(~jumps & usual)
@@ -49,7 +49,7 @@ def unwrapped(
 
 
 def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
-    """Returns the size of a turn from sorted values and jump sizes; None if jumps are no turns."""
+    """Returns the size of a turn by sorted values and jump sizes; None if jumps are not turns."""
     turn, span = float(np.median(sizes)), float(np.ptp(shown))
     same, part = SAME, 0.25
     if (np.abs(sizes - turn) < part * turn).mean() < 0.9 or span > (1.0 + same) * turn:
@@ -59,7 +59,7 @@ def _turn(shown: np.ndarray, sizes: np.ndarray, *, hinge: bool) -> float | None:
             return _TURN
         known = np.concatenate([_TURN * np.arange(1, 65), _TURN / np.arange(2, 65)])
         nearest = float(known[np.argmin(np.abs(known - turn))])
-        if abs(turn - nearest) < part * same * nearest:  # Known sizes lie close together.
+        if abs(turn - nearest) < part * same * nearest:  # narrow, as known sizes are close
             turn = nearest
     agree = np.median(np.abs(sizes - turn)) < same * turn
     # A turning encoder passes every angle, so no large part of a turn may be missing.

@@ -1,8 +1,8 @@
 """Resampling of recordings to a uniform time grid, by the time stamps of their samples.
 
-A measured value on the grid is the mean of the nearest samples, each shifted to the grid along a
-parabola through its neighbours, so that noise stays white and motion is not delayed. Commands are
-held between stamps and averaged over the period after a grid point, so that no impulse is lost.
+A measured value at a grid point is the mean of the nearest samples, each shifted to the grid point
+along a parabola through its neighbours, so that noise stays white and motion is not delayed.
+Commands are held between stamps and averaged over the period after a grid point (same integral).
 """
 
 from collections.abc import Mapping
@@ -17,9 +17,9 @@ from leglab.base.scale import deviation, rms
 from leglab.data.clock import straight_line, usual_step
 from leglab.diagnosis.thresholds import CERTAIN, DEFAULT, NEGLIGIBLE, NEIGHBOURS, SAME, Thresholds
 
-# Distance up to which a stamp counts as lying on the grid [periods].
+# Distance [periods] up to which a time stamp counts as lying on the grid.
 _ON_GRID = NEGLIGIBLE
-# Share of the largest value below which differences are rounding errors of floats.
+# Share of the largest value below which differences are floating-point errors.
 _FLOAT = float(np.sqrt(np.finfo(float).eps))
 # Relative uncertainty of a clock's period if jitter and lost samples hide its ticks.
 _UNCLEAR = CERTAIN * SAME
@@ -36,7 +36,7 @@ class UniformSeries:
     valid: np.ndarray  #: Mask of grid points at which every column was measured, (n,)
     #: Quantisation step of the logged samples by column, 0 if not quantised.
     steps: dict[str, float]
-    #: Standard deviation of the noise after resampling, by column, 0 if no noise shows; empty if
+    #: Standard deviation of the noise after resampling, by column, 0 if none is visible; empty if
     #: the logged samples already lie on the grid.
     noise: dict[str, float]
     #: Time by which commands act at native actuators before their stamps [s]; None if unknown.
@@ -52,7 +52,7 @@ class UniformSeries:
         *,
         period: float | None = None,
     ) -> "UniformSeries":
-        """Resamples the needed columns of a recording to a period [s], by default its own.
+        """Resamples the needed columns of a recording, by default at the recording's period [s].
 
         Columns that end with "_command" are held between samples; NaN marks missing samples.
         """
@@ -72,7 +72,7 @@ class UniformSeries:
                 columns[column], known = log.held(lossy=clock.lost > 0 or not good.all())
             else:
                 columns[column], known, white = log.averaged()
-                # Interpolation at lost samples changes the noise as well.
+                # Interpolation at lost samples also changes the noise.
                 if off_grid or good.sum() <= (1.0 - SAME) * grid.size:
                     noise[column] = white
             valid &= known
@@ -99,7 +99,7 @@ class Clock:
         stamps, rounding = time, 0.0
         line, step = straight_line(np.arange(time.size), time), quantum(time - time[0])
         off, mean = float(np.abs(time - line).max()), float(line[1] - line[0])
-        # Rounding moves a stamp by half a step, and a little more from a line fitted to stamps.
+        # Rounding moves a stamp by up to half a step, and the fitted line adds a small error.
         if _ON_GRID * mean < off <= 0.75 * step < 2.0 * mean:
             stamps, rounding = line, step
         period = usual_interval(stamps)
@@ -144,11 +144,11 @@ def usual_interval(time: np.ndarray) -> float:
     """Returns the usual interval of samples, by an average that ignores lost samples.
 
     It is the mean of the intervals that lie within 50 % of this mean, iterated from the median. If
-    no sample is lost, the whole duration over the number of intervals is more accurate and used.
+    no sample is lost, the duration divided by the number of intervals is more accurate and used.
     """
     intervals = np.diff(time)
     period = float(np.median(intervals))
-    if np.abs(intervals - period).min() > 0.5 * period:  # Half of them short, half long.
+    if np.abs(intervals - period).min() > 0.5 * period:  # half of the intervals are long
         period = usual_step(time)
     for _ in range(50):
         close = np.abs(intervals - period) <= 0.5 * period * (1.0 + 1e-9)
@@ -176,8 +176,8 @@ def common_period(recordings: Mapping[str, Recording], thresholds: Thresholds = 
 def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
     """Masks samples around which a signal, (n,), takes more than one value within `length` samples.
 
-    Elsewhere the signal rests on one reading, since its noise is below the quantisation step. Such
-    samples do not show the noise.
+    Elsewhere the signal rests on one reading, because its noise is below the quantisation step, so
+    that the samples do not show the noise.
     """
     apart = maximum_filter1d(samples, length) - minimum_filter1d(samples, length)
     return apart > _FLOAT * np.abs(samples).max()
@@ -186,8 +186,8 @@ def readings_change(samples: np.ndarray, length: int) -> np.ndarray:
 def quantum(samples: np.ndarray) -> float:
     """Returns the step of a quantised signal, (n,); 0 if it is not quantised or never moves.
 
-    It is the largest step of which nearly all differences of neighbours are multiples. A few values
-    between two counts, or rounding of floats, therefore do not reduce it.
+    It is the largest step of which nearly all differences of successive samples are multiples, so
+    that a few values between two counts, or rounding of floats, do not reduce it.
     """
     largest = float(np.abs(samples).max(initial=0.0))
     moves = np.abs(np.diff(samples))
@@ -195,7 +195,7 @@ def quantum(samples: np.ndarray) -> float:
     if not moves.size:
         return 0.0
     rests = moves.size < samples.size - 1
-    # Also differences of differences, since a fast signal may never move by a single count.
+    # Differences of moves are guesses too, since a fast signal may never move by a single count.
     apart = np.diff(moves)
     apart = apart[apart > max(_FLOAT * largest, 1e-6 * moves[-1])]
     shares = (0.0, 0.01, 0.03, 0.1, 0.25, 0.5)
@@ -211,13 +211,13 @@ def _fitted_step(moves: np.ndarray, step: float, largest: float, *, rests: bool)
         some = (count > 0) & (count <= most)
         if not some.any():
             return 0.0
-        # The median is insensitive to the few moves that are no multiples.
+        # The median is insensitive to the few moves that are not multiples.
         step = float(np.median(moves[some] / count[some]))
     share = moves[moves <= 100.5 * step] / step
     count = np.rint(share)
     rounding = 2.0 * np.finfo(np.float32).eps * largest / step
     multiple = (count > 0) & (np.abs(share - count) < SAME + rounding)
-    # A steady motion also has equal moves, but no rests and no other multiples.
+    # A steady motion also has equal moves, but it has no rests and no other multiples.
     varied = rests or (count != np.median(count)).mean() > 0.02
     whole = multiple.mean() > 0.8 and share.size >= 0.5 * moves.size
     return step if whole and varied else 0.0
@@ -239,7 +239,7 @@ class _Log:
 
     def __post_init__(self) -> None:
         self.step, self.spacing = quantum(self.samples), self.own
-        if self.times.size >= 3:  # Some columns are logged less often than others.
+        if self.times.size >= 3:  # some columns are logged less often than others
             self.spacing = min(max(usual_interval(self.times), self.own), 5.0 * self.own)
         # Index of the first sample at or after each grid point, (count,).
         near = self.grid - _ON_GRID * self.period
@@ -259,7 +259,7 @@ class _Log:
     def averaged(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Returns the average of samples at each grid point, a mask of known points, and the noise.
 
-        If each grid point has exactly one sample at its time, the samples are returned.
+        If each grid point has exactly one sample at its own time, these samples are returned.
         """
         grid, period, count = self.grid, self.period, self.grid.size
         place = np.floor(self.times / period + 0.5 - 1e-9).astype(np.int64).clip(0, count - 1)
@@ -269,7 +269,7 @@ class _Log:
         held = np.maximum(number, 1)
         away = times - grid[place]
         away[np.abs(away) <= _ON_GRID * period] = 0.0
-        if (number == 1).all() and not away.any():  # Saves time and memory for long logs.
+        if (number == 1).all() and not away.any():  # saves time and memory for long logs
             return samples, np.ones(count, dtype=bool), 0.0
         fit = _Parabolas(self)
         early, spread, value = (
@@ -283,9 +283,9 @@ class _Log:
         least = max(scatter, self.step / np.sqrt(12.0), NEGLIGIBLE * float(np.std(samples)))
         smooth = fit.misfit <= CERTAIN * least
         known = (number > 0) | self._known(smooth)
-        # Filters reach into gaps, so gaps are filled by linear interpolation.
+        # Later filters extend into gaps, so gaps are filled by linear interpolation.
         value = np.where(known, value, np.interp(grid, self.times, self.samples))
-        # Weight of each sample in the values of all known grid points together.
+        # Weights of each sample, summed over the values of all known grid points.
         share = np.stack([number == 0, -early * (number > 0), -spread * (number > 0)], axis=1)
         given = np.einsum("kp,kpn->kn", share * known[:, None], fit.weights)
         weight = np.bincount(fit.neighbours.ravel(), given.ravel(), minlength=self.times.size)
@@ -296,8 +296,8 @@ class _Log:
     def held(self, *, lossy: bool) -> tuple[np.ndarray, np.ndarray]:
         """Returns a held command's mean between grid points, and a mask of the known means.
 
-        The command is interpolated at lost ticks, as it may have changed there. If the log is not
-        `lossy`, long intervals are jitter.
+        The command is interpolated at lost clock ticks, because it may have changed there. If the
+        log is not `lossy`, no ticks are lost and long intervals are jitter.
         """
         grid, period, near = self.grid, self.period, _ON_GRID * self.period
         intervals, change = np.diff(self.times), np.diff(self.samples)
@@ -312,7 +312,7 @@ class _Log:
         times = np.concatenate([[min(0.0, times[0])], times[1:], [end]])
         impulse = np.append(0.0, np.cumsum(values * np.diff(times)))
         mean = np.diff(np.interp(period * np.arange(grid.size + 1), times, impulse)) / period
-        # The mean is a difference with rounding errors, so values held for a period are copied.
+        # The mean has rounding errors, so values that are held for a whole period are copied.
         at = np.searchsorted(times, grid + near, side="right") - 1
         stays = times[at + 1] >= grid + (1.0 - _ON_GRID) * period
         whole = stays & (np.abs(times[at] - grid) <= near)
@@ -332,7 +332,7 @@ class _Parabolas:
         first = np.searchsorted(log.times, log.grid) - size // 2
         self.neighbours = first.clip(0, log.times.size - size)[:, None] + np.arange(size)
         away = (log.times[self.neighbours] - log.grid[:, None]) / reach
-        # Samples beyond a gap have almost no weight, as they belong to another motion.
+        # Samples beyond a gap have almost no weight, because they belong to another motion.
         trust = np.where(np.abs(away) <= 1.5, 1.0, 1e-6)
         design = np.stack([np.ones_like(away), away, away**2], axis=2)
         weighted = design * trust[:, :, None]

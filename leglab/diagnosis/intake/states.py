@@ -7,14 +7,14 @@ import numpy as np
 from leglab.base.recording import Recording
 from leglab.base.units import unit_of
 
-# Maximum number of different values of a state; signals in counts have more.
+# Maximum number of different values of a discrete state; signals in counts have more.
 _VALUES = 8
 
 
 def state_changes(
     recording: Recording, signals: Collection[str], window: float
 ) -> dict[str, np.ndarray]:
-    """Returns the rows at which the states of a recording change, by column.
+    """Returns the sample indices at which the states of a recording change, by column.
 
     A state is a column that has few integer values, rare changes and no unit, and is not among the
     `signals`. A column that changes more often than once in two windows of length `window` [s] is

@@ -7,7 +7,7 @@ from leglab.diagnosis.plant.columns import UsableColumn
 from leglab.diagnosis.plant.model import CHAMBERS
 from leglab.diagnosis.thresholds import DEFAULT
 
-# Factors >= 2 pi or <= 0.1 only: factors closer to 1 are effects (gain, encoder scale).
+# Only factors >= 2 pi or <= 0.1, because factors closer to 1 are effects (gain, encoder scale).
 ANGLES, _LENGTHS, _PRESSURES = (
     {unit: split(f"x [{unit}]").factor for unit in units.split()}
     for units in ("degrees mrad turns", "mm inches micrometres", "bar MPa psi kPa")
@@ -16,7 +16,7 @@ _SHARES = {"per cent": 1e-2, "mA, mV or thousandths": 1e-3}
 _LARGE = {"thousands of its unit": 1e3, "hundreds of its unit": 1e2}
 OPPOSITE = "counted the other way"
 DEGREES = ("degrees", ANGLES["degrees"])
-# Encoder counts per turn to try; any other number is near enough to one of them for a doubt.
+# Encoder counts per turn to try; any other number is near enough to one of these for a doubt.
 _COUNTS = [2.0**n for n in range(8, 25)]
 
 
@@ -26,7 +26,7 @@ def position_units(samples: np.ndarray, *, hinge: bool) -> dict[str, float]:
     found = dict(ANGLES if hinge else _LENGTHS)
     if hinge and known.size and np.all(known == np.rint(known)):
         turns = {f"counts, some {n:.0f} a turn": 2.0 * np.pi / n for n in _COUNTS}
-        # Only resolutions with which the joint moves more than a degree and less than eight turns.
+        # Only resolutions by which the joint moves more than a degree and less than eight turns.
         found |= {unit: f for unit, f in turns.items() if 0.02 < f * np.ptp(known) < 50.0}
     return found
 
@@ -52,9 +52,9 @@ def other_unit(
     """Returns a unit or direction in which samples, (n,), fit a column's limits, and its factor.
 
     Pressures are in doubt if none reaches a hundredth of the supply pressure [Pa], which every
-    working chamber exceeds. The unit that yields the largest pressures below 4/3 of the supply is
-    then returned, since shocks may exceed the supply. Other columns are tested in the opposite
-    direction, another unit, and both: the first fit counts. None: fit unchanged, or nothing fits.
+    working chamber exceeds. Then the unit with the largest pressures below 4/3 of the supply is
+    returned, since shocks may exceed the supply. Other columns are tried in the opposite direction,
+    another unit, and both; the first fit is returned. None if unchanged samples or no others fit.
     """
     if column.kind in CHAMBERS:
         highest, supply = float(np.nanmax(samples)), column.limits[1]

@@ -1,4 +1,4 @@
-"""Linearisation of errors: derivatives by all unknowns, and changes by finite steps (jumps)."""
+"""Linearisation of errors: derivatives by unknowns (tangents), changes by finite steps (jumps)."""
 
 import gc
 import signal
@@ -25,25 +25,25 @@ from leglab.diagnosis.thresholds import BLOWN, LOUDER, NEGLIGIBLE
 DRIVE_GAIN = "actuator_gain"
 # Names of the effects that limit a drive's command, and a drive's force on a joint.
 COMMAND_LIMIT, FORCE_LIMIT = "command_saturation", "force_saturation"
-# Finite step of an unknown: index of the unknown, and step in smallest trials.
+# Finite step of an unknown: index of the unknown, step in multiples of the smallest trial value.
 Jump = tuple[int, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Errors at a hypothesis, in SI units, and their changes if the unknowns change.
+    """Errors at a hypothesis, in SI units, and the changes of the errors if the unknowns change.
 
-    The rows of a window's errors are replay errors, channels x bins, followed by residual forces
-    along the measured motion, joints x blocks of time.
+    Each window has a row of errors: first those of its replay (channels x bins of time), then the
+    residual forces along the measured motion (joints x blocks of time).
     """
 
     base: Hypothesis  #: Hypothesis at which the errors are linearised
-    x: np.ndarray  #: Departures of `base`, (unknowns,)
+    x: np.ndarray  #: Departures of `base` from the specimen, (unknowns,)
     errors: np.ndarray  #: Errors of `base`, (windows, rows)
     tangents: np.ndarray  #: Derivatives of the errors by unknowns, (windows, rows, unknowns)
     jumps: tuple[Jump, ...]  #: Finite steps of unknowns, see `changes`
     changes: np.ndarray  #: Change of the errors by each jump, (windows, rows, jumps)
-    #: Whether derivatives by unknowns that the data determine are over small (`FINE`) steps.
+    #: Whether derivatives by unknowns that the data determine are differences over `FINE` steps.
     fine: bool = False
 
 
@@ -52,7 +52,7 @@ class Errors:
 
     Attributes:
         recording: Recording of each chosen window, (windows,).
-        size: Number of replay errors in a window's rows; residual forces follow the replay errors.
+        size: Number of replay errors per window; residual forces follow the replay errors.
     """
 
     def __init__(self, problem: Problem, unknowns: Unknowns, chosen: np.ndarray) -> None:
@@ -109,8 +109,8 @@ class Errors:
     def at(self, hypothesis: Hypothesis, louder: str | None = None) -> np.ndarray:
         """Computes errors of a hypothesis, (windows, rows).
 
-        `louder` names an actuator whose gain is multiplied by `LOUDER`, or its command if the gain
-        is no effect of the library. A servo's motion grows with its command, hardly with its gain.
+        `louder` names an actuator whose gain is multiplied by `LOUDER`. If the library has no gain
+        effect for it, the command is multiplied: a servo's motion grows with its command.
         """
         problem = self.problem
         gain = (DRIVE_GAIN, louder or "")
@@ -142,7 +142,7 @@ class Errors:
 
     @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
-        """RMS of residual forces and of commands' influence, unchanged model, (joints,) each."""
+        """RMS of the unchanged model's residual forces, and of their change with commands."""
         problem = self.problem
         if not problem.balanced:
             return np.zeros(0), np.zeros(0)
@@ -156,9 +156,9 @@ class Errors:
         return np.maximum(self._own[0], 1e-300)
 
     def _influence(self, pushed: np.ndarray) -> np.ndarray:
-        """Computes commands' influence on joint forces relative to the unchanged model, (joints,).
+        """Computes the influence of commands on forces over the unchanged model's, (joints,).
 
-        Residual forces are divided by this ratio, so that they count in units of the drive.
+        Residual forces are divided by this ratio and so are relative to the drive's force.
         Otherwise a gain of 0, or friction as large as the drive's force, would leave no residual.
         """
         own = self._own[1]
@@ -186,10 +186,10 @@ class Errors:
         Args:
             base: Hypothesis at which errors are differentiated.
             errors: Errors of `base`.
-            which: Single unknowns to differentiate by; tangents of tied unknowns are sums.
-            step: Smallest step in trials, and smallest step as a share of the present departure.
+            which: Single unknowns to differentiate by; a tied unknown's tangent is their sum.
+            step: Least step in smallest trial values, and as a share of the present departure.
             known: Tangents that all other unknowns keep.
-            most: Largest steps, (single,), of `gradual` unknowns; None for no limit.
+            most: Largest steps, (single unknowns,), if `gradual`; None for no limit.
         """
         u = self.unknowns
         out, x = known.copy(), u.departures(base)
@@ -224,9 +224,9 @@ class Errors:
         return replace(columns, jumps=tuple(jumps), changes=changes)
 
     def without(self, columns: Columns, members: Sequence[int], key: Key) -> Columns | None:
-        """Returns the linearisation without one effect; None if a replay without it blows up.
+        """Linearises the hypothesis without one effect; None if a replay without it blows up.
 
-        Tangents are not computed anew: they belong to the hypothesis with the effect.
+        The errors are replayed, but the tangents remain those of the hypothesis with the effect.
         """
         u, x = self.unknowns, columns.x
         gone = {i: -float(x[i]) for q in members if u.keys[q] == key for i in u.singles(q)}
@@ -264,7 +264,7 @@ def _errors(hypothesis: Hypothesis) -> tuple[np.ndarray, float]:
 
 
 def _limits_scaled(hypothesis: Hypothesis, limits: Iterable[Key]) -> Hypothesis:
-    """Multiplies the values of effects `limits` in the hypothesis, if any, by `LOUDER`."""
+    """Multiplies by `LOUDER` the values of those effects in `limits` that the hypothesis has."""
     for key in limits:
         if key in hypothesis:
             hypothesis = hypothesis.with_values(key, LOUDER * hypothesis[key])
@@ -284,7 +284,7 @@ def change(errors: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def trials(unknowns: Unknowns) -> list[Jump]:
-    """Returns jumps to trial values of faults; the smallest trials are left to tangents."""
+    """Returns jumps to the trial values of faults, except the smallest, which tangents predict."""
     found: list[Jump] = []
     for u in np.flatnonzero(unknowns.nameable).tolist():
         # An unknown that several elements share has the trial values of the first element.

@@ -1,10 +1,10 @@
-"""Marginal likelihood of sets of effects (assumed faults) by one linearisation's normal equations.
+"""Marginal likelihood of sets of effects (assumed faults), by normal equations at one point.
 
-Errors have the covariance N + s^2 D: N is that of sensors, start states and time step, D that of
-the model error, whose scale s is unknown. Parameters of a set have the prior of faults (slab), all
-others the prior of good machines (spike), normal with an unknown standard deviation (George and
-McCulloch 1993). Log likelihoods are divided by the design effect, since errors are correlated
-(Pauli, Racugno and Ventura 2011).
+The errors have covariance N + s^2 D: N from sensors, start states and time step, D from model error
+of unknown scale s. Parameters of a set ("members") have the prior of faults (slab). All others have
+that of good machines (spike): normal, with an unknown standard deviation, here called the spread
+(George and McCulloch 1993). Log likelihoods are divided by the design effect, since errors are
+correlated (Pauli, Racugno and Ventura 2011).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,18 +30,18 @@ from leglab.diagnosis.thresholds import (
     SMALL,
 )
 
-# Parameter of a set: index of the unknown; index in `Columns.jumps`, or None to use its tangent.
+# Parameter of a set: index of the unknown; index of its jump (finite step), None for its tangent.
 Member = tuple[int, int | None]
 
 # Relative rounding error of a sum of squares.
 ROUNDING = 1e-14
-# An unknown is fixed by adding this multiple of its curvature. A larger multiple would leave fewer
-# than half of the digits of a sum to the unknowns that are free.
+# An unknown is fixed by adding this multiple of its curvature. In sums with a larger multiple, the
+# unknowns that are free would keep fewer than half of their digits.
 HELD = ROUNDING**-0.5
 
 
 def parts_of(recording: np.ndarray) -> np.ndarray:
-    """Returns the index of each window's part: a recording, or a piece of one if these are few."""
+    """Returns each window's part: the index of its recording, or of a piece if these are few."""
     every = np.unique(recording)
     pieces = 1 if every.size >= FEW_RECORDINGS else int(np.ceil(2 * FEW_RECORDINGS / every.size))
     out, count = np.zeros(recording.size, dtype=int), 0
@@ -59,10 +59,10 @@ class Score:
 
     members: tuple[Member, ...]  #: Parameters of the set
     log: float  #: Log evidence: log of the marginal likelihood times prior odds
-    fit: float  #: Log evidence without prior odds, fault priors and determinant of the members
+    fit: float  #: Log evidence without prior odds, fault priors and the members' determinant
     size: int  #: Index of the most probable scale of the model error
     spread: int  #: Index of the most probable standard deviation between machines
-    values: np.ndarray  #: Departures of the members, (members,)
+    values: np.ndarray  #: Departures of the members from the specimen, (members,)
     deviations: np.ndarray  #: Standard deviations of `values`
     shift: np.ndarray  #: Changes of all single unknowns, to which `values` are added, (single,)
     coefficients: np.ndarray  #: Factors on the members' tangents or jumps
@@ -75,7 +75,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Most probable steps of members at every scale and spread."""
+    """Most probable steps of members at every model-error scale and spread."""
 
     factors: np.ndarray  #: Factors on the members' tangents or jumps, (scales, spreads, members)
     values: np.ndarray  #: Departures of the members, (scales, spreads, members)
@@ -85,12 +85,12 @@ class _Steps:
 
 
 class _Reduced:
-    """Inner products of errors, tangents and jumps with the single unknowns integrated out.
+    """Inner products of errors, tangents and jumps (columns), with single unknowns integrated out.
 
-    `gram`, (scales, columns, columns), are the products before the integration, at each scale of
-    the model error, `log`, (scales,), log determinants of the errors' covariance. `base` is the log
-    evidence of the empty set less its quadratic term, (scales, spreads). `stays` masks single
-    unknowns that are fixed at a bound.
+    `gram` are the products before this integration, (scales, columns, columns), and `log` the log
+    determinants of the errors' covariance, (scales,), for each scale of the model error. `base` is
+    the log evidence of the empty set without its quadratic term, (scales, spreads). `stays` has the
+    mask of the single unknowns (one parameter of one element each) that are fixed at a bound.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class _Reduced:
                 hold = HELD * self.stays[k, o] * np.diag(matrix)
                 if hold.any():
                     prior = np.linalg.slogdet(precision + np.diag(hold))[1]
-                # Only rounding is added: a larger term would act as a prior against departures.
+                # The term covers rounding only: a larger one would be a prior against departures.
                 matrix[np.diag_indices(n)] *= 1.0 + ROUNDING
                 root = np.linalg.cholesky(matrix + np.diag(hold))
                 self._roots[k, o] = root
@@ -132,7 +132,7 @@ class _Reduced:
                 )
 
     def _beside_priors(self, k: int, o: int, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Adds priors to products of columns `held`: with each other, and with single unknowns."""
+        """Returns products, with priors, of columns `held` with each other and single unknowns."""
         gram, n = self._kappa * self.gram[k][:, held], self._now.size
         whole, cross = gram[held], gram[1 : 1 + n]
         if held.size and held[0] == 0:
@@ -159,7 +159,7 @@ class _Reduced:
         return self._every[k, o]
 
     def follow(self, k: int, o: int, along: np.ndarray) -> np.ndarray:
-        """Computes the best changes of single unknowns for a step `along` columns, (single,)."""
+        """Computes the most probable changes of single unknowns for a step `along` columns."""
         used = np.flatnonzero(along)
         _, cross = self._beside_priors(k, o, used)
         return np.asarray(-cho_solve((self._roots[k, o], True), cross @ along[used]))
@@ -175,7 +175,7 @@ class Evidence:
         weight: Weights of windows, (windows,).
         kappa: Factor on the log likelihood, 1/design effect.
         priors: Priors of parameters and of the model error's scale.
-        places: Indices in `priors.sizes` of the model-error scales to use; None for all.
+        places: Indices of the model-error scales to use in `priors.sizes`; None for all.
     """
 
     def __init__(
@@ -209,7 +209,7 @@ class Evidence:
             yield factors[:, :, None] * turned, weight * log[own]
 
     def _products(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes inner products of columns, (scales, columns, columns), and determinants."""
+        """Computes inner products of columns, (scales, columns, columns), and log determinants."""
         gram, logs = [], []
         for white, log in self._white(range(len(self.places)), own):
             flat = white.reshape(-1, white.shape[2])
@@ -243,7 +243,7 @@ class Evidence:
         parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
         found = []
         for r in range(len(parts)):
-            # The other parts are summed: the total less one part may be indefinite by rounding.
+            # The other parts are summed, since rounding can make total less one part indefinite.
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
             for other in parts[:r] + parts[r + 1 :]:
                 gram, log = gram + other[0], log + other[1]
@@ -260,7 +260,7 @@ class Evidence:
     def _columns_of(
         self, members: Sequence[Member]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Returns members' columns: indices, trials per unit, lower and upper factors."""
+        """Returns members' columns: index, departure per unit of the factor, factor's bounds."""
         u, rows = self.unknowns, []
         for unknown, jump in members:
             low = max(u.lower[unknown], -np.inf if u.below[unknown] else 0.0)
@@ -276,7 +276,7 @@ class Evidence:
         return index.astype(int), unit, lower, upper
 
     def odds(self, members: Sequence[int]) -> float:
-        """Computes a set's log odds over the empty set; -inf if it holds two of `Errors.twins`."""
+        """Computes a set's prior log odds over the empty set; -inf if two are `Errors.twins`."""
         u = self.unknowns
         keys = u.names(members)
         if any(pair <= keys for pair in self.at.twins):
@@ -337,7 +337,7 @@ class Evidence:
         steps = _bounded(matrix, gradient, lower, upper)
         square = first[:, :, 0] + 2.0 * (gradient * steps).sum(axis=2)
         values = steps * unit
-        # If changes by members cancel each other, only the fault prior determines the members.
+        # If the errors' changes by two members cancel, only the fault prior determines the members.
         bound = matrix + (slab_curvature(values) * unit**2)[..., None] * np.eye(m)
         _, log_matrix = np.linalg.slogdet(bound)
         return _Steps(
@@ -398,13 +398,13 @@ class Evidence:
         return sorted(((g, m) for m, g in best.items() if np.isfinite(g)), key=lambda e: -e[0])
 
     def likeness(self, score: Score) -> np.ndarray:
-        """Returns the jumps' reduced products, see `_Reduced`, at a score's scale and spread."""
+        """Returns the reduced products (see `_Reduced`) of jumps at a score's scale and spread."""
         inner = self.whole.every(self.places.index(score.size), score.spread)
         first = 1 + len(self.unknowns)
         return inner[first:, first:]
 
     def left(self, score: Score) -> np.ndarray:
-        """Predicts the errors after the fit of a score, to first order, (windows, rows)."""
+        """Predicts the errors at the optimum of a score, to first order, (windows, rows)."""
         columns, n = self.columns, self.unknowns.single
         errors = columns.errors + columns.tangents[:, :, :n] @ score.shift
         for (q, jump), step in zip(score.members, score.coefficients, strict=True):
@@ -425,7 +425,7 @@ class Evidence:
     def visible(self, score: Score) -> np.ndarray:
         """Computes steps of single unknowns that change whitened errors by an RMS of 1, (single,).
 
-        Over longer steps a tangent's prediction may be wrong by more than the errors scatter.
+        Over longer steps, a tangent's prediction may err by more than the scatter of the errors.
         """
         k, n = self.places.index(score.size), self.unknowns.single
         rows = float(self.weight.sum()) * self.columns.errors.shape[1]
@@ -452,8 +452,8 @@ class Evidence:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Computes the most probable values of members and single unknowns within their bounds.
 
-        Model-error scale and spread are those of a score; members move along tangents. Unknowns
-        outside of `_free` stay: each gains less than half a nat and makes replays slower.
+        The model-error scale and spread are the score's; members move along tangents. Unknowns
+        outside of `_free` stay, since each gains less than half a nat and makes replays slower.
 
         Args:
             score: The set.
@@ -473,7 +473,7 @@ class Evidence:
         precision, _ = self.priors.precision(u, self.priors.spreads[score.spread])
         matrix, gradient = gram[np.ix_(use, use)], gram[use, 0].copy()
         matrix[:n, :n] += precision
-        # The Cauchy prior of a fault is replaced by a normal one with its weight at this magnitude.
+        # A normal prior with its weight at this magnitude replaces a fault's Cauchy prior.
         now = self.columns.x[:n]
         size = np.array([now[list(u.singles(q))].mean() for q in score.unknowns])
         matrix[range(n, n + index.size), range(n, n + index.size)] += slab_curvature(size)
@@ -535,7 +535,7 @@ class Evidence:
 def _held(
     data: np.ndarray, precision: np.ndarray, now: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Tests which single unknowns are to be fixed at a bound beyond which their optimum lies.
+    """Selects the single unknowns whose optimum lies beyond a bound, where they are to be fixed.
 
     An example is friction at zero. Unknowns far from their prior were fitted as faults and stay
     free. `data` are inner products of errors and tangents, bounds are relative to `now`.

@@ -22,13 +22,13 @@ from leglab.diagnosis.thresholds import (
 class Priors:
     """Priors of parameters, of faults, and of the model error's scale."""
 
-    #: Candidate standard deviations of good machines' parameters from the specimen, in smallest
-    #: trials, all equally probable. A parameter with a tolerance has its tolerance instead, widened
-    #: for larger candidates. Those beyond `SPREADS` need healthy recordings and a large
-    #: fault of the set; without this limit they would explain faults by deviations.
+    #: Candidate standard deviations of good machines' parameters from the specimen (the machine
+    #: as identified), in smallest trial values, all equally probable. A parameter with a tolerance
+    #: has its tolerance instead, widened for larger candidates. Candidates beyond `SPREADS` need
+    #: healthy recordings and a large fault in the set; otherwise they would explain faults.
     spreads: tuple[float, ...] = SPREADS
     tolerances: float = 1.0  #: Factor on the tolerances
-    #: Covariance of single unknowns from healthy recordings, (single, single); None without these.
+    #: Covariance of single unknowns (one parameter of one element) by healthy recordings, if any.
     covariance: np.ndarray | None = None
     #: Scales of the model error; 0 is an exact model.
     sizes: tuple[float, ...] = SIZES
@@ -45,7 +45,7 @@ class Priors:
         return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Tests which `spreads` a largest fault, in smallest trials, allows, (..., spreads)."""
+        """Tests which `spreads` are allowed beside a set's largest fault (in smallest trials)."""
         most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 
@@ -57,7 +57,7 @@ class Priors:
         widest = np.minimum(known * wider, np.maximum(known, spread))
         deviation = np.where(known > 0.0, widest, spread)
         ranges = unknowns.upper[:n] - unknowns.lower[:n]
-        # An effect that is not gradual is present or absent, so it has no small deviations.
+        # An effect that is not gradual is present or absent, so that it has no small deviations.
         deviation = np.where(unknowns.gradual[:n], deviation, ABSENT)
         deviation = np.where(unknowns.shape[:n], SHAPE_SPREAD * ranges, deviation)
         if self.covariance is None:

@@ -55,8 +55,8 @@ class Shown:
     """Largest quantities in recordings."""
 
     joints: Mapping[str, Motion]  #: Largest recorded values, by joint
-    #: Half the range of each actuator's input, by actuator: the command, or for position servos the
-    #: position error.
+    #: Half the range of each actuator's input, by actuator. The input is the command, or for a
+    #: position servo its position error.
     commands: Mapping[str, float]
     #: Largest command by ("command", actuator), and largest drive force by ("force", joint).
     largest: Mapping[tuple[str, str], float]
@@ -161,11 +161,11 @@ def sized(library: Library, machine: Machine, seen: Shown) -> Library:
 
 
 def _limited(p: EffectParameter, largest: float) -> EffectParameter:
-    """Returns a limit with trial values below the largest recorded command or force."""
+    """Returns a limit parameter with trial values below the largest recorded command or force."""
     most = min(p.nominal, largest)
     if most <= p.lower:
-        return p  # recorded values stay below every possible limit
-    # Trial limits cut off a little, some or most of the largest recorded value.
+        return p  # no possible limit would cut off recorded values
+    # The trial limits cut off a little, some or most of the largest recorded value.
     shares = (*(1.0 - share for share in TRIALS), *TRIALS[::-1])
     trials = tuple(most * share for share in shares if most * share > p.lower)
     return replace(p, nominal=most, upper=most, trials=trials or p.trials)
@@ -180,7 +180,7 @@ def _size(p: EffectParameter, joint: Motion | None, command: float | None, seen:
 
 
 def _sized(p: EffectParameter, size: float, seen: Shown) -> EffectParameter:
-    """Returns a strength with bounds and trial values scaled to `size`, on its trials' sides."""
+    """Scales bounds and trial values of a strength parameter to `size`, on its trials' sides."""
     if p.role == "shape" or size <= 0.0 or not p.trials:
         return p
     # A delay below two periods is no fault: a controller computes for up to a period and holds the

@@ -1,6 +1,6 @@
-"""Model error: covariance of the errors that an inexact model structure causes, up to a scale.
+"""Model error: covariance, up to a scale, of the errors that an inexact model structure causes.
 
-Such errors remain at the best parameters. They are correlated in time within a channel, and their
+These errors remain at the best parameters. They are correlated in time within a channel, and their
 magnitude differs between recordings (Kennedy and O'Hagan 2001).
 """
 
@@ -19,8 +19,8 @@ from leglab.diagnosis.thresholds import FORCE_BLOCKS, SMALL
 def directions_of(machine: Machine, channels: Sequence[Channel]) -> np.ndarray:
     """Returns orthonormal directions in which errors are independent, (channels, channels).
 
-    They are the channels, except for the two chambers of a cylinder. Of these, one direction is the
-    cylinder's force, with errors of the mechanism; the other has only errors of valves and oil.
+    They are the channels, except for the two chambers of a cylinder. One direction of the chambers
+    is the cylinder's force, with errors of the mechanism; the other has those of valves and oil.
     """
     found = np.eye(len(channels))
     for cylinder in machine.cylinders:
@@ -42,7 +42,7 @@ def _pattern(
 
     `errors`, (windows, directions, bins), give covariances, (directions, bins, bins), and mean
     squares, (recordings, directions), which are 0 for recordings without windows. Mean squares are
-    medians over windows, because a few windows start in stick-slip or next to a jump.
+    medians over windows, because a few windows start in stick-slip or next to a discontinuity.
     """
     windows, directions, bins = errors.shape
     size = np.sqrt((errors**2).mean(axis=2))
@@ -67,7 +67,7 @@ class Spread:
     """Covariance of the model error in each recording, at scale 1."""
 
     replays: np.ndarray  #: Covariance of replay errors, (recordings, size, size)
-    forces: np.ndarray  #: Covariance of residual forces, (recordings, joints x blocks, same)
+    forces: np.ndarray  #: Covariance of residual forces, (recordings, n, n) for n joints x blocks
 
     @classmethod
     def of(cls, at: Errors, errors: np.ndarray) -> "Spread":
@@ -133,13 +133,13 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Covariances N + s^2 D of windows' errors at all scales s, from a decomposition per window.
+    """Covariances N + s^2 D (noise + model error) of windows' errors, decomposed for all scales s.
 
-    With N^-1 = L'L and L D L' = Q diag(r) Q', rows of Q'L are independent and have the variances
-    1 + s^2 r.
+    With N^-1 = L'L and L D L' = Q diag(r) Q', the errors multiplied by Q'L are independent and have
+    the variances 1 + s^2 r.
     """
 
-    basis: np.ndarray  #: Block diagonal: Q'L, inverse roots of forces, (windows, rows, rows)
+    basis: np.ndarray  #: Block diagonal of Q'L and inverse root of forces, (windows, rows, rows)
     ratio: np.ndarray  #: r, (windows, size)
     noise: np.ndarray  #: Diagonal of N, (windows, size)
     own: np.ndarray  #: Diagonal of D, (windows, size)
@@ -147,11 +147,11 @@ class Whitening:
     force_log: np.ndarray  #: Log determinants of forces, in units of the unchanged model's forces
 
     def at(self, size: float, forces: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns factors that scale rows to unit variance, (windows, rows), and log determinants.
+        """Returns factors that give errors unit variance, (windows, rows), and log determinants.
 
         `size` and `forces` are the model-error scales of replays and of residual forces. Residual
         forces have no noise covariance. Their weight is the model error's share of the replays'
-        variance: if the model is exact, residual forces are noise of unknown size and count 0.
+        variance, because if the model is exact, residual forces are noise of unknown magnitude.
         """
         n, f = self.ratio.shape[1], self.basis.shape[1] - self.ratio.shape[1]
         variance = 1.0 + size**2 * self.ratio

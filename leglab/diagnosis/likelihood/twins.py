@@ -66,10 +66,10 @@ def coupled_joints(machine: Machine) -> tuple[str, ...]:
 def scale_twins(
     problem: Problem, u: Unknowns, own: np.ndarray, members: tuple[int, ...], x: np.ndarray
 ) -> Iterator[tuple[tuple[int, ...], dict[int, float]]]:
-    """Yields sets, not larger than a fitted set, with its motion and all forces scaled.
+    """Yields sets with the motion of a fitted set and all forces scaled, not larger than that set.
 
-    For each parameter of the fitted set, that factor is used which returns it to the specimen's
-    value. Unknowns whose departure is then within tolerance or unnoticeable are left out.
+    Each parameter of the fitted set gives one factor, by which it returns to the specimen's value.
+    Unknowns whose departure is then within tolerance or unnoticeable are left out.
 
     Args:
         problem: Recordings and machine.
@@ -98,11 +98,11 @@ def scale_twins(
 
 
 def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
-    """Returns the specimen's values that scale with all forces, in trials; 0 for other unknowns.
+    """Returns the specimen's values that scale with all forces, in smallest trials; others are 0.
 
     They are inertia, friction, stiffness, masses and gains, (single,). Each counts under one effect
     only: effects that contain another effect as a special case have 0. All values are 0 if a force
-    is known, of a cylinder or of an acting drive whose gain is no unknown.
+    is known: that of a cylinder, or of an acting drive whose gain is no unknown.
     """
     machine, library, own = problem.machine, problem.library, np.zeros(u.single)
     acting = {a for a in machine.actuators if _acts(problem, a)}
@@ -121,7 +121,7 @@ def own_forces(problem: Problem, u: Unknowns) -> np.ndarray:
 
 
 def _is_force(u: Unknowns, i: int) -> bool:
-    """Tests whether a single unknown is a force or its ratio to a motion, but not a limit."""
+    """Tests whether an unknown of one element is a force, stiffness, damping or mass, no limit."""
     (key, n) = u.places[i][0]
     p = u.library.sites[key].parameters[n]
     return p.unit.startswith(("N", "kg")) and p.role == "strength" and not p.inverse

@@ -18,7 +18,7 @@ EVERY = "every"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unknowns:
-    """Departures from the specimen, in smallest trials; all arrays have shape (unknowns,).
+    """Departures from the specimen (the machine as identified), in smallest trials, (unknowns,).
 
     "Single" unknowns come first, each for one parameter of one element. A "tied" unknown moves one
     parameter of all like elements by the same number of trials, as a bus delays all commands. A
@@ -31,13 +31,13 @@ class Unknowns:
     scale: np.ndarray  #: Smallest trial in units of `from_nominal`; 1 for tied unknowns
     #: Standard deviation between good machines, in smallest trials; 0 if unknown.
     tolerance: np.ndarray
-    lower: np.ndarray  #: Least departure, in smallest trials
-    upper: np.ndarray  #: Largest departure, in smallest trials
-    shape: np.ndarray  #: Whether it is a shape: no influence while strengths are nominal
-    nameable: np.ndarray  #: Whether it can be a fault
+    lower: np.ndarray  #: Least allowed departure, in smallest trials
+    upper: np.ndarray  #: Largest allowed departure, in smallest trials
+    shape: np.ndarray  #: Whether it is a shape parameter: no influence while strengths are nominal
+    nameable: np.ndarray  #: Whether a departure can be named as a fault
     gradual: np.ndarray  #: Whether a good machine may have a small amount of the effect
-    above: np.ndarray  #: Whether its faults lie above nominal
-    below: np.ndarray  #: Whether its faults lie below nominal
+    above: np.ndarray  #: Whether faults lie above the parameter's nominal value
+    below: np.ndarray  #: Whether faults lie below the parameter's nominal value
     limits: np.ndarray  #: Whether it is a limit of a command or force
 
     @classmethod
@@ -79,7 +79,7 @@ class Unknowns:
 
     @cached_property
     def sites(self) -> int:
-        """Number of effects, on one element or on all like elements, that can be faults."""
+        """Number of effects, each on one element or on all like elements, that can be faults."""
         return len({key for key, can_be in zip(self.keys, self.nameable, strict=True) if can_be})
 
     @cached_property
@@ -142,7 +142,7 @@ class Unknowns:
 
 
 def _tied(library: Library, rows: list[dict]) -> list[dict]:
-    """Returns the rows of tied unknowns, which at least three like elements share.
+    """Builds rows of attributes of tied unknowns, each shared by at least three like elements.
 
     For two elements a tied unknown would save little over two single unknowns, so none is made.
     """

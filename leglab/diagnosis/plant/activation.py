@@ -60,8 +60,8 @@ def activations(
 ) -> np.ndarray:
     """Returns the activations at the samples, (samples, stateful actuators).
 
-    An actuator that steps its activation before its force (`actearly`) gets the activation of one
-    step earlier.
+    For an actuator whose activation is stepped before its force (`actearly`), it is the activation
+    of one step earlier.
 
     Args:
         model: Model with the actuators.

@@ -1,8 +1,8 @@
-"""Values that MuJoCo's compiler derives from inertia, fixed as in the unmodified model.
+"""Values that MuJoCo's compiler derives from inertia, fixed at those of the unmodified model.
 
-For example, a real drive's damping does not change with its load, but `dampratio` and
-`springdamper` are relative to inertia. The same holds for lengths and largest forces of muscles,
-and for masses that the compiler scales or bounds. MuJoCo documentation, "XML reference".
+For example, `dampratio` and `springdamper` are relative to inertia, but a real drive's damping does
+not change with its load. Lengths and largest forces of muscles, and masses that the compiler scales
+or bounds, are fixed for the same reason. MuJoCo documentation, "XML reference".
 """
 
 import mujoco
@@ -13,7 +13,7 @@ _MUSCLE_BIAS = mujoco.mjtBias.mjBIAS_MUSCLE
 
 
 class AsCompiled:
-    """Values derived by the compiler, for other specifications that are read from the same file.
+    """Values that the compiler derives, to be written into further specifications of the same file.
 
     Raises:
         ValueError: MuJoCo refuses the model.

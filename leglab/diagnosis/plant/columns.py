@@ -1,4 +1,4 @@
-"""Columns of recordings that a model can use, with the units and ranges that it implies."""
+"""Columns of recordings that a model can use, with the units and ranges that the model implies."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class UsableColumn:
     kind: str  #: "position", "velocity", "command", "pressure_a" or "pressure_b"
     unit: str  #: Unit of the column; "ctrl" if only the actuator defines it
     limits: tuple[float, float] = _FREE  #: Allowed range in `unit`
-    follows: str = ""  #: "position", "velocity" or "effort" that a command sets; "" for a valve
+    follows: str = ""  #: Quantity that a command sets ("position", "velocity", "effort") or ""
 
 
 def usable_columns(machine: Machine) -> tuple[UsableColumn, ...]:

@@ -1,4 +1,4 @@
-"""Joints whose motion equality constraints determine from the motion of other joints."""
+"""Joints ("followers") whose motion equality constraints determine from other joints' motion."""
 
 import copy
 from collections.abc import Collection, Sequence
@@ -122,8 +122,8 @@ def determined(
 ) -> frozenset[str]:
     """Returns the unmeasured joints whose positions equalities and measured joints determine.
 
-    With measured joints at rest, no motion that satisfies all equalities moves a determined joint:
-    its component in the null space of the unmeasured joints' Jacobian is zero.
+    A joint is determined if it cannot move while the measured joints rest and all equalities hold,
+    that is, if its component in the null space of the unmeasured joints' Jacobian is zero.
     """
     if not unmeasured or not model.neq:
         return frozenset()

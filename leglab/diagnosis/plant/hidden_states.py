@@ -1,4 +1,4 @@
-"""Cache of hidden states along a recording (bristles, spool), reused if inputs are equal."""
+"""Cache of unmeasured states along a recording (friction, spool), reused if inputs are equal."""
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ T = TypeVar("T")
 class HiddenStates:
     """Cache `found` of the last three results per name with their inputs, least recent first.
 
-    Because it returns the same array objects again, results that depend on them are found fast.
+    It returns the same array objects again, so that the inputs of dependent results compare fast.
     """
 
     def __init__(self) -> None:

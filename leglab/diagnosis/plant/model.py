@@ -40,9 +40,9 @@ _WAY_OUT = {
 }
 _OFF = mujoco.mjtDisableBit
 _CACHED_VARIANTS = 64
-# Held while a model is compiled: only one is compiled at a time.
+# Lock by which only one model is compiled at a time.
 _COMPILING = Lock()
-# Share of a machine's largest moment (or inertia) below which one is a rounding error; see `moved`.
+# Share of the largest moment (or inertia) below which a value is a rounding error; see `moved`.
 ROUNDING = 1e-9
 
 
@@ -53,7 +53,7 @@ class Variant:
     model: mujoco.MjModel  #: Compiled at the replay's time step
     #: First index in `plugin_state`, and parameter table, of every plugin instance by name.
     elements: dict[str, tuple[int, PluginTable]]
-    joint_of: dict[str, str]  #: Joint that a passive instance acts on, by instance
+    joint_of: dict[str, str]  #: Joint that a passive plugin instance acts on, by instance
     drawn_by: dict[str, tuple[str, ...]]  #: Cylinders fed by each supply instance
     plugin_state: np.ndarray  #: Parameters and initial states after a reset, (npluginstate,)
 
@@ -125,7 +125,7 @@ class Machine:
         #: Actuators with an activation, in the order of MuJoCo's `act`.
         self.stateful = tuple(self.actuators[i] for i in stateful(model))
         data = mujoco.MjData(model)
-        # Not at qpos0: if it is singular (a straight linkage), moments may vanish.
+        # The pose differs from qpos0, because at a singular pose (straight linkage) moments vanish.
         data.qpos[:] = model.qpos0 + 0.1
         mujoco.mj_forward(model, data)
         self.moments = actuator_moments(model, data)  #: of actuators near qpos0, (nu, nv)
@@ -196,7 +196,7 @@ class Machine:
         return frozenset(joint for each in led for joint in each)
 
     def measured_by(self, columns: Collection[str]) -> "Machine":
-        """Returns the machine that has the unmeasured joints as followers, if equalities allow."""
+        """Returns the machine with unmeasured joints as followers if equalities determine them."""
         absent = {j for j in self.all_joints if f"{j}_position" not in columns}
         found = determined(self.base.model, self.all_joints, absent)
         same = found == set(self.follower_names)
@@ -291,7 +291,7 @@ class Machine:
                 edit(spec)
             model = spec.compile()
             if not (model.geom_contype.any() or model.geom_conaffinity.any() or model.npair):
-                # No contact is possible: without collision detection a replay takes a fifth less.
+                # If no contact is possible, a replay without collision detection saves a fifth.
                 model.opt.disableflags |= int(_OFF.mjDSBL_CONTACT)
             plugin_state = mujoco.MjData(model).plugin_state.copy()
         except (ValueError, mujoco.FatalError) as error:
@@ -322,8 +322,8 @@ def take_free_joints_out(spec: mujoco.MjSpec) -> None:
 def moved(moments: np.ndarray) -> np.ndarray:
     """Returns the degrees of freedom that an actuator moves, by its moments, (nv,).
 
-    A tendon's moments are differences of lengths as large as the machine. So moments on joints that
-    the tendon does not cross are not zero but rounding errors: 1e-16 of the largest moment, or
+    A tendon's moments are differences of lengths as large as the machine. So the moments on joints
+    that the tendon does not cross are rounding errors instead of 0: 1e-16 of the largest moment, or
     1e-13 if a lever is a thousandth of the machine's size.
     """
     size = np.abs(moments)
@@ -346,8 +346,8 @@ class Measured:
     pressure: dict[str, np.ndarray]
     samples: np.ndarray  #: Samples at which windows start, (windows,)
     start: float = 0.0  #: Time of the first sample [s]
-    #: Part of the velocity that commands of native actuators cause, by joint, each (n,). Its slope
-    #: jumps with the commands.
+    #: Part of the velocity that commands of native actuators cause, by joint, each (n,); commands
+    #: change its slope abruptly.
     pushed: dict[str, np.ndarray] = field(default_factory=dict)
     #: Whether a body that a joint moves is in contact, by joint, each (n,).
     touched: dict[str, np.ndarray] = field(default_factory=dict)
@@ -358,7 +358,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class ForceLeft:
-    """A joint's motion at some moments, and the residual force on the joint; all (moments,).
+    """A joint's motion at some instants, and the residual force on the joint; all (moments,).
 
     The residual force is M a + bias minus all forces of the model [N m or N].
     """
@@ -383,7 +383,7 @@ class Change:
         #: Plugin of each instance that edits insert, by instance name.
         self.inserted: dict[str, str] = {}
         self.beyond = False  #: Whether a value was outside the bounds of its plugin's parameter
-        # Command and sensor paths of the model file come first.
+        # Command and sensor paths of the model file are applied first.
         commands, corrections = machine.carried
         self.commands = {actuator: list(paths) for actuator, paths in commands.items()}
         self.corrections = {column: list(undone) for column, undone in corrections.items()}
@@ -451,8 +451,8 @@ class Change:
     def correct(self, column: str, function: Correction, *, noise_gain: float = 1.0) -> None:
         """Corrects a sensor fault in a measured column, before states are reconstructed from it.
 
-        Predictions are compared with corrected values. Errors are divided by `noise_gain`, by which
-        `function` multiplies noise (1/scale of a gain fault): less noise alone is no better fit.
+        Predictions are compared with corrected values. `function` multiplies noise by `noise_gain`
+        (1/scale of a gain fault). Errors are divided by it, as less noise alone is no better fit.
         """
         self.corrections.setdefault(column, []).append((function, noise_gain))
 

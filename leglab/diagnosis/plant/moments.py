@@ -1,4 +1,4 @@
-"""Inverse dynamics: forces of a compiled model at single moments of a motion."""
+"""Inverse dynamics: forces of a compiled model at single instants ("moments") of a motion."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MomentForces:
-    """Forces at moments; arrays that were not requested are empty."""
+    """Forces at some instants of a motion; arrays that were not requested are empty."""
 
-    #: Residual forces, which accelerations need beyond the modelled forces, (moments, nv).
+    #: Residual forces: forces that accelerations need beyond the modelled forces, (moments, nv).
     lacking: np.ndarray
     load: np.ndarray  #: Actuator forces on joints, (moments, nv)
     bias: np.ndarray  #: Gravity, Coriolis and centrifugal forces, (moments, nv)
@@ -32,10 +32,10 @@ def forces_at(
     commands: np.ndarray,
     accelerations: np.ndarray | None = None,
 ) -> MomentForces:
-    """Computes the forces of a model at independent moments.
+    """Computes the forces of a model at independent instants.
 
     Inputs are full physics states, (moments, nstate), controls, (moments, nu), and accelerations,
-    (moments, nv), NaN for joints that move as modelled. None: no residual is computed.
+    (moments, nv), NaN for joints that move as modelled. Without these, no residual is computed.
     """
     joints, actuators = (model.nv,), (model.nu,)
     shapes = dict.fromkeys(("load", "bias"), joints) | {"inertia": joints + joints}
@@ -107,5 +107,5 @@ def dofs(model: mujoco.MjModel, joints: Iterable[str]) -> list[int]:
 
 
 def plugin_offset(model: mujoco.MjModel) -> int:
-    """Returns the index of plugin states in the full state, whose parts are ordered by bits."""
+    """Returns the index of plugin states in MuJoCo's full physics state."""
     return mujoco.mj_stateSize(model, int(STATE) & (int(mujoco.mjtState.mjSTATE_PLUGIN) - 1))

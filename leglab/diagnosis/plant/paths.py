@@ -1,7 +1,7 @@
-"""Faults of command and sensor paths: as functions of samples, and as elements of a model.
+"""Faults of command and sensor paths, as functions of samples and as elements of a model.
 
-Replays have no command and sensor paths. Paths in a model file are therefore removed from the
-replayed model and applied to the recorded samples, like hypothetical faults.
+Replays simulate the model without command and sensor paths. Paths in a model file are therefore
+removed from the replayed model and applied to the recorded samples, like hypothetical faults.
 """
 
 import math
@@ -43,7 +43,7 @@ def take_out(spec: mujoco.MjSpec) -> tuple[dict[str, list[CommandPath]], dict[st
         if plugin.plugin_name == COMMAND_PATH:
             config = dict(plugin.config)
             commands[config["actuator"]] += command_path(config)
-            # Parameters whose effect is not a function of the command alone stay in the model.
+            # Parameters whose effect does not depend on the command alone stay in the model.
             kept = ("actuator", "actuator_gain", "servo_dead_band", "max_delay")
             plugin.config = {k: v for k, v in config.items() if k in kept}
     corrections: defaultdict[str, Corrections] = defaultdict(list)
@@ -106,7 +106,7 @@ def command_path(config: Mapping[str, str | float]) -> list[CommandPath]:
 
 
 def delayed(samples: np.ndarray, delay: float, period: float) -> np.ndarray:
-    """Delays held samples, (n,), by a delay >= 0 [s] that need not be a multiple of the period."""
+    """Delays held samples, (n,), by a delay >= 0 [s], not necessarily a multiple of the period."""
     whole, share = divmod(delay / period, 1.0)
     padded = np.concatenate([np.full(int(whole) + 1, samples[0]), samples])
     return (1.0 - share) * padded[1 : 1 + samples.size] + share * padded[: samples.size]

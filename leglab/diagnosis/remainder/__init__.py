@@ -1,1 +1,1 @@
-"""Learned remainder: static functions that describe errors which no effect explains."""
+"""Learned remainder: static forces and command offsets that no effect of the library explains."""

@@ -1,4 +1,4 @@
-"""Selection of the variables and of the form, additive or periodic, of a balance's remainder."""
+"""Form (variables, additive or periodic) of the remainder: what effects leave of a balance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,11 +16,11 @@ from leglab.diagnosis.thresholds import DEFAULT, Thresholds
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
-    """Additive term of one variable, before its coefficients are estimated."""
+    """Additive term of a remainder in one variable, before its coefficients are estimated."""
 
     variable: str
     knots: np.ndarray  #: Knots of its spline, shape (knots,)
-    columns: np.ndarray  #: d(mean residual of a window)/d(unknown), (windows, unknowns)
+    columns: np.ndarray  #: d(a window's mean residual)/d(unknown), (windows, unknowns)
     penalty: np.ndarray  #: Matrix of the roughness, (unknowns, unknowns)
     #: d(spline coefficient)/d(unknown), (knots + 2, unknowns); None if the coefficients are the
     #: unknowns. The unknowns of sines are a constant, the amplitudes of cosine and sine of each
@@ -38,8 +38,8 @@ class Form:
     """Variables and functions that describe one balance's remainder, with a first estimate.
 
     The unknowns of all terms are concatenated. A term of sines is the last term, `period` is its
-    period (None without sines), and the last unknown is the change of this period. `gain` is
-    the share of the balance's squares that the form explains in cross-validation.
+    period (None without sines), and the last unknown is the change of this period. `gain` is the
+    share of the balance's squared residual that the form explains in cross-validation.
 
     Attributes:
         values: Estimate, (unknowns,).
@@ -99,9 +99,9 @@ class Form:
 def choose_form(
     balance: Balance, *, driven_by_oil: bool, limits: Thresholds = DEFAULT
 ) -> Form | None:
-    """Adds variable after variable by cross-validation over blocks of time; None if none helps.
+    """Adds variables one by one by cross-validation over blocks of time; None if none helps.
 
-    If a cylinder drives the joint, the command is not a force and therefore no candidate.
+    If a cylinder drives the joint, its command is not a force and is therefore not tried.
     """
     if len(balance.lacking) < limits.learned_windows:
         return None
@@ -144,7 +144,7 @@ def _knots(variable: str, x: np.ndarray) -> np.ndarray | None:
     """Returns knots over the range of the variable's data; None if the data are constant.
 
     Friction and valve flow change most near zero, so knots of velocity and command are dense there:
-    their distance is even up to a tenth of the largest value and grows exponentially beyond.
+    their spacing is even up to a tenth of the largest value and grows exponentially beyond.
     """
     low, high = np.quantile(x, [0.002, 0.998]).tolist()
     if not high - low > 1e-9 * max(abs(low), abs(high), 1e-9):
@@ -165,7 +165,7 @@ def _mean(balance: Balance, functions: np.ndarray) -> np.ndarray:
 
 
 def worthwhile(saved: np.ndarray, misfit: float, limits: Thresholds) -> bool:
-    """Tests whether the errors saved are significant and more than a minimum share of `misfit`."""
+    """Tests whether the errors removed are significant and not a minor share of `misfit`."""
     total = float(saved.sum())
     return total > limits.beyond_chance * _chance(saved) and total > limits.worthwhile * misfit
 
@@ -176,9 +176,9 @@ def _chance(values: np.ndarray) -> float:
 
 
 class _Fits:
-    """Robustly weighted fits of terms to one balance, and their errors in cross-validation.
+    """Robustly weighted fits of terms to one balance, and the fits' errors in cross-validation.
 
-    A fit of all candidates together determines which windows are outliers.
+    A fit of all candidate terms together determines which windows are outliers.
     """
 
     def __init__(self, balance: Balance, candidates: Sequence[Term]) -> None:
@@ -199,7 +199,7 @@ class _Fits:
             self.weight = base * np.minimum(1.0, level / np.maximum(scaled, 1e-300))
 
     def design(self, terms: Sequence[Term]) -> np.ndarray:
-        """Concatenates the columns of all terms, (windows, unknowns)."""
+        """Concatenates the derivatives `columns` of all terms, (windows, unknowns)."""
         return np.concatenate([np.zeros((self.target.size, 0)), *(t.columns for t in terms)], 1)
 
     def penalty(self, terms: Sequence[Term]) -> np.ndarray:
@@ -225,7 +225,7 @@ class _Fits:
     def errors(
         self, terms: Sequence[Term], sums: tuple[np.ndarray, np.ndarray] | None = None
     ) -> np.ndarray:
-        """Computes squared errors of blocks in fivefold cross-validation, (blocks,)."""
+        """Computes squared errors of blocks of time in fivefold cross-validation, (blocks,)."""
         matrices, rights = sums or self.sums(terms)
         penalty = self.penalty(terms)
         out = np.array([self.weight[r] @ self.target[r] ** 2 for r in self.blocks])
@@ -237,7 +237,7 @@ class _Fits:
         return np.maximum(out, 0.0)
 
     def smoothed(self, chosen: tuple[Term, ...], new: Term) -> tuple[tuple[Term, ...], np.ndarray]:
-        """Adds a term, smoothed by cross-validation; returns all terms and the errors of blocks."""
+        """Adds a term, smoothed by cross-validation; returns all terms and the blocks' errors."""
         sums = self.sums((*chosen, new))
         tried = []
         # Weights of the roughness, from no smoothing to almost a straight line.
@@ -251,7 +251,7 @@ class _Fits:
     def sines(
         self, own: Term, period: float, harmonics: int, amplitudes: np.ndarray | None = None
     ) -> Term:
-        """Replaces the position's spline by sines, and adds the period's slope for `amplitudes`."""
+        """Replaces the position's spline by sines; adds d/d(period) if `amplitudes` are passed."""
         low, high = own.knots[0], own.knots[-1]
 
         def waves(x: np.ndarray) -> np.ndarray:
@@ -264,7 +264,7 @@ class _Fits:
             slope = (there - back) @ amplitudes / (2.0 * step)
             return np.concatenate([columns, slope[..., None]], axis=-1)
 
-        # With this number of pieces a cubic spline approximates a sine to a thousandth.
+        # With this number of knots a cubic spline approximates a sine to a thousandth.
         knots = np.linspace(low, high, max(8, int(np.ceil(14 * harmonics * (high - low) / period))))
         grid = np.linspace(low, high, 12 * knots.size)
         shape = nearest(knots, grid, waves(grid))
@@ -292,7 +292,7 @@ def _periodic(
 ) -> tuple[tuple[Term, ...], float | None]:
     """Replaces the position's spline by sines if sines fit as well; returns terms and period.
 
-    `left` are the errors of blocks in cross-validation with the spline.
+    `left` are the blocks' errors in cross-validation with the spline.
     """
     others = tuple(term for term in chosen if term.variable != "position")
     (own,) = (term for term in chosen if term.variable == "position")
@@ -326,7 +326,7 @@ def _periodic(
     for harmonics, repeats in ((1, 0.0), (2, 1.3), (3, 1.8)):
         tried = frequencies[frequencies * span >= repeats]
         costs = np.array([misfit(f, harmonics) for f in tried])
-        # Half the true frequency fits equally by its even harmonics, so the highest is tried first.
+        # Half the true frequency fits as well by its even harmonics, so the highest is tried first.
         least = costs.min()
         near = np.flatnonzero(costs <= least + limits.worthwhile * max(alone - least, 0.0))
         best = np.inf, chosen, 0.0
@@ -346,7 +346,7 @@ def _periodic(
 
 
 def _neighbours(rest: np.ndarray, balance: Balance) -> float:
-    """Computes the correlation of errors `rest` of neighbouring windows, limited to 0 to 0.95."""
+    """Computes the correlation of neighbouring windows' errors `rest`, clipped to [0, 0.95]."""
     step = np.median(np.diff(balance.time)[np.diff(balance.recording) == 0])
     together = (np.diff(balance.recording) == 0) & (np.diff(balance.time) < 1.5 * step)
     limit = 4.0 * np.median(np.abs(rest)) + 1e-300

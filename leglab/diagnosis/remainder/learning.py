@@ -1,4 +1,4 @@
-"""Learning of a static remainder that no effect explains, from balances, refined by replay."""
+"""Learning of static forces that no effect explains: from force balances, then by simulation."""
 
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
@@ -25,12 +25,12 @@ MEMORY_WORDS = "What is left has a memory: delay, play or flexibility are suspec
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """A learned static remainder whose gain is validated on held-out recordings."""
+    """Learned static forces ("remainder") whose gain is validated on held-out recordings."""
 
     parts: tuple[Part, ...]  #: Forces of joints and command offsets of cylinders
     hypothesis: Hypothesis  #: Hypothesis whose nuisance parameters are refitted with the parts
     described: tuple[Described, ...]
-    problem: Problem  #: Has the parts in every hypothesis, and the noise model at `hypothesis`
+    problem: Problem  #: Problem with the parts in all hypotheses; noise model at `hypothesis`
     closed_fraction: float  #: (before - after) / (before - 1) of the held-out RMS in noise levels
     memory: bool  #: Whether the remaining errors depend on the past
 
@@ -63,9 +63,9 @@ def learn_remainder(
     """Learns a static remainder in addition to a hypothesis; None if no gain is validated.
 
     Additive splines are fitted to the balances of forces and oil along the measured motion, and
-    refined by replays together with the nuisance parameters. Parts without a gain on held-out
-    recordings are left out; without such recordings the result is None. The values of the effects
-    `named` are fixed; by default these are all effects without a tolerance.
+    refined by replays together with the parameters that have tolerances (nuisance parameters).
+    Parts without a gain on held-out recordings are left out; None without such recordings. The
+    values of the effects `named` are fixed; by default these are all effects without a tolerance.
     """
     held, sites, least = problem.held, problem.library.sites, EXPLAINED
     if not held.any() or problem.window_cost(hypothesis)[held].mean() < least:
@@ -73,7 +73,7 @@ def learn_remainder(
     if named is None:
         named = [k for k in hypothesis if all(p.tolerance == 0.0 for p in sites[k].parameters)]
     keep = frozenset(named)
-    # Fitted nuisance parameters may hide a missing force, so both are tried: without and with them.
+    # Fitted nuisance parameters may hide a missing force, so fits without and with them are tried.
     starts = [hypothesis.only(keep)]
     if set(hypothesis) != set(keep):
         starts.append(hypothesis)
@@ -94,7 +94,7 @@ def learn_remainder(
 
 
 def find_forms(problem: Problem, hypothesis: Hypothesis) -> tuple[Form, ...]:
-    """Chooses the form of each balance's remainder by the fitted windows with a moving joint."""
+    """Chooses the form of each balance's remainder from fitted windows in which the joint moves."""
     machine, limits = problem.machine, problem.thresholds
     fitted = np.unique(problem.replay.recording[problem.fitted])
     forms = (
@@ -145,8 +145,8 @@ def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hyp
     """Tests whether learned parts enlarge any error of held-out recordings, in physical units.
 
     It compares errors of channels at the end of windows, and of joints in closed-loop simulations
-    of whole recordings. They are not whitened, because whitening suppresses errors that uncertain
-    start states could cause. An error may grow by the noise of its sensor.
+    of whole recordings. Errors are not whitened, because whitening suppresses errors that uncertain
+    start states could cause. An error may grow by its sensor's noise (added in quadrature).
     """
     held, noise = problem.held, problem.sensor_noise
     recordings = np.unique(problem.replay.recording[held]).tolist()
@@ -165,7 +165,7 @@ def worsens(problem: Problem, without: Hypothesis, learned: Problem, beside: Hyp
 
 
 def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
-    """Tests whether costs of windows fall significantly, and by a minimum share of the misfit."""
+    """Tests whether the windows' costs fall significantly, and by a minimum share of the misfit."""
     cost = robust_cost(before, limits.robust_limit)
     saved = cost - robust_cost(after, limits.robust_limit)
     misfit = saved.size * (max(float(cost.mean()), EXPLAINED) - 1.0)
@@ -173,10 +173,10 @@ def pays(before: np.ndarray, after: np.ndarray, limits: Thresholds) -> bool:
 
 
 def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
-    """Tests whether the errors of a hypothesis persist and are no function of the present motion.
+    """Tests whether the errors of a hypothesis are correlated but not functions of the motion.
 
     Whitened errors of a correct model are independent. If errors of neighbouring bins correlate, an
-    effect is missing; if static functions explain little of the balances, it depends on the past.
+    effect is missing; if static functions explain little, this effect depends on the past.
     """
     residual = problem.residual(hypothesis).reshape(problem.replay.windows, -1, problem.replay.bins)
     own = residual / (np.sqrt(np.mean(residual**2, axis=(1, 2), keepdims=True)) + 1e-300)
@@ -186,7 +186,7 @@ def has_memory(problem: Problem, hypothesis: Hypothesis) -> bool:
 
 
 def open_directions(form: Form, most: int) -> np.ndarray:
-    """Returns the principal directions of largest variance, one standard deviation long each."""
+    """Returns up to `most` principal directions of the estimates, one standard deviation long."""
     scale = np.sqrt(np.maximum(np.diag(form.covariance), 1e-300))
     values, vectors = np.linalg.eigh(form.covariance / np.outer(scale, scale))
     order = np.argsort(-values)[:most]
@@ -203,7 +203,7 @@ def with_parts(problem: Problem, parts: Sequence[Part]) -> Problem:
 def refine(
     problem: Problem, hypothesis: Hypothesis, forms: Sequence[Form], fixed: frozenset[Key]
 ) -> tuple[tuple[Part, ...], Hypothesis]:
-    """Fits forms along their principal directions, and nuisance parameters, to replays.
+    """Fits coefficients of forms (along principal directions) and nuisance parameters to replays.
 
     Effects in `fixed` do not change. Returns the parts in the order of the forms, each bounded
     slightly above its largest value on the data, and the hypothesis with the nuisance parameters.
@@ -271,8 +271,8 @@ def _step(
 ) -> tuple[np.ndarray, float]:
     """Computes a robust step, in standard deviations of priors, and the scale of remaining errors.
 
-    A model that is also wrong in other ways leaves errors of many noise levels. So replays are
-    weighted by the RMS error of the median window after the step (Kennedy and O'Hagan 2001).
+    A model that is also wrong in other ways leaves errors of many noise levels. So errors are
+    divided by the RMS error of the median window after the step (Kennedy and O'Hagan 2001).
     """
     matrices = jacobian.transpose(0, 2, 1) @ jacobian
     rights = np.einsum("wnk,wn->wk", jacobian, residual)

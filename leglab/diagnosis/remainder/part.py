@@ -31,9 +31,9 @@ class Part:
     """A learned static force on a joint, or command offset of a cylinder."""
 
     element: str
-    joint: str  #: Joint whose motion it depends on
-    actuator: str  #: Actuator whose command it depends on; empty if none drives the joint
-    oil: bool  #: Whether it is a command offset of a cylinder, otherwise a force
+    joint: str  #: Joint on whose motion the part depends
+    actuator: str  #: Actuator on whose command the part depends; empty if none drives the joint
+    oil: bool  #: Whether the part is a command offset of a cylinder, otherwise a force
     terms: Mapping[str, CubicSpline]  #: Additive splines by variable
     period: Periodicity | None = None  #: Repetition over the position; None if not periodic
     bound: float = _NO_BOUND  #: Largest magnitude of the sum of the terms
@@ -44,12 +44,12 @@ class Part:
         return f"{self.element}_remainder"
 
     def at(self, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Computes the force or offset from one array of inputs per variable, all of one shape."""
+        """Computes the force or offset from an array of inputs per variable, all of one shape."""
         total = np.sum([spline(inputs[v]) for v, spline in self.terms.items()], axis=0)
         return np.clip(total, -self.bound, self.bound)
 
     def config(self, *, neutral: bool = False) -> dict[str, float | str]:
-        """Returns its attributes as a `leglab.residual`; if `neutral`, coefficients are zero."""
+        """Returns the attributes of its plugin instance; if `neutral`, all coefficients are 0."""
         out: dict[str, float | str] = {"cylinder" if self.oil else "joint": self.element}
         if "command" in self.terms and not self.oil:
             out["actuator"] = self.actuator

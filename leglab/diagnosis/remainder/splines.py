@@ -33,7 +33,7 @@ def basis(knots: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def roughness(knots: np.ndarray) -> np.ndarray:
-    """Computes the penalty matrix of the integrated squared second derivative.
+    """Computes the matrix of a spline's penalty, the integrated squared second derivative.
 
     The factor range^3 makes it independent of the input's unit. Straight lines have no penalty.
     """

@@ -1,4 +1,4 @@
-"""Descriptions in words of the shapes of learned parts."""
+"""Descriptions in words of learned forces and command offsets (parts of the remainder)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ _HARDLY = SMALL
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """Shape of one additive term."""
+    """Shape of one additive term of a learned part, as a function of one variable."""
 
     variable: str
     size: float  #: Half the difference of its largest and smallest value on the data [N m, N or 1]
     interval: tuple[float, float]  #: Range of the data [unit of the variable]
     #: Parity about zero input; None for positions and if one sign of the input is missing.
     parity: Parity | None
-    one_sided: Side | None  #: The only sign of input for which it changes; None if both
+    one_sided: Side | None  #: Sign of the input for which alone the term changes; None for both
     saturating: bool  #: Whether it is nearly flat in the outer quarters of its range
-    rising: bool  #: Whether it rises with the variable; resistance falls with velocity
+    rising: bool  #: Whether it rises with the variable (a resistance falls with velocity)
     period: Periodicity | None  #: Repetition over the position
 
 

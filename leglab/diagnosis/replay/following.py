@@ -1,8 +1,8 @@
 """Closed-loop simulation of whole recordings.
 
-Under the measured commands alone, small errors add up and a machine without a spring drifts away.
-So a position controller corrects each command. The remaining position error and the corrections of
-the controller together show how wrong the model is.
+Under the measured commands alone, small errors add up, so that a machine without a spring drifts
+away. Therefore a position controller corrects each command. The remaining position error and the
+corrections together show how wrong the model is.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Followed:
     """A simulation of a whole recording; arrays over its samples, (samples,)."""
 
     time: np.ndarray  #: Times of the samples [s]
-    #: Positions by joint [rad or m], smoothed, with the hypothesis's sensor corrections.
+    #: Smoothed positions by joint [rad or m], with the hypothesis's sensor corrections.
     measured: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]  #: Positions by joint; NaN after the simulation blew up
     correction: dict[str, np.ndarray]  #: Corrections of the commands by the controller, by actuator
@@ -42,10 +42,10 @@ def follow(
     loop: float = 1.0,
     after: float = -np.inf,
 ) -> Followed | None:
-    """Simulates the recording with this number from its first window to its end or next gap.
+    """Simulates the recording with this index from its first window to its end or next data gap.
 
-    Only windows that start at `after` [s] or later count; returns None if there are none. Effects
-    act from the start, without onsets. `loop` is the share of a position error that the controller
+    Only windows that start at `after` [s] or later count; returns None if none does. Effects act
+    from the start, without onsets. `loop` is the share of a position error that the controller
     removes within a window: 1 is softer than usual controllers of legs and axes, 0 is open loop.
     """
     change = problem.library.change(hypothesis, problem.machine)
@@ -87,10 +87,10 @@ def follow(
 def _gains(problem: Problem, course: Course, loop: float) -> np.ndarray:
     """Computes the gains on position error and its rate, (2, actuators, joints).
 
-    A unit command moves its joint by r within a window of length T, in proportion to time^p. If the
-    command sets a speed (p = 1), the gain `loop`/r removes errors at the rate `loop`/T. If it sets
-    a force (p = 2), the same gain yields a natural frequency with the square 2 `loop`/T^2, and a
-    rate gain of 2 T (p - 1) times the gain damps the loop well.
+    Within a window of length T, a unit command moves its joint by r, in proportion to time^p. If
+    the command sets a speed (p = 1), the gain `loop`/r removes errors at the rate `loop`/T. If it
+    sets a force (p = 2), the same gain yields the natural frequency sqrt(2 `loop`)/T, and a rate
+    gain of 2 T (p - 1) times the gain damps the loop well.
     """
     machine = problem.machine
     gains = np.zeros((2, len(machine.actuators), len(machine.joints)))

@@ -20,9 +20,9 @@ from leglab.diagnosis.replay.windows import Channel
 
 
 def balanced_joints(machine: Machine, channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Returns the joints whose drive forces are known; cylinders need measured pressures.
+    """Returns the joints whose drive forces are known; a cylinder's needs measured pressures.
 
-    Joints that move followers are excluded, because equality constraints add unknown forces.
+    Joints that lead others by equality constraints are excluded, as constraint forces are unknown.
     """
     known = {channel.column for channel in channels}
     blind = {
@@ -49,7 +49,7 @@ def lacking_forces(
     moments = states_at(machine, model, measured, k, plugin, without=closed)
     moments[:, 0] = states[:, 0]
     # Commands are held between samples, so the acceleration around a sample is due to the mean of
-    # its command and the previous one. With `actearly`, an actuator sees the previous command.
+    # its command and the previous command. With `actearly`, it is due to the previous command.
     now, before = (commands_at(machine, measured, samples) for samples in (k, k - 1))
     native = np.isin(machine.actuators, machine.native_actuators())
     command = np.where(native, 0.5 * (now + before), now)

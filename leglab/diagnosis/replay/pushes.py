@@ -1,7 +1,7 @@
-"""Motion that commands of MuJoCo's native actuators cause, and whose fast part filters remove.
+"""Motion by commands of MuJoCo's native actuators, whose fast part smoothing filters remove.
 
 Smoothed positions do not show how a noisy command moves a light joint from sample to sample. This
-motion is therefore computed from the commands, and its filtered-out part is added again.
+motion is therefore computed from the commands, and the part that filters remove is added again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -40,7 +40,7 @@ class Pushes:
         limited = model.actuator_ctrllimited[acting].astype(bool)[:, None]
         self._limits = np.where(limited, model.actuator_ctrlrange[acting], [-np.inf, np.inf])
         dofs = [int(model.joint(j).dofadr[0]) for j in machine.joints]
-        # d(acceleration)/d(command), and rate at which dampers and servos slow a joint [1/s].
+        # d(joint acceleration)/d(command), and rate at which dampers and servos slow joints [1/s].
         count = -(-series.time.size // stride)
         response = np.zeros((acting.size, count, len(dofs)))
         decay = np.zeros(len(dofs))
@@ -63,7 +63,7 @@ class Pushes:
     def moved(
         self, commands: Mapping[str, np.ndarray], period: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Computes positions and velocities that commands alone cause, from rest, each (joints, n).
+        """Computes positions and velocities by commands alone, from rest, each (joints, n).
 
         Each command is held for a sampling period [s].
         """

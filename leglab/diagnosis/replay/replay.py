@@ -33,7 +33,7 @@ _CACHED_VARIANTS = 8
 # Maximum memory for the states of the windows in one batch of a replay [bytes].
 _MEMORY = 50_000_000
 
-# Windows of one recording, its measured series, and its columns after sensor corrections.
+# Windows of one recording, its measured series, and its signals after sensor corrections.
 Part = tuple[Cut, Measured, dict[str, np.ndarray]]
 # Windows of one recording, its series at the samples of interest, and full physics states there.
 Along = tuple[Cut, Measured, np.ndarray]
@@ -45,8 +45,8 @@ class ReplayErrors:
 
     values: np.ndarray  #: Means over bins, after sensor corrections, (windows, channels, bins)
     normalised: np.ndarray  #: Divided by the gain of sensor corrections, same shape
-    left: np.ndarray | None  #: First array of `Replay.lacking`; None if not requested
-    pushed: np.ndarray | None  #: Second array of `Replay.lacking`; None if not requested
+    left: np.ndarray | None  #: Residual forces, see `Replay.lacking`; None if not requested
+    pushed: np.ndarray | None  #: Change of `left` with commands, see `Replay.lacking`, or None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ class Course:
 
 
 def at_replay_step(machine: Machine, period: float) -> Machine:
-    """Returns the machine at the time step of replays; `Problem` corrects the error of this step.
+    """Returns the machine at the time step of replays; `Problem` corrects errors by this step.
 
     The step is the longest that divides the sampling period [s], is at most twice the model's step
     and is accepted by the model.
@@ -82,7 +82,7 @@ def at_replay_step(machine: Machine, period: float) -> Machine:
 
 
 class Replay:
-    """Windows of several recordings, replayed together by `mujoco.rollout` threads.
+    """Windows (short pieces) of several recordings, replayed together by `mujoco.rollout` threads.
 
     All recordings have the same sampling period, which the machine's time step must divide.
 
@@ -106,7 +106,7 @@ class Replay:
         self.window = self.samples * period  # length of a window [s]
         self.rest_time = max(thresholds.rest_time, period)  #: for `Instances.balance` [s]
         chambers = sum(1 for c in channels if c.chamber)
-        #: Whether some chamber pressures are not measured; a longer replay then estimates them.
+        #: Whether some chamber pressures are not measured, so that a longer replay estimates them.
         self.blind = chambers < 2 * len(machine.cylinders)
         self._lead = round(thresholds.warm_up / period) if self.blind else 0
         #: Standard deviation of each channel's samples, (recordings, channels).
@@ -131,7 +131,7 @@ class Replay:
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._datas: dict[int, tuple[Variant, list[mujoco.MjData]]] = {}
         self._room = np.empty(0)  # buffer of states
-        self.rollouts = 0.0  #: number of replays; of some windows: a fraction
+        self.rollouts = 0.0  #: number of replays; a replay of some windows counts as a fraction
 
     @property
     def windows(self) -> int:
@@ -148,7 +148,7 @@ class Replay:
 
     def use_one_thread(self) -> None:
         """Replaces the thread pool that a forked process inherited from its parent."""
-        # The old pool stays referenced: its threads exist in the parent only, so deleting it hangs.
+        # The old pool stays referenced: deleting it would hang, since its threads are the parent's.
         self._abandoned, self._threads = self._pool, 1
         self._pool, self._datas = rollout.Rollout(nthread=0), {}
 
@@ -202,7 +202,7 @@ class Replay:
         )
 
     def lacking(self, change: Change, chosen: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Computes residual forces along the measured motion, and how they change with commands.
+        """Computes residual forces along the measured motion, and their change with commands.
 
         The first array, (windows, balanced joints, blocks), has means of `comparable_forces` over
         blocks of a window; the second has their change if native commands are scaled by `LOUDER`.
@@ -210,7 +210,7 @@ class Replay:
         return self._left(change, self.along(change, chosen))
 
     def along(self, change: Change, chosen: np.ndarray | None) -> Iterator[Along]:
-        """Yields per recording the samples inside chosen windows, with full physics states."""
+        """Yields, per recording, samples inside chosen windows, with the full physics states."""
         return self._along(change, self._parts(change, chosen))
 
     @property
@@ -221,7 +221,7 @@ class Replay:
     def _along(
         self, change: Change, parts: Iterable[Part], *, starts: bool = False
     ) -> Iterator[Along]:
-        """Yields the results of `along` for recordings `parts`; window starts first if `starts`."""
+        """Yields `along` for recordings `parts`; if `starts`, with the samples at starts first."""
         inside = np.arange(self.half, self.samples - self.half + 1, 2 * self.half)
         blocks = FORCE_BLOCKS
         inside = inside[: inside.size // blocks * blocks]
@@ -233,7 +233,7 @@ class Replay:
             yield cut, at, start_states(cut, change, at, self.channels, self.rest_time)
 
     def _left(self, change: Change, along: Iterable[Along]) -> tuple[np.ndarray, np.ndarray]:
-        """Computes the two arrays of `lacking` from the results of `along`."""
+        """Computes the two arrays that `lacking` returns from the results of `along`."""
         joints = balanced_joints(self.machine, self.channels)
         native = self.machine.native_actuators()
 
@@ -255,7 +255,7 @@ class Replay:
         return np.concatenate(found), np.concatenate(pushed)
 
     def respond(self, change: Change, window: int, commands: np.ndarray) -> np.ndarray:
-        """Predicts outputs from the start of a window under commands that differ from the measured.
+        """Predicts outputs from the start of a window under commands other than the measured ones.
 
         Commands have the shape (series, samples, actuators), outputs (series, channels, samples).
         """
@@ -267,9 +267,9 @@ class Replay:
         return self._predicted(change.variant, np.repeat(start, len(commands), axis=0), controls)
 
     def course(self, change: Change, recording: int, after: float) -> Course | None:
-        """Returns a recording from its first window after a time [s] to its end or next gap.
+        """Returns a recording from its first window at or after a time [s] to its next data gap.
 
-        Returns None if no window starts at or after this time.
+        Returns None if no such window exists.
         """
         cut = self.cuts[recording]
         cut = replace(cut, firsts=cut.firsts[cut.series.time[cut.firsts] >= after])
@@ -337,7 +337,7 @@ class Replay:
         unknown = [None] * len(parts)
         if not self.blind:
             return states(0, unknown)
-        # A replay of the time before each window ends with the window's start pressures.
+        # A replay of the time before each window ends with the pressures at the window's start.
         controls = [
             self._controls(cut, m, cut.firsts[:, None] - self._lead + np.arange(self._lead))
             for cut, m, _ in parts
@@ -358,9 +358,9 @@ class Replay:
         actuators, steps = self.machine.actuators, self.substeps
         controls = commands_at(self.machine, measured, index)
         controls = np.repeat(controls, steps, axis=1)
-        # A velocity is half a step older than its position, so an impulse spans half a step before
-        # and after and uses the mean command of this span. Valves and activations follow commands
-        # by their dynamics; an activation stepped before the force uses the previous command.
+        # MuJoCo's velocities are half a step older than its positions. So a command acts from half
+        # a step before to half a step after its time, as a mean over this span. Activations have
+        # dynamics of their own; with `actearly` they use the previous command.
         lead = ((cut.series.command_lead or 0.0) + lead) / self._period
         early = self.machine.base.model.actuator_actearly
         for name in self.machine.native_actuators():
@@ -388,7 +388,7 @@ class Replay:
         The shape is (windows, steps, places). A batch of windows takes at most `_MEMORY`.
         """
         model = variant.model
-        # An MjData contains the plugin instances of one model, so each variant has its own MjData.
+        # An MjData contains one model's plugin instances, so that each variant needs its own.
         if id(variant) not in self._datas:
             made = [mujoco.MjData(model) for _ in range(self._threads)]
             self._datas[id(variant)] = variant, made

@@ -1,4 +1,7 @@
-"""Recordings and machine as a least-squares problem: whitened errors and their noise model."""
+"""Recordings and machine as a least-squares problem: whitened errors and their noise model.
+
+The errors are those of "replays": simulations of short windows from measured states.
+"""
 
 from collections.abc import Iterable, Sequence
 from copy import copy
@@ -23,14 +26,14 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
-    """Noise of a correct model's replay errors, linearised at one hypothesis."""
+    """Covariance of a correct model's replay errors, linearised at one hypothesis."""
 
     defect: np.ndarray  #: Errors at time step zero minus replay errors, (windows, channels, bins)
     #: Inverse Cholesky factors of the windows' covariances, which turn errors into numbers of unit
     #: variance, shape (windows, size, size).
     whitening: np.ndarray
-    # `whitening` of the last chosen windows, by their mask: hundreds of successive replays use the
-    # same windows, and a copy of their factors takes as long as a replay of a leg.
+    # `whitening` of the last chosen windows, by their mask, because hundreds of successive replays
+    # use the same windows, and a copy of their factors takes as long as a replay of a leg.
     _chosen: dict[bytes, np.ndarray] = field(default_factory=dict, init=False)
 
     def covariance(self, chosen: np.ndarray, block: slice = slice(None)) -> np.ndarray:
@@ -50,10 +53,7 @@ class NoiseModel:
 
 
 def whitened(roots: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Whitens errors of windows to unit variance, shape (windows, size).
-
-    This is called hundreds of times, and one batched product is faster than triangular solves.
-    """
+    """Whitens errors to unit variance, (windows, size), by one batched product, which is fast."""
     return (roots @ errors.reshape(len(errors), -1, 1))[:, :, 0]
 
 
@@ -119,8 +119,8 @@ class Problem:
             return replay.error(change, chosen=chosen).values
 
         whole, half, quarter = errors(self.replay), errors(self._fine), errors(self._at(0.25), some)
-        #: Joint that becomes unstable in replays of the unmodified model, None if none does; and
-        #: whether all are stable at half the time step.
+        #: Joint that becomes unstable in replays of the unmodified model, or None; and whether all
+        #: joints are stable at half the time step.
         self.blown, self.finer_helps = self._blown(whole), self._blown(half) is None
         self._beyond_half = extrapolation((half - whole)[some], quarter - half[some])
         #: Linearised at the unmodified machine; `about` changes this.
@@ -144,7 +144,7 @@ class Problem:
         """Returns the joint that the time step makes unstable in replays, or None.
 
         Its position errors, of (windows, channels, bins), exceed a hundred times its travel in more
-        than half of the windows. Wrong models stay below; unstable steps amplify errors by 1e6.
+        than half of the windows. Wrong models err less; unstable steps amplify errors by 1e6.
         """
         for k, channel in enumerate(self.channels):
             if channel.chamber:
@@ -174,11 +174,11 @@ class Problem:
     def _noise_model(self, change: Change, reference: np.ndarray, finer: np.ndarray) -> NoiseModel:
         """Computes the noise model at a change with errors `reference`, (windows, channels, bins).
 
-        The covariance of a window's errors is N + S P S' + D D'. N is the sensor noise of the bins,
-        P the covariance of the start states, S the sensitivity of predictions to start states, from
-        replays with perturbed starts, and D the error due to the time step. Errors are corrected by
-        D, since a machine has no time step; D also counts as noise, since a recording that the
-        model itself simulated has this error. `finer`: change of the errors at half the step.
+        The covariance of a window's errors is N + S P S' + D D'. N is the noise of sensors and of
+        timing, P the covariance of the start states, S the sensitivity of predictions to start
+        states, from replays with perturbed starts, and D the error due to the time step. D is
+        subtracted, since a machine has no time step, but also counts as noise, since a recording
+        by a simulation has this error. `finer`: change of the errors at half the time step.
         """
         replay, limits, size = self.replay, self.thresholds, self.size
         per_bin = replay.samples // replay.bins
@@ -233,7 +233,7 @@ class Problem:
         return found
 
     def residual(self, hypothesis: Hypothesis, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Computes whitened errors, (chosen windows, size); 0 in windows of an onset."""
+        """Computes whitened errors, (chosen windows, size); 0 if an effect begins in the window."""
         errors, certain = self._errors(self.replay, hypothesis, chosen)
         defect = self.noise.defect if chosen is None else self.noise.defect[chosen]
         white = self.noise.white((errors + defect) * certain[:, None, None], chosen)
@@ -250,7 +250,7 @@ class Problem:
     def _errors(
         self, replay: Replay, hypothesis: Hypothesis, chosen: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Computes errors of chosen windows, and 0 per window in which an effect begins, else 1."""
+        """Computes errors of chosen windows, and by window 0 if an effect begins in it, else 1."""
         if not hypothesis.onsets:
             change = self.library.change(hypothesis, replay.machine)
             errors = replay.error(change, chosen=chosen).normalised
@@ -310,8 +310,8 @@ def extrapolation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     `first` is the change of the errors, (windows, channels, bins), from the step h to h/2, `second`
     the change from h/2 to h/4. If the error is c_1 h + c_2 h^2, both determine the change from h to
     0 (Romberg): (2 first + 8 second)/3. This is 4/3 `first` for second-order errors (c_1 = 0) and
-    twice `first` for an error of first order. The factor is the median over windows, because errors
-    near jumps and stick-slip have no order.
+    twice `first` for an error of first order. The factor is the median over windows, because near
+    discontinuities and stick-slip, errors have no order.
     """
     limit = (2.0 * first + 8.0 * second) / 3.0
     square = (first**2).sum(axis=2)

@@ -1,8 +1,8 @@
 """Start states of windows: measured motion, and hidden states reconstructed from this motion.
 
-At rest the measured velocity is only noise. Dry friction is then computed from the balance of
-forces; several bristles on one joint (a cylinder's seals, a bearing) share this friction in
-proportion to their limits. A joint in contact keeps the bristle deflection of its last slide.
+At rest the measured velocity is only noise. Dry friction (a LuGre "bristle" that deflects) is then
+computed from the balance of forces; several bristles on one joint (a cylinder's seals, a bearing)
+share it in proportion to their limits. A joint in contact keeps the deflection of its last slide.
 """
 
 from collections.abc import Mapping
@@ -28,12 +28,12 @@ from leglab.diagnosis.plant.paths import play
 from leglab.diagnosis.replay.windows import Channel, Cut, smoothed
 from leglab.diagnosis.thresholds import FLANK, PRESSED
 
-# Parameters of a cylinder with which the flow from its supply changes, at known pressures.
+# Parameters of a cylinder that change the flow from its supply at known pressures.
 FLOW = (
     *("rated_flow", "rated_pressure_drop", "flow_asymmetry", "laminar_transition_pressure"),
     *("lap", "lap_difference_tank", "lap_difference_chambers", "edge_rounding", "edge_exponent"),
 )
-# Sliding speed at break-away [m/s or rad/s]: nearly zero, where the Stribeck curve peaks.
+# Sliding speed at break-away [m/s or rad/s], at which the Stribeck curve peaks: nearly zero.
 _BREAKAWAY = np.finfo(float).tiny
 
 
@@ -77,9 +77,9 @@ class Instances:
     measured: Measured  #: Series of one recording
     variant: Variant  #: Compiled model with the hypothesis's changes
     state: np.ndarray  #: Parameters and states at window starts, shape (windows, npluginstate)
-    #: Reconstructed series by element and name, each (n,): "spool_position", "bristle", and
-    #: "carried", on which the friction depends: the load of a joint, or the sum of a cylinder's
-    #: gauge pressures.
+    #: Reconstructed series by element and name, each (n,): "spool_position", "bristle", and the
+    #: quantity "carried" on which friction depends, that is, a joint's load or the sum of a
+    #: cylinder's gauge pressures.
     followed: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def get(self, element: str, name: str) -> np.ndarray:
@@ -108,7 +108,7 @@ class Instances:
 
         A supply keeps its initial state if pressures of one of its cylinders are not measured.
         """
-        # Cylinders first, because the load on joint friction depends on their forces.
+        # Cylinders are set first, because the load of joint friction depends on their forces.
         for plugin, follow in ((CYLINDER, self._cylinder), (FRICTION, self._joint_friction)):
             for element, (_, table) in self.variant.elements.items():
                 if table.plugin == plugin:
@@ -143,7 +143,7 @@ class Instances:
     def _seat(self, element: str, velocity: np.ndarray, level: np.ndarray) -> None:
         """Places a piston at the flank of the pin's play against which it pressed last.
 
-        A piston crosses the play within milliseconds; only friction can hold it in between.
+        A piston crosses the play within milliseconds; only friction can hold it between flanks.
         """
         samples, play = self.measured.samples, self.value(element, "play")
         pressures = self.chambers(element)
@@ -195,7 +195,7 @@ class Instances:
         return self.state[0, start : start + len(table.parameters)].copy()
 
     def _joint_friction(self, element: str) -> None:
-        """Sets the load |k_a qfrc_actuator + k_b qfrc_bias| and the bristle of joint friction."""
+        """Sets the load |k_a qfrc_actuator + k_b qfrc_bias| and bristle of a joint's friction."""
         joint = self.variant.joint_of[element]
         velocity = self.measured.velocity[joint]
         names = (f"{load}_load_coefficient" for load in ("actuator", "bias"))
@@ -212,12 +212,12 @@ class Instances:
     def _loads(self) -> tuple[np.ndarray, np.ndarray]:
         """Every 20th sample, with the actuator and bias forces on all joints, (samples, nv, 2).
 
-        Loads change as slowly as the pose, so other samples are interpolated.
+        Loads change as slowly as the pose, so they are interpolated at all other samples.
         """
         measured, machine, model = self.measured, self.machine, self.variant.model
         count = measured.velocity[machine.joints[0]].size
         chosen = np.unique(np.append(np.arange(0, count, 20), count - 1))
-        # Only cylinder states are set, so that cached forces are valid for any joint friction.
+        # Only cylinder states are set, so that the cached forces are valid for any joint friction.
         plugin = np.tile(self.variant.plugin_state, (chosen.size, 1))
         for cylinder in machine.cylinders:
             start, table = self.variant.elements[cylinder]
@@ -247,7 +247,7 @@ class Instances:
         return out
 
     def _slide(self, element: str, velocity: np.ndarray, carried: np.ndarray) -> np.ndarray:
-        """Computes and sets a bristle along the series; returns its steady friction; all (n,)."""
+        """Computes a bristle along the series and sets it; returns its steady friction, (n,)."""
         self.followed[element, "carried"] = carried
 
         def slid() -> tuple[np.ndarray, np.ndarray]:
@@ -288,7 +288,7 @@ class Instances:
                     self.state[rests, one.slot] = 0.0
         if not still:
             return
-        # Each bristle acts on one joint, so one evaluation with all at 0 serves all joints.
+        # A bristle acts on one joint, so one evaluation with all bristles at 0 serves all joints.
         rows = np.flatnonzero(np.any([resting.any(axis=0) for _, resting in still.values()], 0))
         left = self._unbalanced(rows, [*still])
         for held, (acting, resting) in zip(left.T, still.values(), strict=True):
@@ -335,7 +335,7 @@ class _Bristle(NamedTuple):
     slot: int  # Index of its deflection in the plugin state.
     slope: np.ndarray  # d(force on the joint)/d(deflection).
     limits: np.ndarray  # Largest friction force in either direction, (2, windows).
-    travel: np.ndarray  # Joint travel of the full deflection.
+    travel: np.ndarray  # Joint travel that causes the full deflection.
 
 
 def measure(
@@ -357,7 +357,7 @@ def measure(
         else:
             position[channel.joint], velocity[channel.joint] = level, slope
     pushed: dict[str, np.ndarray] = {}
-    # If a hypothesis puts a body between motor and joint, commands do not accelerate the joint.
+    # If a hypothesis puts a body between motor and joint, commands do not move the joint directly.
     if cut.pushes.actuators and cut.pushes.dofs == change.variant.model.nv:
         driven = _driven(cut, channels, command, position, velocity)
         for joint, own in zip(machine.joints, driven, strict=True):
@@ -419,7 +419,7 @@ def _with_integrators(
     """Returns the series with activations whose initial values balance the forces.
 
     Commands determine only the change of an integrator. Its initial value minimises the squared
-    residual forces of the faster half of the samples, because dry friction hides it at rest.
+    residual forces of the faster half of the samples, because at rest dry friction hides the value.
     """
     machine, model = change.machine, change.variant.model
     own = [n for n in machine.stateful if model.actuator(n).dyntype[0] == INTEGRATOR]
@@ -438,7 +438,7 @@ def _with_integrators(
         other = replace(instances, measured=replace(at, activation=moved))
         return other._unbalanced(rows, joints).ravel()
 
-    # With limits, other samples saturate after a step, so the estimate is repeated once.
+    # With activation limits, other samples saturate after the step, so it is repeated once.
     for _ in range(2 if model.actuator_actlimited.any() else 1):
         step, force = 1e-4, left()
         slopes = np.stack([(left(name, step) - force) / step for name in own], axis=1)
@@ -451,7 +451,7 @@ def _with_integrators(
 def _follow(
     cut: Cut, machine: Machine, position: dict[str, np.ndarray], velocity: dict[str, np.ndarray]
 ) -> None:
-    """Adds positions and velocities of the followers, computed from the equalities, each (n,)."""
+    """Adds positions and velocities of joints that follow others by equalities, each (n,)."""
     model, followers = machine.base.model, machine.followers
     assert followers is not None
     given = tuple(position[j] for j in machine.joints) + tuple(velocity[j] for j in machine.joints)
@@ -490,7 +490,7 @@ def _driven(
     position: dict[str, np.ndarray],
     velocity: dict[str, np.ndarray],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Adds to the smoothed motion the part that filters removed of the motion by commands.
+    """Adds to the smoothed motion the part of the commanded motion that filters have removed.
 
     Commands are of native actuators. Returns position, velocity and commanded velocity by joint.
     """
@@ -591,6 +591,6 @@ def plays(machine: Machine, variant: Variant) -> list[int]:
     """Returns plugin-state indices of the cylinders' play widths; force balances set them to zero.
 
     A piston crosses its play within milliseconds, so force balances treat it as fixed to the joint.
-    With play, a balance would contain the flank force of a first time step, which is an artefact.
+    With play, a balance would contain the flank force of the first time step, an artefact.
     """
     return [variant.slot(cylinder, "play") for cylinder in machine.cylinders]

@@ -1,4 +1,4 @@
-"""Channels of the recordings, their smoothing, and the windows cut from them."""
+"""Channels (measured signals) of recordings, their smoothing, and windows of the recordings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -62,7 +62,7 @@ def noise_level(samples: np.ndarray, window: tuple[int, int]) -> float:
     """Estimates the standard deviation of white sensor noise from the residual of smoothing.
 
     `window` is the filter's length and order. With the centre coefficient c of the filter, white
-    noise of variance s^2 leaves a residual of variance s^2 (1 - c). A median is used, so that jumps
+    noise of variance s^2 leaves a residual of variance s^2 (1 - c). A median is used, so that steps
     have little influence (Rousseeuw and Croux 1993). Samples of a constant reading are left out, as
     they show no noise. Returns 0 if the signal never changes or is shorter than the filter.
     """
@@ -116,8 +116,8 @@ def smoothed(
 ) -> np.ndarray:
     """Smooths samples by Savitzky-Golay, or computes their slope if `period` [s] is passed, (n,).
 
-    Series shorter than the filter are not smoothed. The kernels are cached, while
-    `scipy.signal.savgol_filter` computes them at every call.
+    Series shorter than the filter are not smoothed. Unlike `scipy.signal.savgol_filter`, it keeps
+    the filter's kernels from call to call.
     """
     length, half = window[0], window[0] // 2
     if samples.size < length:
@@ -138,7 +138,7 @@ def filter_difference(
 
 @dataclass(kw_only=True)
 class Cut:
-    """Windows of one series."""
+    """Windows of one recording, and quantities along the whole recording."""
 
     series: UniformSeries  #: The recording
     firsts: np.ndarray  #: Indices of the samples at which windows start, (windows,)
@@ -224,7 +224,7 @@ def _cut(
     """Cuts all windows of one recording; `noise` has the shape (channels,).
 
     Also returns each channel's travel in the windows, (windows, channels), and whether all commands
-    are constant, (windows,): otherwise a window without motion is informative (stiction).
+    are constant, (windows,), since under changing commands, rest is informative (stiction).
     """
     commands = [series.columns[f"{actuator}_command"] for actuator in machine.actuators]
     reach = max(channel.filter[0] for channel in channels)

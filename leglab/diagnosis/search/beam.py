@@ -9,7 +9,7 @@ from leglab.diagnosis.thresholds import BEST_SETS, DEPTH, SCORED
 
 
 def beam(evidence: Evidence) -> list[Score]:
-    """Ranks sets of effects by evidence; of sets that differ only in jumps, the best one counts."""
+    """Ranks sets of effects by evidence; of sets that differ only in jumps, keeps the best."""
     seen: dict[frozenset[Member], Score] = {}
 
     def score(members: Iterable[Member]) -> Score:
@@ -31,7 +31,7 @@ def beam(evidence: Evidence) -> list[Score]:
         if not found:
             break
         before = max(s.log for s in current)
-        # More single effects are kept: if only a pair explains errors, the best one is often wrong.
+        # More single effects are kept, since if a pair is right, the best single one often is not.
         current = _best(found)[: BEST_SETS if depth else 3 * BEST_SETS]
         if depth and current[0].log < before:
             break
@@ -39,7 +39,7 @@ def beam(evidence: Evidence) -> list[Score]:
 
 
 def _best(scores: Iterable[Score]) -> list[Score]:
-    """Sorts scores by evidence; of scores of the same unknowns, only the best one is kept."""
+    """Sorts scores by evidence; keeps only the best of those with the same unknowns."""
     best: dict[frozenset[int], Score] = {}
     for one in sorted(scores, key=lambda s: -s.log):
         best.setdefault(frozenset(one.unknowns), one)

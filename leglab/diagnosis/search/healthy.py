@@ -30,7 +30,7 @@ class Specimen:
     values: Hypothesis  #: Values of all strengths and shapes of the fit
     priors: Priors  #: Priors of departures of the same machine on another day
     kappa: float  #: Factor on log likelihoods, 1/design effect
-    left_out: tuple[Hypothesis, ...]  #: Fitted values with each part left out in turn
+    left_out: tuple[Hypothesis, ...]  #: Values fitted without each part (see `parts_of`) in turn
 
     @property
     def problem(self) -> Problem:
@@ -55,7 +55,7 @@ class Specimen:
     def _squares(self) -> np.ndarray:
         """Mean square error of each window by the fit without the window's part, (windows,)."""
         at, problem = self.at, self.problem
-        # A window that was not fitted belongs to the part of the next fitted window.
+        # A window that was not fitted is assigned to the part of the next fitted window.
         fitted = parts_of(at.recording)
         place = np.searchsorted(np.flatnonzero(at.chosen), np.arange(at.chosen.size))
         part = fitted[np.minimum(place, fitted.size - 1)]
@@ -88,17 +88,17 @@ class Specimen:
         return max(thresholds.DAY_FACTOR, float(np.std(apart, ddof=1)) if apart.size > 1 else 0.0)
 
     def nearest(self, problem: Problem) -> list[int]:
-        """Returns the healthy recording with the most similar motion for each new recording."""
+        """Returns, for each new recording, the healthy recording with the most similar motion."""
         columns = problem.machine.columns
         own = np.stack([_motion(s, columns) for s in self.problem.series])
         other = np.stack([_motion(s, columns) for s in problem.series])
         return np.argmin(((other[:, None] - own) ** 2).sum(axis=2), axis=1).tolist()
 
     def as_it_was(self, problem: Problem, at: Hypothesis) -> bool:
-        """Tests whether new errors are as small as the healthy specimen's on another day.
+        """Tests whether new errors are as small as a healthy specimen's errors on another day.
 
-        Every recording has to pass, because one with motion shows more than several at rest.
-        `at` are the specimen's values. They are not refitted, because a refit could hide a fault.
+        Every recording has to pass, because one with motion shows more than several at rest. `at`
+        are the specimen's values, which are not refitted, because a refit could hide a fault.
         """
         level, recording = problem.noise_levels(at) ** 0.5, problem.replay.recording
         ratio = level / self.usual[np.array(self.nearest(problem))[recording]]
@@ -108,7 +108,7 @@ class Specimen:
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
     def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
-        """Builds the evidence of sets on the healthy recordings, treated as new recordings.
+        """Builds the evidence of sets of effects on healthy recordings, as if these were new.
 
         Each part of the healthy recordings is compared with the fit to the other parts, just as new
         recordings are compared with the specimen. Departures are relative to the specimen.
@@ -122,7 +122,7 @@ class Specimen:
         problem.library = library
         own = sorted({i for q in members for i in u.singles(q)})
         here = self.values, self.columns.errors
-        # The fit's tangents are also valid here: only the zero of the departures differs.
+        # The fit's tangents remain valid, because only the zero of the departures differs.
         single = self.at.tangents(*here, own, thresholds.FINE, self.columns.tangents)
         tangents = np.zeros((*self.errors.shape, len(u)))
         for q in range(len(u)):
@@ -134,7 +134,7 @@ class Specimen:
 
 
 def _motion(series: UniformSeries, columns: Sequence[str]) -> np.ndarray:
-    """Computes log standard deviations and log RMS rates of a recording, (2 columns,)."""
+    """Computes log standard deviations and then log RMS rates of recorded columns, concatenated."""
     values = np.stack([series.columns[column] for column in columns])
     spread = np.std(values, axis=1)
     rate = rms(np.diff(values, axis=1), axis=1) / series.period
@@ -178,7 +178,7 @@ def calibrate(problem: Problem, later: Problem, log: Callable[[str], None]) -> S
 def _specimen(fitter: Fitter, fit: Fit, kappa: float) -> Specimen:
     """Builds the specimen from a fit to its healthy recordings."""
     at, unknowns = fitter.at, fitter.at.unknowns
-    # From here on, the model error has the scale 1 if it equals the errors that this fit leaves.
+    # From here on, a model error of scale 1 is as large as the errors that this fit leaves.
     unit = Priors(sizes=(1.0,), log_sizes=np.zeros(1))
     own = Spread.of(at, fit.columns.errors)
     evidence = fitter.evidence(fit.columns, own, fit.weight, kappa, unit)

@@ -16,9 +16,9 @@ from leglab.diagnosis.thresholds import EXPLAINED
 
 
 def onset_of(problem: Problem) -> np.ndarray | None:
-    """Finds the times [s] at which a model stops to explain recordings that it explained at first.
+    """Finds the times [s] from which a model no longer explains recordings, (recordings,).
 
-    Returns (recordings,) times, inf for a recording without a change; None if none has a change.
+    The time is inf for a recording without such a change; returns None if no recording has one.
     """
     replay = problem.replay
     if noise_alone(problem.noise_levels(Hypothesis()), replay.recording):
@@ -32,7 +32,7 @@ def onset_of(problem: Problem) -> np.ndarray | None:
     fitter = Fitter(Errors(problem, Unknowns.of(problem.library), some), Priors())
     columns = fitter.at.columns(thresholds.COARSE)
     nothing = Candidate((), {}, columns, *fitter.about(columns.errors))
-    # Most fits are given up early, once the first iterations show that these windows do not fit.
+    # Most fits are given up early, because the first iterations show that the model does not fit.
     hopeless = thresholds.HOPELESS * EXPLAINED
     fit = fitter.fit(nothing, thresholds.KAPPA, give_up=hopeless, renewals=0)
     if fit.level > EXPLAINED:
@@ -57,11 +57,10 @@ def begun(
 ) -> tuple[Hypothesis, dict[Key, np.ndarray]]:
     """Returns a hypothesis whose named effects begin at an onset if the recordings require it.
 
-    The onset is the middle of the interval in which an effect may have begun, because an effect
-    that only fast motion shows exceeds the noise some time after it began. The effect was absent in
-    windows that replays with it do not fit, and present from the start of windows that only replays
-    with it fit. Also returns the earliest and the latest possible onset [s] by effect,
-    (recordings, 2), inf in recordings without an onset.
+    An effect is absent in windows that replays with the effect do not fit, and present from the
+    start of windows that only replays with the effect fit. The onset is the middle of the interval
+    between the two, since an effect that only fast motion shows exceeds the noise late. Also
+    returns the earliest and latest possible onset [s] by effect, (recordings, 2), inf without one.
     """
     begin, length = problem.replay.start, problem.replay.window
     between: dict[Key, np.ndarray] = {}
@@ -79,7 +78,7 @@ def begun(
             if not after.size:
                 continue
             met = present < max(EXPLAINED, thresholds.ONSET_RISE * float(np.median(after)))
-            # A bad fit with the effect shows absence, unless the fit without it is far worse.
+            # A bad fit with the effect shows its absence, unless a fit without it is far worse.
             missed = ~met & (absent < thresholds.ONSET_RISE * present)
             out = here & ((evidence < -thresholds.ONSET_TOLD) | missed) & (begin < seen)
             if not out.any():
@@ -99,7 +98,7 @@ def begun(
 
 
 def _change_point(values: np.ndarray) -> int | None:
-    """Finds the first index after the likeliest rise of a mean (Page 1954); None without rise."""
+    """Finds the first index after the likeliest rise of the values' mean (Page 1954), or None."""
     count = values.size
     places = np.arange(thresholds.FEWEST_WINDOWS, count - thresholds.FEWEST_WINDOWS + 1)
     rise = np.array([values[k:].mean() - values[:k].mean() for k in places])

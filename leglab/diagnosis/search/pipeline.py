@@ -74,7 +74,7 @@ def _problem(
     """Builds the fit problem of admitted recordings.
 
     `specimen` has the parameter values of the recorded machine; None for the model's values. Only
-    columns that also occur in the recordings `beside` are predicted, so that errors are comparable.
+    signals that the recordings `beside` also have are predicted, so that errors are comparable.
     """
     recordings, limits = admitted.recordings, settings.thresholds
     others = {f"beside {name}": other for name, other in (beside or {}).items()}
@@ -107,7 +107,7 @@ def _problem(
 
     problem = posed(at_replay_step(machine, period))
     if problem.blown and problem.machine.timestep > machine.file_timestep:
-        # A time step above the model file's may be the cause, so the file's time step is tried.
+        # The cause may be a time step above the model file's, so the file's time step is tried.
         steps = int(np.ceil(period / machine.file_timestep - 1e-9))
         problem = posed(machine.at_timestep(period / steps))
     _check_stable(problem)
@@ -153,7 +153,7 @@ def searched(
         found = search(problem, onsets=onset_of(problem), log=progress)
         return found, None, admitted.notes
     earlier = unquestioned(machine, admit(machine, healthy, (), limits), limits)
-    # A specimen may deviate in other effects than those that the user selects.
+    # The specimen (individual machine) may deviate in other effects than the user selects.
     whole = replace(settings, effects=None, excluded=())
     before = _problem(machine, earlier, whole, beside=admitted.recordings)
     later = _problem(machine, admitted, whole, beside=earlier.recordings)
@@ -170,7 +170,7 @@ def searched(
 
 
 def _sized(problem: Problem, seen: Shown) -> Problem:
-    """Scales trial values to the recorded magnitudes; guesses shapes from residual forces."""
+    """Scales trial values to recorded magnitudes; guesses shape parameters from residual forces."""
     sites = dict(sized(problem.library, problem.machine, seen).sites)
     guessing = {k: s for k, s in sites.items() if type(s.effect).guess is not Effect.guess}
     left = forces_left(problem, Hypothesis()) if guessing else {}
@@ -186,7 +186,7 @@ def _sized(problem: Problem, seen: Shown) -> Problem:
             for p in site.parameters
         )
         if own is not None:
-            # An effect that is negligible in the specimen takes its shape from the new recordings.
+            # If the specimen hardly has the effect, new recordings give its shape parameters.
             found = np.array([values[p.name] for p in parameters])
             if _most(parameters, own) >= NO_FAULT or _most(parameters, found) < NO_FAULT:
                 continue

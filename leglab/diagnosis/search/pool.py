@@ -25,7 +25,7 @@ from leglab.diagnosis.thresholds import (
 )
 
 Members = frozenset[int]
-# Names of the moves to further sets, whose number is limited, see `Pool.exhausted`.
+# Names of the moves whose sets ("further sets") are limited in number, see `Pool.exhausted`.
 FURTHER = ("both ways", "neighbours")
 
 
@@ -36,7 +36,7 @@ class Proposal:
     move: str  #: Name of the move
     candidate: Candidate  #: The set, and the start of its fit
     reason: str  #: Reason in words
-    beside: bool = True  #: Whether other parameters move at once, see `Fitter.fit`
+    beside: bool = True  #: Whether parameters outside of the set move at once, see `Fitter.fit`
     renewals: int = 0  #: Number of times that all tangents may be computed anew
     finishes: Fit | None = None  #: The unfinished fit that the fit of this proposal replaces
     once: Hashable = None  #: Key of a proposal that is made only once
@@ -54,7 +54,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Aim:
-    """Purpose of a search: all rival causes, or one good description of recordings."""
+    """Purpose of a search: to find all rival causes, or one good description of recordings."""
 
     moves: tuple[Callable[["Pool"], Iterator[Proposal]], ...]  #: Moves in order of precedence
     rivals: bool  #: Whether rivals of good sets are fitted
@@ -68,11 +68,11 @@ class Scene:
 
     fitter: Fitter
     aim: Aim
-    first: Columns  #: Linearisation of the unchanged model, with jumps to all trials
+    first: Columns  #: Linearisation of the unchanged model, with finite steps to all trial values
     compared: Compared
     #: Linearisations of fits without one effect, by fit and effect, see `Errors.without`.
     removed: dict[tuple[Fit, Key], Columns | None] = field(default_factory=dict)
-    #: Linearisations of fits with changes by the jumps `limits`, by fit.
+    #: Linearisations of fits with changes by the finite steps `limits`, by fit.
     limited: dict[Fit, Columns] = field(default_factory=dict)
 
     @property
@@ -82,12 +82,12 @@ class Scene:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Inertias, frictions, gains etc. of the specimen, see `own_forces`, (single,)."""
+        """Specimen's values that scale with all forces, e.g. inertia, see `own_forces`."""
         return own_forces(self.fitter.at.problem, self.fitter.at.unknowns)
 
     @cached_property
     def limits(self) -> list[Jump]:
-        """Jumps of command and force limits, as a limit that is not reached has tangents of 0."""
+        """Finite steps of limits, since the derivatives by a limit that is not reached are 0."""
         u = self.fitter.at.unknowns
         return [jump for jump in trials(u) if u.limits[jump[0]]]
 
@@ -99,7 +99,7 @@ class Scene:
         return self.removed[fit, key]
 
     def with_limits(self, fit: Fit) -> Columns:
-        """Adds the jumps `limits` to the linearisation of a fit."""
+        """Adds the finite steps `limits` to the linearisation of a fit."""
         if fit not in self.limited:
             self.limited[fit] = self.fitter.at.jumped(fit.columns, self.limits)
         return self.limited[fit]
@@ -118,7 +118,7 @@ class Pool:
     kappa: float  #: Factor on log likelihoods, 1/design effect
     fits: tuple[Fit, ...] = ()
     steps: tuple[Step, ...] = ()
-    tried: frozenset[Members] = frozenset({frozenset()})  #: Sets that have been proposed
+    tried: frozenset[Members] = frozenset({frozenset()})  #: Sets that moves have proposed
     done: frozenset[Hashable] = frozenset()  #: Keys of proposals that are made once
     ranks: tuple[Ranked, ...] = ()  #: Sets by evidence, best first
     erring: Fit | None = None  #: Fit from whose errors `kappa` was estimated
@@ -174,8 +174,8 @@ class Pool:
         """Sets that may turn out to be better than the best set.
 
         Their evidence is at most `BEHIND * NEAR` below the best set's. While no set explains the
-        recordings, the margin grows with the best set's gain over the empty set, because predicted
-        gains err by a share. Sets that leave only noise with as few parameters are also included.
+        recordings, the margin grows with the best set's gain over the empty set, because the errors
+        of predicted gains are relative. Sets as small as the best that leave only noise are near.
         """
         top, rivals = self.best.score.log, self.scene.aim.rivals
         behind = BEHIND * NEAR if rivals else 0.0
@@ -191,9 +191,9 @@ class Pool:
         ]
 
     def needed(self, fit: Fit, there: Evidence | None = None) -> bool:
-        """Tests whether all effects of a fit contribute, or the contributing ones were not fitted.
+        """Tests whether all effects of a fit contribute, or the contributing subset is not fitted.
 
-        `there` is the evidence to use; None for the evidence at the fit.
+        `there` is the evidence by which an effect contributes; None for the evidence at the fit.
         """
         at = self.scene.fitter.at
         there = there or self.scene.compared.evidence(fit, fit.spread, fit, self.kappa)
@@ -212,7 +212,7 @@ class Pool:
 
     @property
     def further(self) -> list[Step]:
-        """Steps by moves of `FURTHER`."""
+        """Records of the sets that the moves in `FURTHER` proposed."""
         return [s for s in self.steps if s.move in FURTHER]
 
     @cached_property
@@ -225,16 +225,16 @@ class Pool:
 
     @property
     def exhausted(self) -> bool:
-        """Tests whether enough further sets were fitted, or too many in a row are no rivals."""
+        """Tests whether enough further sets were fitted, or too many in a row were no rivals."""
         return self.vain_now > FRUITLESS or len(self.further) >= FURTHER_FITS
 
     @property
     def ended(self) -> bool:
         """Tests whether the search can stop.
 
-        If the unchanged model leaves only noise, linearised evidence is exact. The search then
-        stops if the empty set is the best or no fit clearly lessens the errors. If no rivals are
-        wanted, it stops when the best set leaves only noise.
+        If the unchanged model leaves only noise, linearised evidence is exact, so the search stops
+        if the empty set is the best or no fit clearly lessens the errors. A search without rivals
+        stops when the best set leaves only noise.
         """
         fitter, best = self.scene.fitter, self.best.fit
         if self.scene.clear:
@@ -259,7 +259,7 @@ class Found:
 
     @property
     def first(self) -> Columns:
-        """Linearisation of the unchanged model, with jumps to all trials."""
+        """Linearisation of the unchanged model, with finite steps to all trial values."""
         return self.pool.scene.first
 
     @property

@@ -27,7 +27,7 @@ class Ranked:
 
 
 class Compared:
-    """Evidence of sets at fits' linearisations; caches all scores, and products up to `_MEMORY`."""
+    """Evidence of sets at the fits' linearisations, with all scores and some products cached."""
 
     def __init__(self, fitter: Fitter) -> None:
         self.fitter = fitter
@@ -61,9 +61,9 @@ class Compared:
 def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
     """Ranks sets by evidence, best first; of several fits of one set, the best one counts.
 
-    Each set is scored at its own fit and at the fits with the smallest errors. The covariances of
-    all these fits are tried, since the model error is unknown without healthy recordings. The best
-    score counts, so a larger set is never worse than a set that it contains.
+    Each set is scored at the linearisations of its own fit and of the fits with the smallest
+    errors. The model-error covariances of all these fits are tried, because without healthy
+    recordings it is unknown. The best score counts, so a set is never worse than its subset.
     """
     near = sorted(fits, key=lambda f: f.level)[:SURE_FITS]
     fixed = compared.fitter.fixed
@@ -81,7 +81,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
-        # At the fit's own linearisation, the predicted gain that no replay reached is subtracted.
+        # At the fit's own linearisation, the predicted gain that replays did not reach is removed.
         for n, score in enumerate(scores[: len(spreads)]):
             scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))

@@ -2,7 +2,7 @@
 
 Along the measured motion the residual force is nearly linear in most parameters, and no joint's
 balance depends on effects missing at another joint (Gautier and Khalil 1992). Replays far from the
-true model are less informative, because any misfit makes a weaker drive seem more probable.
+true model say less, as any misfit makes a weaker drive seem more probable. Jumps are finite steps.
 """
 
 from collections.abc import Iterable, Sequence
@@ -31,12 +31,12 @@ class Balanced:
     """A set of effects that reduces the residual forces of one joint."""
 
     start: dict[int, float]  #: Departures of the set's unknowns
-    #: Gain over no effect [nats] with one datum per window, less log(windows)/2 per parameter.
+    #: Log-likelihood gain [nats], one datum per window, less log(windows)/2 per parameter.
     gain: float
 
 
 def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]]:
-    """Returns for each joint the sets that leave the smallest residual forces, best first."""
+    """Returns by joint the sets of effects that leave the least residual force, best first."""
     u, base, joints = at.unknowns, Hypothesis(), at.problem.balanced
     jumps = [jump for jump in jumps if jump[0] < u.single]
     if not joints or not jumps:
@@ -48,7 +48,7 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
     loud = _forces(at, u.moved(base, louder))[0] if louder else left
     found = {}
     for j, joint in enumerate(joints):
-        # Forces are divided by their median size in a recording, bounded below for joints at rest.
+        # Forces are divided by their median RMS in a recording, bounded below for joints at rest.
         size = np.sqrt((left[:, j] ** 2).mean(axis=1))
         least = max(NEGLIGIBLE * float(np.median(size)), 1e-12)
         scale = np.ones(len(size))
@@ -68,8 +68,8 @@ def balanced_sets(at: Errors, jumps: Sequence[Jump]) -> dict[str, list[Balanced]
                 grown = float((both[:, j] * own).sum() / (own**2).sum()) - 1.0
                 share = share if abs(grown - stronger) < SMALL * stronger else 0.0
             if share:
-                # A multiple of the drive's force could cancel this force and leave no residual. So
-                # the change is fitted as a multiple of the force that the measured motion takes.
+                # A multiple of the drive's force could cancel that force and leave no residual. So
+                # the change is fitted as a multiple of the force that the measured motion requires.
                 own = np.sign(own * drive[:, j]) * share * (left[:, j] + drive[:, j])
             columns.append((own * weight[:, None]).ravel())
             scaling.append(share)
@@ -100,7 +100,7 @@ def _forces(at: Errors, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]
 
 
 def _proportion(change: np.ndarray, drive: np.ndarray) -> float:
-    """Returns the ratio of a force change to the drive's force if it is constant, else 0."""
+    """Returns the ratio of a force change to the drive's force if the ratio is constant, else 0."""
     moves = np.abs(drive) > SMALL * np.abs(drive).max()
     if not moves.any():
         return 0.0
@@ -118,12 +118,12 @@ def _subsets(
     windows: int,
     allowed: Iterable[int],
 ) -> list[Balanced]:
-    """Returns sets of columns of `x`, (numbers, jumps), whose positive multiples best cancel y."""
+    """Finds sets of columns of `x` (the force's changes by jumps) whose sum best cancels `y`."""
     gram, slope, total = x.T @ x, -x.T @ y, float(y @ y)
     every = [i for i in allowed if 1e-8 * total < gram[i, i] < 1e20]
 
     def fitted(columns: tuple[int, ...]) -> tuple[float, tuple[int, ...], np.ndarray] | None:
-        """Returns residual, columns, factors; None if unknowns repeat or a factor is <= 0."""
+        """Returns squared residual, columns, factors; None for a shared unknown or factor <= 0."""
         if len({jumps[i][0] for i in columns}) < len(columns):
             return None
         index = np.array(columns)
@@ -153,7 +153,7 @@ def _subsets(
         current = [s[1] for s in level[: 2 * SCORED]]
         sets += level[:EACH_WAY]
     # A force in proportion to the drive was fitted as the share s of the force that the motion
-    # takes. As a share of the drive's force, it is s/(1 + s).
+    # requires. As a share of the drive's force, it is s/(1 + s).
     scales: dict[tuple[int, bool], tuple[float, float]] = {}
     for (q, by), share in zip(jumps, scaling, strict=True):
         scales.setdefault((q, by > 0.0), (by, share))

@@ -1,6 +1,6 @@
-"""Renewal of the noise model of a search at the most probable set.
+"""Renewal of the noise model of a search at the most probable set of effects.
 
-The noise model contains how errors of start states grow in replays of the unchanged model. Under a
+The noise model contains the growth of start-state errors in replays of the unchanged model. Under a
 very different model they grow otherwise, so even the right set would leave several noise levels.
 """
 
@@ -24,7 +24,7 @@ def wanted(pool: Pool) -> bool:
 
 
 def renewed(pool: Pool) -> Pool:
-    """Ranks the pool by the noise model at the best set; all but the empty set are unfinished."""
+    """Ranks the pool by the noise model at the best set; only the empty set remains finished."""
     scene, best = pool.scene, pool.best.fit
     old = scene.fitter
     new = Fitter(old.at.about(best.columns.base), old.priors, old.fixed)

@@ -95,7 +95,7 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
 
     Args:
         fitter: Fits the sets.
-        first: Linearisation of the unchanged model, without changes by jumps.
+        first: Linearisation of the unchanged model, without changes by finite steps.
         fit: The fit of the empty set.
         kappa: Initial factor on log likelihoods, 1/design effect.
         log: Called with what is being done.
@@ -106,7 +106,7 @@ def describe(fitter: Fitter, first: Columns, fit: Fit, kappa: float, log: Log) -
 def _searched(
     fitter: Fitter, first: Columns, aim: Aim, kappa: float, log: Log, nothing: Fit | None = None
 ) -> Pool:
-    """Fits the proposals of all moves; `nothing` is the fit of the empty set, None if not made."""
+    """Fits the proposals of all moves; `nothing` is the fit of the empty set, if already made."""
     at, clear = fitter.at, fitter.clear(first.errors)
     first = at.jumped(replace(first, fine=clear), trials(at.unknowns), near=clear)
     pool = Pool(Scene(fitter, aim, first, Compared(fitter)), kappa)
@@ -156,7 +156,7 @@ def _opened(pool: Pool, evidence: Evidence, ranked: Sequence[Score], log: Log) -
     """Fits the sets that the first linearisation and the balance of forces propose.
 
     Once a set explains the recordings, other sets are fitted only if they are simpler or if their
-    predicted evidence is lower by `room` at most. First-order predictions of large faults err much.
+    predicted evidence is lower by `room` at most, as predictions for large faults err much.
     """
     clear = pool.scene.clear
     nothing = evidence.score(()).log
@@ -189,7 +189,7 @@ def _openings(pool: Pool, evidence: Evidence, ranked: Sequence[Score]) -> list[P
             continue
         begins, other = scene.begins(seed), wanted.get(names)
         if other is None:
-            # The balance predicts no evidence. A set that starts near noise is fitted anyway.
+            # The balance predicts no evidence, so a set that starts near noise is always fitted.
             if begins < thresholds.HOPELESS * level:
                 near_noise = begins < thresholds.HOPELESS * EXPLAINED
                 one = replace(seed, promise=np.inf) if near_noise else seed

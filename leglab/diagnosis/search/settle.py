@@ -1,8 +1,8 @@
 """Fit of a set of effects by replays: Gauss-Newton iteration on the likelihood of `Evidence`.
 
 In the first turns (iterations) only members (parameters of the set) move freely, because a gross
-fault would drive other parameters to wrong values. Members' tangents are computed in every turn;
-all others are corrected by the errors of replays (Broyden 1965) and computed anew at the end.
+fault would drive other parameters to wrong values. The tangents (derivatives of errors) by members
+are computed in every turn; all others are corrected by replays (Broyden 1965), or computed anew.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +59,7 @@ class Point:
     hypothesis: Hypothesis  #: Values of all effects
     errors: np.ndarray  #: Errors of the hypothesis, (windows, rows)
     x: np.ndarray  #: Departures of all unknowns
-    values: np.ndarray  #: Departures of the members, (members,)
+    values: np.ndarray  #: Departures of the members from the specimen, (members,)
     spikes: np.ndarray  #: Small deviations: departures of single unknowns less `values`, (single,)
     tangents: np.ndarray  #: Latest tangents, (windows, rows, unknowns)
 
@@ -84,7 +84,7 @@ class State:
     off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
     missed: float = 0.0  #: Sum of prediction errors since all tangents were computed [nats]
     most: np.ndarray | None = None  #: Largest steps over which tangents are taken, (single,)
-    #: Largest indices of the model-error scale and of the spread to use; None for no limit.
+    #: Largest indices of model-error scale and of spread between machines; None for no limit.
     places: tuple[int, int] | None = None
     turn: int = 0  #: Number of turns
     renewed: int = 0  #: Number of renewals of all tangents
@@ -114,7 +114,7 @@ class Fitter:
         return float(np.sqrt(np.median(np.mean(self._white(errors) ** 2, axis=1))))
 
     def rms(self, errors: np.ndarray) -> float:
-        """Computes the RMS error in noise levels; unlike `level`, it shows a few bad windows."""
+        """Computes the RMS error in noise levels; unlike `level`, it rises by a few bad windows."""
         return float(rms(self._white(errors)))
 
     def explains(self, fit: Fit) -> bool:
@@ -146,7 +146,7 @@ class Fitter:
     def own_spread(self, errors: np.ndarray) -> Spread:
         """Returns the model-error covariance from healthy recordings, or else from `errors`.
 
-        Once errors are noise alone, their first covariance is kept: later ones are no better.
+        Once errors are noise alone, their first covariance is kept, as later ones are no better.
         """
         if self.fixed or not self.clear(errors):
             return self.fixed or Spread.of(self.at, errors)
@@ -234,12 +234,12 @@ class Fitter:
         *,
         lower: bool,
     ) -> tuple[float, tuple[float, float, np.ndarray, Point] | None]:
-        """Tries a step per damping; returns the predicted gain of damping 0 [nats] and the best.
+        """Tries a step per damping; returns the undamped step's predicted gain, and the best step.
 
-        The best step has its damping, its gain [nats], its errors less those by tangents, and its
+        The best step is its damping, its gain [nats], its errors less those by tangents, and its
         point; None if no step lowers the cost. If `lower`, the median error in noise levels may not
         grow either, because until a gross fault is explained, the model-error covariance contains
-        the fault's shape, so that any errors of this shape cost little.
+        the pattern of its errors, so that any errors of this pattern cost little.
         """
         highest = self.level(point.errors) if lower else np.inf
         before = self._cost(evidence, score, point.errors, point.values, point.spikes)
@@ -268,8 +268,8 @@ class Fitter:
                     best, lowest = (damping, moved, errors, values, spikes), after
                 if before - after > own:
                     break
-                # The next step includes the curvature of errors seen at the end of this step
-                # (second-order correction; Fletcher 1982).
+                # The next step is corrected for the curvature of errors observed at the end of
+                # this step (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
                 bend[np.abs(errors).max(axis=1) > thresholds.BLOWN] = 0.0
                 values, spikes, by = step(damping, bend)
@@ -317,7 +317,7 @@ class Fitter:
         return evidence.kappa * float((evidence.weight[:, None] * white**2).sum())
 
     def _shapes(self, members: Sequence[int]) -> list[int]:
-        """Returns shape parameters of the members' effects; those of absent effects do nothing."""
+        """Returns shape parameters of the members' effects; without the effect, they do nothing."""
         u = self.at.unknowns
         keys = frozenset[Key]().union(*(u.library_keys(q) for q in members))
         return [i for i in range(u.single) if u.shape[i] and u.keys[i] in keys]
@@ -368,7 +368,7 @@ class Fitter:
             ends = (sizes[1], sizes[-2]) if len(sizes) > 3 else (sizes[0], sizes[-1])
             tried = self._at_sizes(point, members, n, ends)
             low, high = (self._white(tried[y].errors - point.errors) / (y - now) for y in ends)
-            # If the slope hardly changes, Gauss-Newton finds the value without further replays.
+            # If the tangent hardly changes, Gauss-Newton finds the value without further replays.
             if np.linalg.norm(high - low) < 0.2 * np.linalg.norm(low):
                 continue
             tried |= self._at_sizes(point, members, n, [y for y in sizes if y not in tried])
@@ -381,7 +381,7 @@ class Fitter:
     def _at_sizes(
         self, point: Point, members: Sequence[int], n: int, sizes: Sequence[float]
     ) -> dict[float, Point]:
-        """Returns points that differ from `point` in the value of the n-th member, by value."""
+        """Returns points that differ from `point` in the n-th member's value, by this value."""
         u, now = self.at.unknowns, float(point.values[n])
         moved = [u.moved(point.hypothesis, {members[n]: size - now}) for size in sizes]
         found = {}
@@ -443,7 +443,7 @@ class _Turns:
         return made, made.score([(q, None) for q in self.members], most=s.places)
 
     def step(self, s: State) -> State:
-        """Returns the state after another turn."""
+        """Returns the state after one more turn (iteration)."""
         if s.turn == thresholds.TURNS:
             return replace(s, ended="unfinished")
         fitter, first = self.fitter, s.turn < s.stiff
@@ -458,10 +458,10 @@ class _Turns:
         if not first:
             s = replace(s, most=evidence.visible(score))
         if s.renewed:
-            # From here on scale and spread may only fall: if they alternated, so would the fit.
+            # Model-error scale and spread may only fall now: if they alternated, so would the fit.
             s = replace(s, places=(score.size, score.spread))
-        # The first damping is one below that of the last step; with fresh tangents, and in the
-        # first turns, it is 0.
+        # The smallest damping tried is one value below that of the last step; with all tangents
+        # renewed, and in the first turns, it is 0.
         begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)
         dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
         promise, then = fitter._stepped(evidence, score, s.point, dampings, lower=first)
@@ -517,7 +517,7 @@ class _Turns:
         weight = fitter.weights(point.errors, spread, score.size)
         s = replace(s, damping=damping, off=off, point=point, spread=spread, weight=weight)
         if not first:
-            # The better a set explains the recordings, the less the remaining errors correlate.
+            # The better a set explains the recordings, the less its errors are correlated.
             kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             s = replace(s, gained=s.gained + gain, kappa=kappa)
         if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
@@ -542,9 +542,9 @@ def _beyond(columns: Columns, point: Point) -> np.ndarray:
 def _broyden(
     tangents: np.ndarray, change: np.ndarray, moved: np.ndarray, members: Sequence[int], single: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corrects tangents by the error of a step, only along members if these moved (Broyden 1965).
+    """Corrects tangents by the error of their prediction over a step (Broyden 1965).
 
-    Also returns the error of the tangents' prediction, (windows, rows).
+    If members moved, only their tangents change. Also returns this error, (windows, rows).
     """
     direction = moved[:single].copy()
     along = np.zeros(single)

@@ -1,7 +1,7 @@
-"""Confidence of named effects against rival sets, parts of the recordings and unknown causes.
+"""Confidence of named effects in view of rival sets, subsets of the data, and unknown causes.
 
-If the cause is not in the library, a wrong effect, the impostor, explains a share of the errors. To
-estimate this share, each effect plays the cause, and the best effect of another group its impostor.
+If the cause is not in the library, a wrong effect (the "impostor") explains a share of the errors.
+To estimate it, each effect is taken as the cause, and the best of another group as the impostor.
 """
 
 import math
@@ -24,14 +24,14 @@ class Judged:
     """Judgement of one effect, or of several effects of which one may be the cause."""
 
     confidence: float  #: Probability that the effect is the cause
-    among: float  #: Mean probability with each part left out, without sets at a bound
+    among: float  #: Mean probability over parts of recordings left out, without sets at a bound
     possible: float  #: Largest probability with one part of the recordings left out
     evidence: float  #: Probability by the evidence of sets from all recordings alone
     ties: tuple[frozenset[Key], ...]  #: Rivals that the data do not distinguish from the effect
     #: `evidence` without the least favourable part of the recordings and without sets at a bound.
     parts: float
-    drive: float  #: `parts` if errors count in units of the drive
-    member: Member  #: The effect in its most probable set; of several the one that stands best
+    drive: float  #: `parts` if errors are divided by the motion that commands cause
+    member: Member  #: The effect in its most probable set; of several, the one surest by `stands`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +40,8 @@ class Judgement:
 
     verdict: Verdict
     named: tuple[Key, ...] = ()  #: Named effects, the most confident first
-    #: If none is named, effects that the data do not distinguish and of which one is the cause, the
-    #: most probable first.
+    #: If none is named, effects one of which is the cause but which the data do not distinguish;
+    #: the most probable first.
     confusion: tuple[Key, ...] = ()
     among: float = 0.0  #: Probability that the cause is in the confusion set
     effects: Mapping[Key, Judged]  #: Judgements of all effects
@@ -61,7 +61,7 @@ def judge(table: Table) -> Judgement:
         return tuple(sorted(above, key=lambda k: -getattr(effects[k], order)))
 
     named = most("confidence", thresholds.NAMED, "confidence")
-    # The limit is relative: of three equal rivals each has a probability of only a third.
+    # The limit is relative, because of three equal rivals each has a probability of only a third.
     top = max((e.possible for e in effects.values()), default=0.0)
     confused = not named and top > thresholds.POSSIBLE
     least = min(thresholds.POSSIBLE, top / thresholds.TIE)
@@ -71,7 +71,7 @@ def judge(table: Table) -> Judgement:
         leader = max(tied, key=lambda k: effects[k].evidence)
         rivals = [k for new in effects[leader].ties for k in sorted(new)]
         confusion = tuple(dict.fromkeys((leader, *rivals, *confusion)))
-    # A confusion set needs a probability above 0.5 that it holds the cause.
+    # The probability that a confusion set contains the cause has to exceed one half.
     among = _effect(table, frozenset(confusion)).among if confusion else 0.0
     confusion, among = (confusion, among) if among > thresholds.NAMED else ((), 0.0)
     quiet = _quiet(table)
@@ -96,7 +96,7 @@ def judge(table: Table) -> Judgement:
 
 
 def _quiet(table: Table) -> Entry | None:
-    """Returns the empty set if it is probable and its errors are noise, or as small as healthy.
+    """Returns the empty set if it is probable and leaves only noise, or errors as when healthy.
 
     With healthy recordings, it must be more probable than all other sets together, since its fit
     moves the specimen's parameters within the healthy data's uncertainty.
@@ -122,8 +122,8 @@ def _effect(table: Table, names: frozenset[Key]) -> Judged:
     logs, apart = np.array([one.log for one in sets]), np.array([one.apart for one in sets])
     drive = np.array([one.drive for one in sets])
     has = np.array([bool(names & one.names) for one in sets])
-    # If an effect ends at a bound, the truth lies beyond. So no effect of that set is sure, and the
-    # effect at the bound is not even possible.
+    # If an effect ends at a bound, the true value lies beyond. So no effect of the set is sure, and
+    # the effect at the bound is not even possible.
     sound = has & ~np.array([bool(one.ended) for one in sets])
     there = np.array([bool(names & one.names - set(one.ended)) for one in sets])
     ways = (0.0 * drive, drive)
@@ -153,7 +153,7 @@ def _effect(table: Table, names: frozenset[Key]) -> Judged:
 
 
 def _named(one: Entry, names: frozenset[Key]) -> list[Member]:
-    """Returns the members of a set that are among `names`."""
+    """Returns the effects of a set that are among `names`."""
     return [member for member in one.members if member.key in names]
 
 
@@ -169,9 +169,9 @@ def stands(table: Table, member: Member) -> float:
 def _ties(table: Table, first: Entry, key: Key) -> tuple[frozenset[Key], ...]:
     """Returns rivals of the effect `key`: effects of sets without `key` with similar evidence.
 
-    A weaker drive and more resistance change a joint's motion alike. So a set that fits as well as
-    a drive's gain is a rival even with more parameters. An effect that contains `key` as a special
-    case always fits as well and is no rival.
+    A weaker drive and more resistance change a joint's motion in the same way. So a set that fits
+    as well as a drive's gain is a rival even with more parameters. An effect that contains `key` as
+    a special case always fits as well and is no rival.
     """
     shared = first.names - {key}
     numbers = first.numbers - 1 + thresholds.RESISTING
@@ -194,7 +194,7 @@ def inside(table: Table, member: Member) -> float:
     The share of the errors that it explains is compared with those that impostors explain.
     """
     mean, deviation = table.impostor
-    top = max(2.0 * math.log(table.level), 1.0)  # the largest logit that noise lets one see
+    top = max(2.0 * math.log(table.level), 1.0)  # largest logit that is visible above the noise
     share = member.share
     t = min(float(np.log((share + 1e-9) / (1.0 - share + 1e-9))), top)
     outside = norm.pdf(t, mean, deviation)

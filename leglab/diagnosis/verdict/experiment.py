@@ -24,8 +24,8 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     """Chooses the T-optimal excitation (Atkinson and Fedorov 1975) between two rivals.
 
     Both rivals are simulated with their fitted parameters under every excitation, from a calm
-    moment of the recordings. The excitation under which the predictions differ most, in noise
-    levels, is proposed; None if no excitation separates the rivals.
+    moment of the recordings. The excitation is proposed under which their predictions differ most,
+    in noise levels; None if no excitation separates the rivals.
     """
     (one, first), (other, second) = rivals.items()
     replay, period = problem.replay, problem.series[0].period
@@ -34,7 +34,7 @@ def propose(problem: Problem, rivals: dict[str, Hypothesis]) -> Proposal | None:
     commands = np.concatenate(rows)
     middle = np.median(commands, axis=0)
     reach = np.ptp(np.quantile(commands, [0.02, 0.98], axis=0), axis=0) / 2.0
-    # Each excitation lasts 1 s and is tried at 30 % and at 100 % of the present range of commands.
+    # Each excitation lasts 1 s and is tried at 30 % and at 100 % of the recorded command range.
     waves = excitations(round(1.0 / period), period)
     tried = [(name, amplitude) for name in waves for amplitude in (0.3, 1.0)]
     series = [middle + amplitude * reach * waves[name][:, None] for name, amplitude in tried]

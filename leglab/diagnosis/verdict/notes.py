@@ -1,4 +1,4 @@
-"""Notes on recordings and fit for the reader of a verdict, one line per note."""
+"""Notes on the recordings and the fit for the reader of a verdict, one line per note."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,7 +17,7 @@ from leglab.diagnosis.thresholds import NEGLIGIBLE
 
 # Minimum number of windows with a state's value, and of windows without it, to compare them.
 _FEWEST = 5
-# Significance level of the comparison: one irrelevant state in a thousand is reported.
+# Significance level of the comparison, at which one irrelevant state in a thousand is reported.
 _CHANCE = 1e-3
 
 
@@ -84,7 +84,7 @@ def by_states(
 
 
 def at_limits(library: Library, values: Mapping[Key, np.ndarray]) -> tuple[str, ...]:
-    """Reports each parameter whose fit ended at its smallest or largest value, one line each.
+    """Reports the parameters whose fit ended at the smallest or largest value, one line each.
 
     `values` has the fitted values of effects, (parameters,) each.
     """

@@ -34,7 +34,7 @@ class Outcome:
         self.sets, self.table, self.judged = sets, table, judged
         self.specimen, self.found = specimen, sets.found
         rows, fitter = sets.rows, sets.fitter
-        # Values come from a fit of the reported effect, not of a twin with the same motion.
+        # Values come from a fit of the reported effect, not of an effect with the same motion.
         fitted = {key for row in rows if not row.renamed for key in row.keys}
         names = judged.named or tuple(k for k in judged.confusion if k in fitted)[:1]
         self.problem = problem = fitter.at.problem
@@ -48,7 +48,7 @@ class Outcome:
         self.final = row.hypothesis  #: the reported set with all other parameters as fitted
         #: The problem with the noise model linearised at the reported set.
         self.about = problem.about(self.final)
-        #: Covariance of single unknowns at the reported set, in smallest trials, (single, single).
+        #: Covariance of single unknowns (parameters of one element) at the reported set, in trials.
         self.spread = _scatter(row.evidence, row.score)
         if specimen is not None:  # both values of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
@@ -61,7 +61,7 @@ class Outcome:
                 if key[0] == name and element in (key[1], EVERY)
             )
         )
-        #: Recalibrated model: parameters refitted within tolerances; named effects are nominal.
+        #: Recalibrated model: parameters refitted within tolerances; named effects are absent.
         self.baseline = self.nothing
         #: Improved model: only reported effects, and parameters with a tolerance, are changed.
         if specimen is not None:
@@ -83,7 +83,7 @@ class Outcome:
                 about = problem.about(self.nothing)
                 tuned, _ = _lean(about, fitter, nothing, (), fixed=self.named)
             tuning = _within(problem.library, tuned.columns.base).without(*self.named)
-            # Recalibration may worsen some windows under a gross fault: the better model is used.
+            # Under a gross fault, recalibration may worsen the fit, so the better model is used.
             self.baseline = min(Hypothesis(), tuning, key=self._fitted_level)
         #: Earliest and latest possible onset [s] of each effect that begins during a recording,
         #: (recordings, 2), inf in recordings in which the effect does not begin.
@@ -148,7 +148,7 @@ def _lean(
 ) -> tuple[Fit, np.ndarray]:
     """Refits the reported effects; all other parameters are nominal or within their tolerance.
 
-    Otherwise small deviations of other parameters would take over a part of each effect. Effects in
+    Otherwise small deviations of other parameters would explain a part of each effect. Effects in
     `fixed` do not move. Also returns the covariance of all single unknowns.
     """
     u, old, kappa = fitter.at.unknowns, row.evidence.columns, row.evidence.kappa
@@ -159,7 +159,7 @@ def _lean(
     for q, value in kept.items():
         goal[list(u.singles(q))] += value
     # Bounds fix all parameters that the written model omits, because even a thousandth of a trial
-    # may change errors by five noise levels.
+    # value may change errors by five noise levels.
     own = frozenset[Key]().union(*map(u.library_keys, kept))
     held = np.array(
         [

@@ -18,9 +18,9 @@ from leglab.diagnosis.replay.residual import Problem
 from leglab.diagnosis.result import Diagnosis, shown_unit
 from leglab.machine.mjcf_patch import MjcfPatch, difference_lines, differences
 
-# Number of patching passes: changes, then values that the compiler derives (a servo's damping).
+# Number of patching passes: one for changes, one for values that the compiler derives from changes.
 _PASSES = 2
-# Maximum number of lines of a model difference in the terminal; diagnosis.json has longer ones.
+# Maximum number of lines of a model difference in the terminal; diagnosis.json has all lines.
 _SHOWN = 20
 
 
@@ -36,8 +36,8 @@ def write_model(
 ) -> tuple[Path, tuple[str, ...]]:
     """Writes DIR/improved.xml, the model under a hypothesis with learned parts, and loads it.
 
-    The file's text is patched. MuJoCo writes a new text instead if the file is no MJCF, or
-    replicates or attaches changed elements. Of learned parts, only `parts` are written.
+    The file's text is patched. If the file is no MJCF, or replicates or attaches changed elements,
+    MuJoCo writes a new text instead. Of learned parts, only `parts` are written.
 
     Returns:
         Path of the file, and its differences from the model, as a unified diff.

@@ -1,4 +1,4 @@
-"""Evidence of sets of effects for a verdict, from all recordings and with parts left out.
+"""Evidence of sets of effects for a verdict, from all recordings and with parts of them left out.
 
 Each good set is also fitted without each of its effects, so that every named effect has a rival.
 """
@@ -31,7 +31,7 @@ class Row:
     left: np.ndarray  #: Errors that the set leaves, (windows, rows)
     hypothesis: Hypothesis  #: Hypothesis whose errors are `left`
     level: float  #: Median of `left` in noise levels
-    #: New names, by old name, of effects that are named as a twin (same motion) or simpler effect.
+    #: New names by old name, of effects renamed as a simpler effect or one with the same motion.
     renamed: Mapping[Key, Key] = field(default_factory=dict)
     drive: float = 0.0  #: Change of log evidence by `Sets._in_units_of_the_drive` [nats], <= 0
 
@@ -59,7 +59,7 @@ class Sets:
         held = thinned(problem.held, WINDOWS)
         shown = held.any() and found.onsets is None
         self.elsewhere = Errors(problem, self.unknowns, held) if shown else None
-        # Linearisations of sets without an effect, by the set and the effect.
+        # Linearisations of fitted sets without one effect, by set and effect.
         self.removed: dict[tuple[frozenset[Key], Key], Columns] = {}
         rows = self._all()
         if specimen is not None:
@@ -76,8 +76,8 @@ class Sets:
     def shown(self, row: Row, key: Key) -> Iterator[tuple[Errors, np.ndarray]]:
         """Yields fitted windows, then held-out windows, with medians of squared whitened errors.
 
-        The medians, (3, recordings, channels), are with the effect, without it, of the difference
-        c. A window has the weight c/(c + 1), because an effect such as a limit acts in few windows.
+        The medians, (3, recordings, channels), are with the effect, without it, and of the squared
+        difference c. Windows have the weight c/(c + 1), since a limit, e.g., acts in few windows.
         """
         tried = [(self.at, self._roots, row.left, self.without(row, key))]
         if self.elsewhere is not None:
@@ -112,8 +112,8 @@ class Sets:
     def _row(self, evidence: Evidence, members: Sequence[int], ended: Sequence[int]) -> Row:
         """Builds the `Row` of a set, with its evidence corrected by the errors of a replay.
 
-        The replay is at the first-order fit, or at the linearisation point under each deviation of
-        machines; the best counts. Its loss of log likelihood against first order is subtracted.
+        The replay is at the first-order optimum, or at the linearisation point for each spread
+        between machines; the best counts, less the log likelihood that it loses to first order.
         """
         u, n, columns = self.unknowns, self.unknowns.single, evidence.columns
         chosen = [(q, None) for q in members]
@@ -129,7 +129,7 @@ class Sets:
                 continue
             precision, _ = evidence.priors.precision(u, evidence.priors.spreads[spread])
             stays = columns.x[:n].copy()
-            for q in score.unknowns:  # the prior does not pull parameters of the set
+            for q in score.unknowns:  # the prior of small deviations excludes the set's parameters
                 stays[list(u.singles(q))] -= stays[list(u.singles(q))].mean()
             moves = columns.x[:n] + score.shift
             pull = 0.5 * float(stays @ precision @ stays - moves @ precision @ moves)
@@ -152,7 +152,7 @@ class Sets:
         )
 
     def _beyond(self, evidence: Evidence, score: Score, errors: np.ndarray) -> np.ndarray:
-        """Computes the loss of log likelihood against first order in each part [nats]."""
+        """Computes the log likelihood [nats] that each part's errors lose against first order."""
         squares = [
             (evidence.white(one, score) ** 2).sum(axis=1) for one in (errors, evidence.left(score))
         ]
@@ -165,7 +165,7 @@ class Sets:
         rows: dict[tuple[frozenset[Key], bool], Row] = {}
 
         def enter(row: Row) -> None:
-            # An effect too small to be noticed is no fault, so it is removed from the set's names.
+            # An effect too small to be noticed is no fault and is removed from the set's effects.
             row = replace(row, keys=frozenset(k for k in row.keys if row.size(k) >= NO_FAULT))
             names = row.keys, bool(row.renamed)
             if names not in rows or row.score.log > rows[names].score.log:
@@ -187,7 +187,7 @@ class Sets:
                     continue
                 self.removed[fit.keys, key] = columns
                 members = tuple(q for q in fit.members if u.keys[q] != key)
-                # If several sets without an effect are the same set, it is fitted only once.
+                # Several sets may become equal without an effect, which are then fitted only once.
                 if frozenset(members) in rivals:
                     continue
                 rivals.add(frozenset(members))
@@ -203,7 +203,7 @@ class Sets:
                 del rows[names]
                 enter(alike)
                 continue
-            for key in row.keys:  # a twin: the same motion by another effect
+            for key in row.keys:  # twins: other effects with the same motion
                 pairs = [pair for pair in self.at.twins if key in pair]
                 for twin in sorted({k for pair in pairs for k in pair} - row.keys):
                     enter(replace(row, keys=row.keys - {key} | {twin}, renamed={key: twin}))
@@ -212,7 +212,7 @@ class Sets:
     def _since(self, rows: Sequence[Row], specimen: Specimen) -> list[Row]:
         """Ranks sets by log evidence less the log evidence that each gains on healthy recordings.
 
-        Healthy windows get the total weight of the new windows. Prior odds are not subtracted.
+        Healthy windows have the same total weight as new windows. Prior odds are not subtracted.
         """
         count = self.at.recording.size / specimen.at.recording.size
         members = {q for row in rows for q in row.score.unknowns}
@@ -229,8 +229,8 @@ class Sets:
     def _alike(self, row: Row) -> Row | None:
         """Renames a direction-dependent effect, if both directions agree, to the symmetric effect.
 
-        No friction law is exactly the machine's, so a relative difference of directions below `LAW`
-        is not reported. Returns None if the difference is larger, or no effect has directions.
+        A relative difference of directions below `LAW` is not reported, since no friction law is
+        exact. Returns None if the difference is larger, or if no effect has directions.
         """
         u, members, values = self.unknowns, row.score.unknowns, row.score.values
         simpler = both_ways(u, members, values.tolist())
@@ -267,9 +267,9 @@ class Sets:
     def _in_units_of_the_drive(self, rows: Sequence[Row]) -> np.ndarray:
         """Computes the change of each set's log evidence for a weakened drive, (sets,), <= 0.
 
-        A misfit makes a fit weaken the drive, as noise in a regressor shrinks the slope, because a
-        weak drive leaves small errors. So errors are divided by the motion that commands cause (as
-        in inverse regression); a set with less such motion loses. Only errors beyond noise count.
+        A misfit makes a fit weaken the drive, because a weak drive leaves small errors (as noise in
+        a regressor shrinks the slope). So errors are divided by the motion that commands cause, as
+        in inverse regression; sets with less such motion lose. Only errors beyond noise count.
         """
         at, size = self.at, self.fitter.priors.sizes[self.size]
         noise = at.covariance

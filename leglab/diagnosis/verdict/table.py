@@ -16,9 +16,9 @@ from leglab.diagnosis.effects.hypothesis import Key
 
 @dataclass(frozen=True, kw_only=True)
 class Action:
-    """What an effect of a set does to the errors of a group of windows.
+    """Influence of an effect of a set on the errors of a group of windows.
 
-    Medians of squared whitened errors, by recording and channel.
+    Errors are medians over windows of squared whitened errors, by recording and channel.
     """
 
     numbers: tuple[int, ...]  #: Number of errors of a channel, by recording
@@ -30,9 +30,9 @@ class Action:
     def explained(self) -> tuple[float, float]:
         """Share of the errors beyond noise that the effect explains, and the effect's action.
 
-        The action c/(c + e), with the effect's change of errors c and the errors left e, is the
-        weight of the share: an effect that acts much but explains little is wrong, weak action
-        tells nothing.
+        The action c/(c + e), with the effect's change c of errors and the remaining errors e,
+        weights the share: an effect that changes much but explains little is wrong, whereas an
+        effect that changes little is not tested.
         """
         left, without, change = (np.array(a) for a in (self.left, self.without, self.change))
         left = np.maximum(left - 1.0, 0.0)
@@ -50,12 +50,12 @@ class Member:
     key: Key  #: Effect and element
     #: Probability that directions differ noticeably; 1 for a symmetric effect.
     differs: float
-    fitted: Action  #: In the windows of the search
+    fitted: Action  #: Influence in the windows of the search
     held_out: Action | None  #: In held-out windows; None without these, or if effects have onsets
 
     @property
     def share(self) -> float:
-        """Share of the errors that the effect explains, as far as held-out windows agree."""
+        """Share of the errors that the effect explains; less if held-out windows show less."""
         share, _ = self.fitted.explained
         if self.held_out is not None:
             explains, acts = self.held_out.explained
@@ -72,9 +72,9 @@ class Entry:
     log: float  #: Log evidence [nats]
     fit: float  #: Log evidence without the prior odds of the set [nats]
     apart: tuple[float, ...]  #: Log evidence with each part of the recordings left out [nats]
-    drive: float  #: Change of the log evidence in units of the drive [nats], <= 0
+    drive: float  #: Change of log evidence by dividing errors by commanded motion [nats], <= 0
     numbers: int  #: Number of parameters
-    #: What its effects do, if it is the most probable set of one of them; otherwise empty.
+    #: Its effects' influence, if it is the most probable set of one of them; otherwise empty.
     members: tuple[Member, ...] = ()
     #: Whether the empty set's errors are noise or, with healthy recordings, as small as theirs.
     quiet: bool = False
@@ -88,12 +88,12 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """All sets, most probable first, with what is common to them."""
+    """All sets of a search, most probable first, and quantities that are common to all."""
 
     sets: tuple[Entry, ...]
     level: float  #: Median error of the unchanged model, in noise levels
     #: Mean and standard deviation of the logit of the share of errors that an effect explains if
-    #: the cause is another one, see `leglab.diagnosis.verdict.tabulation.impostors`.
+    #: another effect is the cause, see `leglab.diagnosis.verdict.tabulation.impostors`.
     impostor: tuple[float, float]
     #: Pairs of effects of which the first contains the second as a special case.
     contains: tuple[tuple[Key, Key], ...]

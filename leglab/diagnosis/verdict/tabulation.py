@@ -1,4 +1,4 @@
-"""Tabulates the sets of a search: the last step of a diagnosis that computes errors."""
+"""Tabulation of the sets of effects of a search: the last step of a diagnosis with replays."""
 
 from collections.abc import Iterator
 
@@ -34,14 +34,14 @@ def tabulated(sets: Sets, specimen: Specimen | None) -> Table:
 
 
 def _best(sets: Sets, key: Key) -> Iterator[Row]:
-    """Yields the most probable set with an effect, by both ways of counting errors."""
+    """Yields the most probable set with an effect, without and with the change `Row.drive`."""
     having = [row for row in sets.rows if key in row.keys]
     yield max(having, key=lambda row: row.score.log)
     yield max(having, key=lambda row: row.score.log + row.drive)
 
 
 def _entry(sets: Sets, row: Row, specimen: Specimen | None, *, shown: bool) -> Entry:
-    """Tabulates a set; `shown` tests whether the action of its effects is computed."""
+    """Tabulates a set; `shown` is whether the influence of its effects is computed."""
     keys, quiet = sorted(row.keys), False
     if not keys:
         quiet = _as_noise(sets, row) if specimen is None else _as_healthy(sets, row, specimen)
@@ -65,14 +65,14 @@ def _finite(log: float) -> float:
 
 
 def _as_healthy(sets: Sets, row: Row, specimen: Specimen) -> bool:
-    """Tests whether errors are as small as the healthy ones, within healthy data's uncertainty."""
+    """Tests whether a set's errors are as small as the specimen's in healthy recordings."""
     return specimen.as_it_was(sets.at.problem, row.hypothesis)
 
 
 def _as_noise(sets: Sets, row: Row) -> bool:
     """Tests whether a set leaves only noise and keeps all parameters within tolerances.
 
-    The limits are those that 19 of 20 good machines keep.
+    19 of 20 good machines keep these limits.
     """
     u = row.evidence.unknowns
     known = np.flatnonzero(u.tolerance[: u.single])
@@ -134,7 +134,7 @@ def _differs(row: Row, key: Key) -> float:
 
 
 def impostors(sets: Sets) -> tuple[float, float]:
-    """Computes mean and standard deviation of the logit of the best impostors' shares."""
+    """Computes mean and standard deviation of the logit of the share that impostors explain."""
     u, first, best = sets.unknowns, sets.found.first, sets.best
     evidence = sets.fitter.evidence(first, best.spread, best.weight, best.kappa, places=[sets.size])
     product = evidence.likeness(sets.found.ranks[0].score)

@@ -1,4 +1,4 @@
-"""Protocol of a diagnosis: evidence of effects, fitted sets with reasons, factors of confidence."""
+"""Record of a diagnosis: evidence of effects, fitted sets with reasons, factors of confidence."""
 
 from leglab.diagnosis.effects.hypothesis import Key
 from leglab.diagnosis.result import Certainty, Rank, Tried
@@ -24,7 +24,7 @@ def ranking(found: Found) -> tuple[Rank, ...]:
 
 
 def _added(found: Found) -> dict[Key, float]:
-    """Returns for each effect the best neighbour set's log evidence over the best set's [nats]."""
+    """Returns for each effect the best neighbour set's log evidence minus the best set's [nats]."""
     pool, best = found.pool, dict[Key, float]()
     for one in neighbours(pool):
         ahead = one.score.log - pool.sound[0].score.log

@@ -86,14 +86,14 @@ def diagnose(
         outcome = Outcome(sets, table, judged.cleared(), specimen)
     outcome.result = _told(outcome, recordings, remarks, began)
     if outcome.result.verdict == "unexplained" and judged.as_it_was:
-        # The named effects explain less than half of errors that are as small as in healthy data.
+        # The effects explain less than half of the errors, which are as small as in healthy data.
         outcome = Outcome(sets, table, judged.cleared(), specimen)
         outcome.result = _told(outcome, recordings, remarks, began)
     return outcome.result, outcome
 
 
 def _lacks_nothing(outcome: Outcome) -> bool:
-    """Tests whether errors without the reported effects are noise, hardly larger than with them."""
+    """Tests whether errors without the reported effects are noise and hardly larger than with."""
     problem = outcome.about
     if not problem.held.any():
         return False
@@ -115,7 +115,7 @@ def _told(
         unnamed = result.root_mean(problem.noise_levels(outcome.unnamed)[held])
         without, with_it = map(outcome.compared.noise_levels, (outcome.unnamed, final))
         if _hardly_shows(outcome, without):
-            # Slow held-out motion hides effects of fast motion, so all windows are compared.
+            # A slow held-out motion hides effects of fast motion, so all windows are compared.
             shown = np.ones_like(held)
             remarks.append(
                 "the held-out recordings hardly show what is named: the share explained is that "
@@ -171,8 +171,8 @@ def errors_of(problem: Problem, baseline: Hypothesis, final: Hypothesis) -> dict
 def _hardly_shows(outcome: Outcome, without: np.ndarray) -> bool:
     """Tests whether the named effects hardly change predictions in the judged windows.
 
-    It is True if the share of windows with a change is far smaller than among all windows, or if
-    errors without the effects, `without` (windows,), are no larger than a healthy specimen's.
+    True if the share of windows with a change is far smaller than among all windows, or if the
+    errors `without` the effects, (windows,), are no larger than a healthy specimen's.
     """
     problem = outcome.about
     if outcome.specimen and result.root_mean(without[problem.judged]) <= math.exp(DAY_FACTOR):
@@ -204,7 +204,7 @@ def _effects(
         gone = final.without(key)
         without = result.root_mean(outcome.compared.noise_levels(gone)[shown])
         contribution = (without - after) / max(unnamed - floor, 1e-9)
-        # No effect of a confusion set gets a probability above one half.
+        # No effect of a confusion set gets a confidence above one half.
         confidence = one.confidence if judged.named else min(one.possible, one.evidence, NAMED)
         if explained < EXPLANATION:
             # No effect is confidently named while most of the error is left.
@@ -240,8 +240,8 @@ def _effects(
 def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     """Returns an effect's parameters, then differences of directions, with 95 % intervals.
 
-    If the machine does not follow an effect's law exactly, the estimate depends on the motion. So,
-    if the model is not exact, the interval is widened by the share `LAW` of the change.
+    If the machine does not follow an effect's law exactly, the estimate depends on the motion.
+    Therefore the interval is widened by the share `LAW` of the change, unless the model is exact.
     """
     evidence, site = outcome.row.evidence, outcome.about.library.sites[key]
     u, parameters = evidence.unknowns, site.parameters
@@ -255,7 +255,7 @@ def _estimates(outcome: Outcome, key: Key) -> tuple[result.Estimate, ...]:
     strength = np.array([p.role == "strength" for p in parameters])
     change = told @ ((outcome.final[key] - site.nominal) * strength)
     law = (LAW if outcome.row.level > EXPLAINED else 0.0) * change
-    # A limit's change is from the largest recorded value; `law` is at most `LAW` of the limit.
+    # A limit's change counts from the largest recorded value; `law` is at most `LAW` of the limit.
     limits = [i for i, p in enumerate(parameters) if p.limit_of]
     law[limits] = np.minimum(np.abs(law[limits]), LAW * np.abs(outcome.final[key][limits]))
     half = np.hypot(width * np.sqrt(spread), 1.96 * law)
@@ -278,7 +278,7 @@ def _estimate(
 
 
 def _rivals(rows: Sequence[Row]) -> result.Rivals:
-    """Computes the probability of each set against every other set; equal sets count once."""
+    """Computes the probability of each set against each other set; equal sets count once."""
     rows = [row for n, row in enumerate(rows) if all(row.keys != r.keys for r in rows[:n])]
     joined = [" + ".join(sorted(k[0] for k in row.keys)) or "nothing" for row in rows]
     places = [" + ".join(f"{name} at {element}" for name, element in sorted(r.keys)) for r in rows]
@@ -335,7 +335,7 @@ def _next_experiment(outcome: Outcome) -> result.Proposal | None:
 
 
 def _not_testable(outcome: Outcome) -> tuple[result.NotTestable, ...]:
-    """Lists effects below the recordings' sensitivity, or faster than the sampling period."""
+    """Lists effects that the recordings hardly show, or that are faster than a sampling period."""
     found, problem = outcome.found, outcome.problem
     first, spread, u = found.first, found.ranks[0].evidence.spread, found.fitter.at.unknowns
     evidence = found.fitter.evidence(first, spread, np.ones(len(first.errors)), 1.0, places=[0])

@@ -1,4 +1,4 @@
-"""Whole recording on the page of a diagnosis: measured, and simulated before and after."""
+"""Whole recording for the page of a diagnosis: measured, and simulated by both models."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from leglab.diagnosis.result import WholeRecording
 
 
 def whole_recording(problem: Problem, final: Hypothesis) -> WholeRecording | None:
-    """Simulates a held-out recording by the nominal and the improved model, see `follow`.
+    """Simulates the judged recording with the largest errors by both models, see `follow`.
 
-    The joint with the largest deviation in noise levels of its sensor is shown. Returns None if no
-    window lies after the onsets of the final effects, or no joint is driven.
+    The joint is shown whose deviation is largest in noise levels of its sensor. Returns None if no
+    window begins after the onsets of the final effects, or if no joint is driven.
     """
     owner, levels = problem.replay.recording, problem.noise_levels(Hypothesis())
     judged = np.unique(owner[problem.judged]).tolist()

@@ -232,7 +232,7 @@ class DrawnRun:
         return self._machine.draw(self._data, self._reference, levels)
 
     def _columns(self, *suffixes: str) -> list[tuple[int, np.ndarray]]:
-        """Returns each recorded joint's index in qpos and samples of its first recorded suffix."""
+        """Returns each recorded joint's index in qpos, and its samples (first recorded suffix)."""
         model, found = self._machine.model, []
         for i in range(model.njnt):
             name = model.joint(i).name

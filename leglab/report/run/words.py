@@ -83,7 +83,7 @@ def sections(runs: Sequence[ReportedRun]) -> tuple[Section, ...]:
 
 
 def _noticed(runs: Sequence[ReportedRun]) -> Section:
-    """Returns a section on the changes that controllers named in the runs; it may be empty."""
+    """Returns a section on the machine's changes that controllers reported; it may be empty."""
     told = [(run.label, event.told()) for run in runs for event in run.metrics.events]
     told += [(run.label, trend.told()) for run in runs for trend in run.metrics.health]
     names = tuple(f"{label}:" for label, _ in told) if len(runs) > 1 else ()

@@ -253,7 +253,7 @@ class SweepPlan:
         return tuple(names)
 
     def values_of(self, axis: str) -> list[Any]:
-        """Returns some values of an axis, at least one from every block that has it."""
+        """Returns example values of a setting, from each block of the plan that contains it."""
         found: list[Any] = []
         for block in self._blocks:
             if axis in block.ranges:

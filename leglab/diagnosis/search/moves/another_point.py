@@ -1,4 +1,4 @@
-"""Move that refits a good set from another fit, at whose parameters the set is more probable."""
+"""Move that refits a good set of effects from another fit, where the set is more probable."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Move to sets that explain the residual forces along the measured motion."""
+"""Move to sets of effects that explain the residual forces along the measured motion."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from leglab.diagnosis.search.settle import Candidate
 
 
 def candidates(evidence: Evidence, found: dict[str, list[Balanced]]) -> list[Candidate]:
-    """Unites the best sets of all joints, by number of effects; adds all sets of a single joint."""
+    """Unites the best sets of all joints, by number of effects; if there is one joint, adds all."""
     seeds: dict[frozenset[int], dict[int, float]] = {}
     joined: dict[int, dict[int, float]] = {}
     for sets in found.values():

@@ -1,4 +1,4 @@
-"""Move that continues the unfinished fits of good sets."""
+"""Move that continues the unfinished fits of good sets of effects."""
 
 from collections.abc import Iterator
 
@@ -10,8 +10,8 @@ from leglab.diagnosis.thresholds import HOPELESS, RENEWALS
 def propose(pool: Pool) -> Iterator[Proposal]:
     """Proposes to continue the unfinished fits of good sets, each once.
 
-    A fit continues from its own parameters, or from the parameters of the fit with the smallest
-    error if these give a smaller error.
+    A fit continues from its own parameters, or from the parameters of the best finished fit if
+    these give a smaller error.
     """
     most = HOPELESS * pool.least.level
     for fit in [r.fit for r in pool.near if not r.fit.finished and r.fit.level < most]:

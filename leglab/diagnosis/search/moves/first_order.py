@@ -1,4 +1,4 @@
-"""Move to sets with the largest evidence by the linearisation of the unchanged model."""
+"""Move to the sets of effects with the largest evidence by linearising the unchanged model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from leglab.diagnosis.search.settle import Candidate, Fitter
 
 
 def annealed(fitter: Fitter, first: Columns, kappa: float) -> tuple[Evidence, list[Score], float]:
-    """Ranks sets and estimates the best set's error covariance in turn, at one linearisation."""
+    """Alternates between ranking sets and estimating the covariance of the best set's errors."""
     spread, weight = fitter.about(first.errors)
     last = None
     for _ in range(thresholds.ANNEALINGS):
@@ -46,7 +46,7 @@ def candidates(evidence: Evidence, ranked: Sequence[Score]) -> list[Candidate]:
             picked.setdefault(u.names(score.unknowns), score)
     for score in [s for s in ranked if len(s.members) == 1][: thresholds.SURE_FITS]:
         picked.setdefault(u.names(score.unknowns), score)
-    # Best single effects by an exact model, because a model error that contains a fault hides it.
+    # Best single effects without model error, because a model error may contain and hide a fault.
     widest = int(evidence.priors.usual().sum()) - 1
     shift = evidence.whole.follow(0, widest, np.eye(1, evidence.gram.shape[1])[0])
     exact = replace(evidence.score(()), size=evidence.places[0], spread=widest, shift=shift)

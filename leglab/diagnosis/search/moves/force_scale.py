@@ -1,4 +1,4 @@
-"""Move to sets with the motion of a good set and all forces scaled by one factor."""
+"""Move to sets of effects with the motion of a good set and all forces scaled by one factor."""
 
 from collections.abc import Iterator
 

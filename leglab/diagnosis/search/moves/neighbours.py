@@ -43,7 +43,7 @@ def propose(pool: Pool) -> Iterator[Proposal]:
 
 
 def neighbours(pool: Pool) -> list[Neighbour]:
-    """Scores the neighbours of the best sets, and of sets with a parameter at a bound."""
+    """Scores neighbours of the best sets, and of sets at a bound after an effect is removed."""
     fitter, scene, kappa = pool.scene.fitter, pool.scene, pool.ranks[0].evidence.kappa
     u, sound = fitter.at.unknowns, pool.sound
     best, top = sound[0].fit, sound[0].score.log

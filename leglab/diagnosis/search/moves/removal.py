@@ -1,4 +1,4 @@
-"""Move that removes each effect from the best set, so that smaller rival sets are fitted."""
+"""Move that removes each effect from the best set, so that its smaller rivals are fitted."""
 
 from collections.abc import Iterator
 
