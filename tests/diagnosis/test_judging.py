@@ -116,6 +116,25 @@ def test_held_out_recordings_refute_a_name_only_where_it_acts(acts, named):
     assert bool(judged.named) == named
 
 
+def test_shares_explained_are_weighted_by_the_action():
+    # Chance alone leaves sqrt(2/200) = 0.1 of the noise, with 50 errors 0.2.
+    one = Action(
+        numbers=(200, 50),
+        left=((1.0,), (1.8,)),
+        without=((1.1,), (1.3,)),
+        change=((0.1,), (3.0,)),
+    )
+    # Shares 0.1/(0.1 + 0.1) and 0, actions 0.1/(0.1 + 0.1) and 3/(3 + 0.8 + 0.2).
+    assert one.explained == pytest.approx((0.5 * 0.5 / (0.5 + 0.75), (0.5 + 0.75) / 2))
+    fitted, better = action(0.6, 0.9), action(0.9, 0.8)
+    assert member_of(fitted, better).share == pytest.approx(0.6)
+    assert member_of(better, fitted).share == pytest.approx(0.9 - 0.9 * (0.9 - 0.6))
+
+
+def member_of(fitted, held_out):
+    return Member(key=DRY, differs=1.0, fitted=fitted, held_out=held_out)
+
+
 def test_an_effect_with_directions_is_named_if_they_differ():
     fitted = [table(entry(BOTH, members=(member(BOTH, differs=p),))) for p in (0.99, 0.4)]
     assert [judge(one).named for one in fitted] == [(BOTH,), ()]
