@@ -206,12 +206,12 @@ FEW_RECORDINGS = 4
 
 # Fits.
 # Upper limit on the iterations of a fit: each takes replays, and later ones gain little.
-TURNS = 16
+ITERATIONS = 16
 # Upper limit on the times that a fit renews all tangents: each takes one replay per parameter.
 RENEWALS = 6
-# STIFF_TURNS: number of first iterations with narrow priors: under wider ones, a gross fault would
+# STIFF_FIRST: number of first iterations with narrow priors: under wider ones, a gross fault would
 # move all other parameters. STIFF: factor on tolerances, and standard deviation in smallest trials.
-STIFF_TURNS, STIFF = 3, (0.05, 0.02)
+STIFF_FIRST, STIFF = 3, (0.05, 0.02)
 # Gain [nats] below which an iteration is not worth its replays.
 ENOUGH = 2.0
 # Dampings to try in turn until a step lowers the cost, as shares of each parameter's curvature

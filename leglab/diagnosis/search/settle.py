@@ -1,8 +1,8 @@
 """Fit of a set of effects by replays: Gauss-Newton iteration on the likelihood of `Evidence`.
 
-In the first turns (iterations) only members (parameters of the set) move freely, because a gross
+In the first iterations only members (parameters of the set) move freely, because a gross
 fault would drive other parameters to wrong values. The tangents (derivatives of errors) by members
-are computed in every turn; all others are corrected by replays (Broyden 1965), or computed anew.
+are computed in every iteration; others are corrected by replays (Broyden 1965) or computed anew.
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,7 +60,7 @@ class Point:
     errors: np.ndarray  #: Errors of the hypothesis, (windows, rows)
     x: np.ndarray  #: Departures of all unknowns
     values: np.ndarray  #: Departures of the members from the specimen, (members,)
-    spikes: np.ndarray  #: Small deviations: departures of single unknowns less `values`, (single,)
+    deviations: np.ndarray  #: Departures of single unknowns less `values`, all small, (single,)
     tangents: np.ndarray  #: Latest tangents, (windows, rows, unknowns)
 
     @property
@@ -72,13 +72,13 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a fit between two turns."""
+    """State of a fit between two iterations."""
 
     point: Point
     spread: Spread  #: Covariance of the model error
     weight: np.ndarray  #: Weights of windows
     kappa: float  #: 1/design effect
-    stiff: int  #: Number of first turns in which parameters outside of the set hardly move
+    stiff: int  #: Number of first iterations in which parameters outside of the set hardly move
     fine: bool  #: Whether all tangents are differences over small (`FINE`) steps
     taken: np.ndarray  #: Departures at which all tangents were last computed
     off: np.ndarray  #: Error of the tangents' prediction in the last step, (windows, rows)
@@ -86,7 +86,7 @@ class State:
     most: np.ndarray | None = None  #: Largest steps over which tangents are taken, (single,)
     #: Largest indices of model-error scale and of spread between machines; None for no limit.
     places: tuple[int, int] | None = None
-    turn: int = 0  #: Number of turns
+    iterations: int = 0  #: Number of iterations
     renewed: int = 0  #: Number of renewals of all tangents
     damping: float = 0.0  #: Damping of the last step
     slow: bool = False  #: Whether the last step gained little or was damped
@@ -185,13 +185,13 @@ class Fitter:
             renewals: Largest number of times that all tangents are computed anew.
             give_up: Median error beyond which the fit is abandoned, in noise levels.
             beside: Whether all other parameters start at the values of another set's fit and move
-                with the members from the first turn on.
+                with the members from the first iteration on.
         """
-        turns = _Turns(self, new.members, renewals, give_up)
-        state = turns.begin(new, kappa, beside=beside)
+        iteration = _Iteration(self, new.members, renewals, give_up)
+        state = iteration.begin(new, kappa, beside=beside)
         while not state.ended:
-            state = turns.step(state)
-        _, score = turns.judged(replace(state, places=None))
+            state = iteration.step(state)
+        _, score = iteration.judged(replace(state, places=None))
         members, point, finished = new.members, state.point, state.ended != "unfinished"
         return Fit(
             members=members,
@@ -220,10 +220,10 @@ class Fitter:
         x = u.departures(hypothesis)
         if values is None:
             values = np.array([x[list(u.singles(q))].mean() for q in members])
-        spikes = x[: u.single].copy()
+        deviations = x[: u.single].copy()
         for q, value in zip(members, values, strict=True):
-            spikes[list(u.singles(q))] -= value
-        return Point(hypothesis, errors, x, values, spikes, tangents)
+            deviations[list(u.singles(q))] -= value
+        return Point(hypothesis, errors, x, values, deviations, tangents)
 
     def _stepped(
         self,
@@ -242,56 +242,56 @@ class Fitter:
         the pattern of its errors, so that any errors of this pattern cost little.
         """
         highest = self.level(point.errors) if lower else np.inf
-        before = self._cost(evidence, score, point.errors, point.values, point.spikes)
+        before = self._cost(evidence, score, point.errors, point.values, point.deviations)
         u, single, members = self.at.unknowns, self.at.unknowns.single, score.unknowns
 
         def step(damping: float, bend: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
-            values, spikes = evidence.step(score, point.values, damping, bend)
-            return values, spikes, self._by(members, values, spikes, point)
+            values, deviations = evidence.step(score, point.values, damping, bend)
+            return values, deviations, self._by(members, values, deviations, point)
 
-        def promised(values: np.ndarray, spikes: np.ndarray, by: np.ndarray) -> float:
+        def promised(values: np.ndarray, deviations: np.ndarray, by: np.ndarray) -> float:
             errors = point.errors + point.tangents[:, :, :single] @ by
-            return 0.5 * (before - self._cost(evidence, score, errors, values, spikes))
+            return 0.5 * (before - self._cost(evidence, score, errors, values, deviations))
 
         promise = promised(*step(0.0))
         best, lowest = None, before
         for damping in dampings:
-            values, spikes, by = step(damping)
-            own = promised(values, spikes, by)
+            values, deviations, by = step(damping)
+            own = promised(values, deviations, by)
             if own < thresholds.ENOUGH:
                 break
             for _ in range(1 + thresholds.BENDS):
                 moved = u.moved(point.hypothesis, {i: d for i, d in enumerate(by.tolist()) if d})
                 errors = self.at.at(moved)
-                after = self._cost(evidence, score, errors, values, spikes)
+                after = self._cost(evidence, score, errors, values, deviations)
                 if after < lowest and self.level(errors) <= highest:
-                    best, lowest = (damping, moved, errors, values, spikes), after
+                    best, lowest = (damping, moved, errors, values, deviations), after
                 if before - after > own:
                     break
                 # The next step is corrected for the curvature of errors observed at the end of
                 # this step (second-order correction; Fletcher 1982).
                 bend = errors - point.errors - point.tangents[:, :, :single] @ by
                 bend[np.abs(errors).max(axis=1) > thresholds.BLOWN] = 0.0
-                values, spikes, by = step(damping, bend)
+                values, deviations, by = step(damping, bend)
             # A step that gains little of its prediction is too long (Conn, Gould and Toint 2000).
             if 0.5 * (before - lowest) > SMALL * own:
                 break
         if best is None:
             return promise, None
-        damping, moved, errors, values, spikes = best
+        damping, moved, errors, values, deviations = best
         x = u.departures(moved)
         tangents, off = _broyden(
             point.tangents, errors - point.errors, x - point.x, members, single
         )
-        new = Point(moved, errors, x, values, spikes, tangents)
+        new = Point(moved, errors, x, values, deviations, tangents)
         return promise, (damping, 0.5 * (before - lowest), off, new)
 
     def _by(
-        self, members: Sequence[int], values: np.ndarray, spikes: np.ndarray, point: Point
+        self, members: Sequence[int], values: np.ndarray, deviations: np.ndarray, point: Point
     ) -> np.ndarray:
-        """Computes moves of single unknowns from `point` to `values` and `spikes`, (single,)."""
+        """Computes moves of single unknowns from `point` to the arguments, (single,)."""
         u = self.at.unknowns
-        goal = spikes.copy()
+        goal = deviations.copy()
         for q, value in zip(members, values, strict=True):
             goal[list(u.singles(q))] += value
         return goal - point.x[: u.single]
@@ -302,14 +302,14 @@ class Fitter:
         score: Score,
         errors: np.ndarray,
         values: np.ndarray,
-        spikes: np.ndarray,
+        deviations: np.ndarray,
     ) -> float:
         """Computes twice the negative log posterior at a score's model-error scale and spread."""
         square = self._square(evidence, score, errors)
         spread = evidence.priors.spreads[score.spread]
         precision, _ = evidence.priors.precision(self.at.unknowns, spread)
         fault = float(2.0 * np.log1p((values / thresholds.FAULT_SIZE) ** 2).sum())
-        return square + float(spikes @ precision @ spikes) + fault
+        return square + float(deviations @ precision @ deviations) + fault
 
     def _square(self, evidence: Evidence, score: Score, errors: np.ndarray) -> float:
         """Computes the weighted squared error at a score's model-error scale."""
@@ -356,7 +356,7 @@ class Fitter:
     def _on_ladder(self, evidence: Evidence, score: Score, point: Point) -> Point | None:
         """Moves nonlinear members to the best multiple in `LADDER`; None if none is better."""
         u, begun, members = self.at.unknowns, point, score.unknowns
-        lowest = self._cost(evidence, score, point.errors, point.values, point.spikes)
+        lowest = self._cost(evidence, score, point.errors, point.values, point.deviations)
         for n, q in enumerate(members):
             now = float(point.values[n])
             sizes = sorted(
@@ -373,7 +373,7 @@ class Fitter:
                 continue
             tried |= self._at_sizes(point, members, n, [y for y in sizes if y not in tried])
             for one in tried.values():
-                cost = self._cost(evidence, score, one.errors, one.values, point.spikes)
+                cost = self._cost(evidence, score, one.errors, one.values, point.deviations)
                 if cost < lowest:
                     lowest, point = cost, one
         return None if point is begun else self._own_tangents(point, members, True)
@@ -404,8 +404,8 @@ class Fitter:
         return tuple(found)
 
 
-class _Turns:
-    """Gauss-Newton iteration of one fit: each turn computes tangents and takes a step."""
+class _Iteration:
+    """Gauss-Newton iteration of one fit: each iteration computes tangents and takes a step."""
 
     def __init__(
         self, fitter: Fitter, members: tuple[int, ...], renewals: int, give_up: float
@@ -414,7 +414,7 @@ class _Turns:
         self.renewals, self.give_up = renewals, give_up
 
     def begin(self, new: Candidate, kappa: float, *, beside: bool) -> State:
-        """Returns the state before the first turn; arguments are those of `Fitter.fit`."""
+        """Returns the state before the first iteration; arguments are those of `Fitter.fit`."""
         fitter, columns = self.fitter, new.columns
         spread, weight = new.spread, new.weight
         point = fitter._point(columns.base, columns.errors, columns.tangents, new.members)
@@ -429,7 +429,7 @@ class _Turns:
             spread=spread,
             weight=weight,
             kappa=kappa,
-            stiff=0 if beside or not new.members else thresholds.STIFF_TURNS,
+            stiff=0 if beside or not new.members else thresholds.STIFF_FIRST,
             fine=columns.fine,
             taken=columns.x,
             off=_beyond(columns, point),
@@ -443,10 +443,10 @@ class _Turns:
         return made, made.score([(q, None) for q in self.members], most=s.places)
 
     def step(self, s: State) -> State:
-        """Returns the state after one more turn (iteration)."""
-        if s.turn == thresholds.TURNS:
+        """Returns the state after one more iteration."""
+        if s.iterations == thresholds.ITERATIONS:
             return replace(s, ended="unfinished")
-        fitter, first = self.fitter, s.turn < s.stiff
+        fitter, first = self.fitter, s.iterations < s.stiff
         s, fresh = self._with_tangents(s, first)
         if s.ended:
             return s
@@ -461,15 +461,15 @@ class _Turns:
             # Model-error scale and spread may only fall now: if they alternated, so would the fit.
             s = replace(s, places=(score.size, score.spread))
         # The smallest damping tried is one value below that of the last step; with all tangents
-        # renewed, and in the first turns, it is 0.
+        # renewed, and in the first iterations, it is 0.
         begin = 0 if first or fresh else max(thresholds.DAMPINGS.index(s.damping) - 1, 0)
         dampings = thresholds.DAMPINGS[:1] if first else thresholds.DAMPINGS[begin:]
         promise, then = fitter._stepped(evidence, score, s.point, dampings, lower=first)
-        s = replace(s, turn=s.turn + 1)
+        s = replace(s, iterations=s.iterations + 1)
         if then is not None:
             return self._after(s, first, fresh, evidence, score, promise, then)
         if first:
-            return replace(s, stiff=s.turn)
+            return replace(s, stiff=s.iterations)
         # If no step reaches the gain that tangents predict, the tangents are wrong.
         if self._exact(s, fresh, promise):
             return replace(s, ended="finished", unkept=promise)
@@ -520,7 +520,7 @@ class _Turns:
             # The better a set explains the recordings, the less its errors are correlated.
             kappa = 1.0 / max(evidence.design_effect(score), 1.0)
             s = replace(s, gained=s.gained + gain, kappa=kappa)
-        if s.turn >= thresholds.STIFF_TURNS and fitter.level(point.errors) > self.give_up:
+        if s.iterations >= thresholds.STIFF_FIRST and fitter.level(point.errors) > self.give_up:
             # Small departures of all other parameters may still reduce the error.
             there, ahead = self.judged(s)
             if fitter.level(there.left(ahead)) > self.give_up:
@@ -534,7 +534,7 @@ class _Turns:
 
 def _beyond(columns: Columns, point: Point) -> np.ndarray:
     """Computes errors at a point less those predicted by a linearisation, (windows, rows)."""
-    single = point.spikes.size
+    single = point.deviations.size
     moved = (point.x - columns.x)[:single]
     return np.asarray(point.errors - columns.errors - columns.tangents[:, :, :single] @ moved)
 
