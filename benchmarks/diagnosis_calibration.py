@@ -29,6 +29,7 @@ from leglab.report.style import style
 from rigs.rough_bench import effect_of
 
 Change = Callable[[Table], Table]
+_ALLOWED = "outcomes of diagnosis_self_test or diagnosis_scales, one JSON line each"
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,14 @@ def read(path: Path) -> list[Case]:
     """Cases of a file of outcomes, one JSON line each.
 
     Raises:
-        FileError: No line has a table.
+        FileError: The file cannot be read, or no line has a table.
     """
     found = []
-    for line in path.read_text().splitlines():
-        row = json.loads(line)
+    try:
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: {error}; allowed: ", given=path, allowed=_ALLOWED) from error
+    for row in rows:
         content = row.get("diagnosis", row)
         if not content.get("sets"):
             continue
@@ -116,7 +120,7 @@ def read(path: Path) -> list[Case]:
         found.append(Case(tuple(hidden), table, tuple(named), share))
     if not found:
         told = f"{path} holds no table of sets; allowed: "
-        raise FileError(told, given=path, allowed="outcomes of a self-test")
+        raise FileError(told, given=path, allowed=_ALLOWED)
     return found
 
 

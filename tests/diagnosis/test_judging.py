@@ -231,10 +231,18 @@ def test_a_table_is_judged_from_its_file_as_before(tmp_path):
     assert judge(Table.read(path)) == judge(made)
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"verdict": "named"}', None])
-def test_a_file_that_is_no_table_is_refused(text, tmp_path):
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "Expecting value"),
+        ("{}", "sets: Field required"),
+        ('{"sets": [], "level": "high"}', "level: .*number"),
+        (None, "No such file"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused(text, reason, tmp_path):
     path = tmp_path / "sets.json"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(FileError, match=r"sets.json.*--keep"):
+    with pytest.raises(FileError, match=rf"sets.json is no table.*{reason}.*--keep"):
         Table.read(path)

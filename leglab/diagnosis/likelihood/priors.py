@@ -45,7 +45,7 @@ class Priors:
         return max(1.0, self.sizes[place]) if self.calibrated else 1.0
 
     def usual(self, largest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Tests which `spreads` are allowed beside a set's largest fault (in smallest trials)."""
+        """Tests which `spreads` are allowed for the largest fault of a set (in smallest trials)."""
         most = np.maximum(SPREADS[-1], BESIDE * np.asarray(largest))
         return np.asarray(np.array(self.spreads) <= most)
 

@@ -388,7 +388,7 @@ class Replay:
         The shape is (windows, steps, places). A batch of windows takes at most `_MEMORY`.
         """
         model = variant.model
-        # An MjData contains one model's plugin instances, so that each variant needs its own.
+        # An MjData contains the plugin instances of one model, so each variant needs an MjData.
         if id(variant) not in self._datas:
             made = [mujoco.MjData(model) for _ in range(self._threads)]
             self._datas[id(variant)] = variant, made

@@ -36,7 +36,7 @@ class Proposal:
     move: str  #: Name of the move
     candidate: Candidate  #: The set, and the start of its fit
     reason: str  #: Reason in words
-    beside: bool = True  #: Whether parameters outside of the set move at once, see `Fitter.fit`
+    beside: bool = True  #: Whether all parameters move from the first iteration, see `Fitter.fit`
     renewals: int = 0  #: Number of times that all tangents may be computed anew
     finishes: Fit | None = None  #: The unfinished fit that the fit of this proposal replaces
     once: Hashable = None  #: Key of a proposal that is made only once

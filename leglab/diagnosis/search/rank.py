@@ -81,7 +81,7 @@ def rank(compared: Compared, fits: Sequence[Fit], kappa: float) -> list[Ranked]:
             and all(np.abs(other.columns.tangents[:, :, q]).max() > 0 for q in fit.members)
         ]
         scores = [compared.score(fit, *there, near[0], kappa) for there in tries]
-        # At the fit's own linearisation, the predicted gain that replays did not reach is removed.
+        # For a fit's linearisation, the predicted gain that no replay reached is subtracted.
         for n, score in enumerate(scores[: len(spreads)]):
             scores[n] = replace(score, log=score.log - fit.unkept)
         place = int(np.argmax([score.log for score in scores]))

@@ -53,14 +53,7 @@ class Outcome:
         if specimen is not None:  # both values of a difference are uncertain
             self.spread = self.spread + specimen.priors.covariance
         #: Effects that are reported, named or in a confusion set.
-        self.named = tuple(
-            dict.fromkeys(  # An effect may act on all joints and, in addition, on a single joint.
-                key
-                for name, element in names
-                for key in sorted(problem.library.sites)
-                if key[0] == name and element in (key[1], EVERY)
-            )
-        )
+        self.named = _single(problem.library, names)
         #: Recalibrated model: parameters refitted within tolerances; named effects are absent.
         self.baseline = self.nothing
         #: Improved model: only reported effects, and parameters with a tolerance, are changed.
@@ -117,6 +110,18 @@ class Outcome:
             return np.ones(problem.replay.windows)
         nearest = np.array(self.specimen.nearest(problem))
         return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2
+
+
+def _single(library: Library, names: tuple[Key, ...]) -> tuple[Key, ...]:
+    """Returns effects on single elements: an effect on all joints becomes one on each joint."""
+    return tuple(
+        dict.fromkeys(  # An effect may act on all joints and, in addition, on a single joint.
+            key
+            for name, element in names
+            for key in sorted(library.sites)
+            if key[0] == name and element in (key[1], EVERY)
+        )
+    )
 
 
 def _named_alone(library: Library, fitted: Hypothesis, named: tuple[Key, ...]) -> Hypothesis:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from leglab.base.errors import FileError
 from leglab.base.output import write_json
@@ -133,6 +133,10 @@ class Table:
         try:
             return cls.from_json(json.loads(path.read_text()))
         except (OSError, ValueError) as error:
-            told = f"{path} is no table of sets; allowed: "
+            reason = str(error)
+            if isinstance(error, ValidationError):
+                first = error.errors()[0]
+                reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+            told = f"{path} is no table of sets ({reason}); allowed: "
             allowed = "sets.json of `leglab diagnose --keep`"
-            raise FileError(told, given=str(error).splitlines()[0], allowed=allowed) from error
+            raise FileError(told, given=path, allowed=allowed) from error
