@@ -191,7 +191,8 @@ def _words(candidate: Any, found: Identified) -> str:
     plan = candidate.plan
     if isinstance(structure := candidate.fit.features[0], StateSpace):
         delays = ", ".join(map(str, structure.delays))
-        return f"{structure.states} states, {_count(structure.curves, 'curves')}, delay {delays}"
+        states, curves = _count(structure.states, "states"), _count(structure.curves, "curves")
+        return f"{states}, {curves}, delay {delays}"
     linear = len(plan.orders.linear(found.problem))
     bent = len(candidate.fit.features) - linear
     lags = f"{plan.orders.outputs} lags of {found.output}, {plan.orders.inputs} of each input"
