@@ -48,9 +48,20 @@ def simulated(xml, seed, size, reaches):
     return time, command, position + np.random.default_rng(99 + seed).normal(0.0, 1e-4, time.size)
 
 
-def diagnosed(folder, files, *effects):
+def logged(folder, seeds, xml, size, reaches):
+    """Logs of a machine by seed, as CSV."""
+    files = [folder / f"log_{seed}.csv" for seed in seeds]
+    for seed, file in zip(seeds, files, strict=True):
+        rows = np.stack(simulated(xml, seed, size, reaches), axis=1)
+        head = "time,knee_command,knee_position"
+        np.savetxt(file, rows, delimiter=",", header=head, comments="", fmt="%.9g")
+    return files
+
+
+def diagnosed(folder, files, *effects, healthy=()):
     """What `leglab diagnose model.xml` says, from diagnosis.json."""
     tried = [word for effect in effects for word in ("--effect", effect)]
+    tried += [word for file in healthy for word in ("--healthy", str(file))]
     words = ["diagnose", str(folder / "model.xml"), *map(str, files), *tried]
     run = CliRunner().invoke(app, [*words, "--out", str(folder / "out")])
     assert run.exit_code == 0, run.output
@@ -101,11 +112,7 @@ ATTRIBUTES = {
 def test_what_is_hidden_in_a_drive_is_named_first(name, tmp_path):
     actuator, size, other, reaches, sizes = HIDDEN[name]
     (tmp_path / "model.xml").write_text(model_of(actuator))
-    files = [tmp_path / f"log_{seed}.csv" for seed in range(3)]
-    for seed, file in enumerate(files):
-        rows = np.stack(simulated(model_of(other), seed, size, reaches), axis=1)
-        head = "time,knee_command,knee_position"
-        np.savetxt(file, rows, delimiter=",", header=head, comments="", fmt="%.9g")
+    files = logged(tmp_path, range(3), model_of(other), size, reaches)
     found = diagnosed(tmp_path, files, name, *FEW)
     first = found["effects"][0]
     assert (found["verdict"], first["name"]) == ("named", name), found["effects"]
@@ -117,6 +124,19 @@ def test_what_is_hidden_in_a_drive_is_named_first(name, tmp_path):
         written = ATTRIBUTES[name](model.actuator("knee"))
         assert written == pytest.approx(next(iter(sizes.values())), rel=0.1)
         assert model.nplugin == 0
+
+
+@pytest.mark.slow("whole diagnoses with healthy recordings")
+@pytest.mark.parametrize(("before", "names"), [(0.4, []), (2.0, ["command_saturation"])])
+def test_a_limit_that_healthy_recordings_show_is_no_change(before, names, tmp_path):
+    (tmp_path / "model.xml").write_text(model_of(SERVO))
+    new, healthy = (
+        logged(tmp_path, seeds, model_of(SERVO), 0.35, lambda u, m=limit: np.clip(u, -m, m))
+        for seeds, limit in ((range(3), 0.4), (range(10, 12), before))
+    )
+    found = diagnosed(tmp_path, new, "command_saturation", *FEW, healthy=healthy)
+    assert [effect["name"] for effect in found["effects"]] == names
+    assert found["verdict"] == ("named" if names else "nothing_missing")
 
 
 def test_a_limit_changes_nothing_where_nothing_comes_near_it(tmp_path):

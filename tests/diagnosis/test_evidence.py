@@ -74,13 +74,18 @@ def test_errors_count_by_the_noise_and_the_models_own_error(size):
         assert not roots[:, n:].any()
 
 
-@pytest.mark.parametrize(("left_out", "spread"), [(None, None), (2, None), (None, 1), (2, 1)])
+@pytest.mark.parametrize(
+    ("left_out", "spread"), [(None, None), (2, None), (None, 1), (2, 1), (-1, None), (-2, None)]
+)
 def test_evidence_of_nothing_is_that_of_one_normal_density(left_out, spread):
-    """With all parts of the recordings or without one, with all spreads of machines or one."""
+    """With all windows, without a part or a recording, with all spreads of machines or one."""
     found = evidence()
-    windows = np.ones(found.part.size, dtype=bool) if left_out is None else found.part != left_out
-    whole = left_out is None
-    score = found.score((), spread=spread) if whole else found.apart((), spread)[left_out]
+    windows = np.ones(found.part.size, dtype=bool)
+    if left_out is None:
+        score = found.score((), spread=spread)
+    else:
+        score = found.apart((), spread, recordings=True)[left_out]
+        windows = found.part != left_out if left_out >= 0 else found.at.recording != 2 + left_out
     deviations = found.priors.spreads
     grid = [
         dense(found, windows, size, deviation) + prior

@@ -238,15 +238,34 @@ class Evidence:
         other.__dict__.pop("whole", None)
         return other
 
-    def apart(self, members: Sequence[Member], spread: int | None = None) -> list[Score]:
-        """Scores a set with each part (see `parts_of`) left out in turn; `spread` as in `score`."""
-        parts = [self._products(self.part == r) for r in range(int(self.part.max()) + 1)]
+    @cached_property
+    def subsets(self) -> list[np.ndarray]:
+        """Parts that are left out together: each part alone, then those of each recording.
+
+        A recording is added if it has several parts and is not the only one.
+        """
+        first = np.unique(self.part, return_index=True)[1]
+        owner = self.at.recording[first]
+        whole = [np.flatnonzero(owner == r) for r in np.unique(owner)]
+        return [np.array([r]) for r in range(first.size)] + [
+            own for own in whole if 1 < own.size < first.size
+        ]
+
+    def apart(
+        self, members: Sequence[Member], spread: int | None = None, *, recordings: bool = False
+    ) -> list[Score]:
+        """Scores a set with each part (see `parts_of`) left out in turn; `spread` as in `score`.
+
+        With `recordings`, all `subsets` are left out in turn.
+        """
+        count = int(self.part.max()) + 1
+        parts = [self._products(self.part == r) for r in range(count)]
         found = []
-        for r in range(len(parts)):
+        for out in self.subsets[: None if recordings else count]:
             # The other parts are summed, since rounding can make total less one part indefinite.
             gram, log = np.zeros_like(self.gram), np.zeros_like(self.log_covariance)
-            for other in parts[:r] + parts[r + 1 :]:
-                gram, log = gram + other[0], log + other[1]
+            for r in np.setdiff1d(np.arange(count), out):
+                gram, log = gram + parts[r][0], log + parts[r][1]
             # Unknowns are fixed at the same bounds as in the evidence of all windows.
             reduced = _Reduced(self, gram, log, self.whole.stays)
             found.append(self.score(members, reduced, spread))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from leglab.base.scale import rms
 from leglab.diagnosis import thresholds
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Library
 from leglab.diagnosis.intake.series import UniformSeries
-from leglab.diagnosis.likelihood.columns import Columns, Errors
+from leglab.diagnosis.likelihood.columns import Columns, Errors, Jump
 from leglab.diagnosis.likelihood.evidence import Evidence, parts_of
 from leglab.diagnosis.likelihood.priors import Priors
 from leglab.diagnosis.likelihood.spread import Spread
@@ -107,7 +107,9 @@ class Specimen:
         limits = np.exp([self.day, 2.0 * self.day])
         return bool(np.median(ratio) <= limits[0] and largest <= limits[1])
 
-    def as_new(self, library: Library, members: Iterable[int], kappa: float) -> Evidence:
+    def as_new(
+        self, library: Library, members: Iterable[int], jumps: Sequence[Jump], kappa: float
+    ) -> Evidence:
         """Builds the evidence of sets of effects on healthy recordings, as if these were new.
 
         Each part of the healthy recordings is compared with the fit to the other parts, just as new
@@ -116,6 +118,7 @@ class Specimen:
         Args:
             library: Effects on the specimen.
             members: Unknowns of the sets, whose tangents are computed anew.
+            jumps: Finite steps of unknowns that are not `gradual`, which have no tangents.
             kappa: Factor on the log likelihood.
         """
         problem, u = copy(self.problem), Unknowns.of(library)
@@ -128,8 +131,11 @@ class Specimen:
         for q in range(len(u)):
             tangents[:, :, q] = single[:, :, list(u.singles(q))].sum(axis=2)
         none = np.zeros((*self.errors.shape, 0))
-        columns = Columns(Hypothesis(), np.zeros(len(u)), self.errors, tangents, (), none)
-        fitter = Fitter(Errors(problem, u, self.at.chosen), self.priors, self.spread)
+        at = Errors(problem, u, self.at.chosen)
+        # The changes by jumps are those of the fit to all parts, too.
+        columns = Columns(Hypothesis(), np.zeros(len(u)), here[1], tangents, (), none)
+        columns = replace(at.jumped(columns, jumps), errors=self.errors)
+        fitter = Fitter(at, self.priors, self.spread)
         return fitter.evidence(columns, *fitter.about(columns.errors), kappa)
 
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from leglab.diagnosis.effects.hypothesis import Hypothesis, Key
-from leglab.diagnosis.likelihood.columns import Columns, Errors
-from leglab.diagnosis.likelihood.evidence import Evidence, Score
+from leglab.diagnosis.likelihood.columns import Columns, Errors, Jump
+from leglab.diagnosis.likelihood.evidence import Evidence, Member, Score
 from leglab.diagnosis.replay.residual import inverse_roots, thinned
 from leglab.diagnosis.search.healthy import Specimen
 from leglab.diagnosis.search.moves.both_ways import both_ways
 from leglab.diagnosis.search.pool import Found
 from leglab.diagnosis.search.settle import Candidate
-from leglab.diagnosis.thresholds import BLOWN, LAW, NEAR, NO_FAULT, SMALL, WINDOWS
+from leglab.diagnosis.thresholds import BLOWN, LAW, NEAR, NO_FAULT, SECANT, SMALL, WINDOWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,8 @@ class Row:
     ended: frozenset[Key]  #: Effects of the set with a parameter that ended at a bound
     score: Score  #: Score at the linearisation (fit) at which the set is most probable
     evidence: Evidence  #: Evidence at this linearisation
-    apart: np.ndarray  #: Log evidence with each part of the recordings left out in turn, (parts,)
+    #: Log evidence with each of the subsets `Evidence.subsets` left out, (subsets,).
+    apart: np.ndarray
     left: np.ndarray  #: Errors that the set leaves, (windows, rows)
     hypothesis: Hypothesis  #: Hypothesis whose errors are `left`
     level: float  #: Median of `left` in noise levels
@@ -44,6 +45,11 @@ class Row:
     def size(self, key: Key) -> float:
         """Returns the largest departure of an effect's parameters, in smallest trials."""
         return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
+
+
+def _values(row: Row) -> Iterator[tuple[int, float]]:
+    """Yields the unknowns of a set with their departures."""
+    return zip(row.score.unknowns, row.score.values.tolist(), strict=True)
 
 
 class Sets:
@@ -139,13 +145,14 @@ class Sets:
         best = int(np.argmax([one[0].log - lost for one, lost in zip(tries, losses, strict=True)]))
         score, spread_there, hypothesis, errors, cost = tries[best]
         lost, all_parts = float(losses[best]), float(beyond[best].sum()) + cost
-        parts = np.array([one.log for one in evidence.apart(chosen, spread_there)])
+        parts = np.array([one.log for one in evidence.apart(chosen, spread_there, recordings=True)])
         return Row(
             keys=u.names(members),
             ended=u.names(q for q in ended if q in members),
             score=replace(score, log=score.log - lost, fit=score.fit - lost),
             evidence=evidence.with_kappa(evidence.kappa),  # a copy without the large caches
-            apart=parts - np.maximum(all_parts - beyond[best], 0.0),
+            apart=parts
+            - np.maximum([all_parts - beyond[best][out].sum() for out in evidence.subsets], 0.0),
             left=errors,
             hypothesis=hypothesis,
             level=self.fitter.level(errors),
@@ -213,18 +220,40 @@ class Sets:
         """Ranks sets by log evidence less the log evidence that each gains on healthy recordings.
 
         Healthy windows have the same total weight as new windows. Prior odds are not subtracted.
+        The fit to the healthy recordings lacks effects that are not `gradual`. If such an effect
+        gains on these recordings, it is more probably older than new, and so it is no change.
         """
         count = self.at.recording.size / specimen.at.recording.size
-        members = {q for row in rows for q in row.score.unknowns}
-        before = specimen.as_new(self.unknowns.library, members, self.best.kappa * count)
+        unknowns = {q for row in rows for q in row.score.unknowns}
+        jumps = list[Jump]()
+        members = [[self._step(*one, jumps) for one in _values(row)] for row in rows]
+        before = specimen.as_new(self.unknowns.library, unknowns, jumps, self.best.kappa * count)
         nothing, found = before.score(()).log, []
-        for row in rows:
-            cost = before.odds(row.score.unknowns)
-            healthy = before.score([(q, None) for q in row.score.unknowns]).log - cost - nothing
-            gain = max(healthy, 0.0)
+
+        def gained(own: Sequence[Member]) -> float:
+            return before.score(own).log - before.odds([q for q, _ in own]) - nothing
+
+        for row, own in zip(rows, members, strict=True):
+            stepped = {self.unknowns.keys[q] for q, jump in own if jump is not None}
+            parts = {key: [m for m in own if self.unknowns.keys[m[0]] == key] for key in stepped}
+            older = {key for key, one in parts.items() if gained(one) > 0.0}
+            gain = max(gained([m for m in own if self.unknowns.keys[m[0]] not in older]), 0.0)
             score = replace(row.score, log=row.score.log - gain, fit=row.score.fit - gain)
-            found.append(replace(row, score=score, apart=row.apart - gain))
+            found.append(replace(row, keys=row.keys - older, score=score, apart=row.apart - gain))
         return sorted(found, key=lambda r: -r.score.log)
+
+    def _step(self, unknown: int, value: float, jumps: list[Jump]) -> Member:
+        """Returns a parameter as a member of a set: by its tangent, or if not `gradual` by a jump.
+
+        The tangent is zero for a limit beyond all commands, e.g. A jump that is missing is added.
+        """
+        if self.unknowns.gradual[unknown] or abs(value) < NO_FAULT:
+            return unknown, None
+        for i, (known, by) in enumerate(jumps):
+            if known == unknown and SECANT[0] <= value / by <= SECANT[1]:
+                return unknown, i
+        jumps.append((unknown, value))
+        return unknown, len(jumps) - 1
 
     def _alike(self, row: Row) -> Row | None:
         """Renames a direction-dependent effect, if both directions agree, to the symmetric effect.

@@ -399,19 +399,18 @@ def _transfer_table(found: Identified) -> Table:
 
 
 def _tried_table(found: Identified) -> Table:
-    rows: list[list[str]] = []
-    seen: set[str] = set()
+    told = {}
     left = {True: _MOST_TRIED, False: _MOST_TRIED}
-    best = found.chosen.score
     for candidate in found.candidates:
-        words = _words(candidate, found)
         simple = candidate.plan.kind in LINEAR
-        if words in seen or not left[simple]:
-            continue
-        seen.add(words)
-        left[simple] -= 1
-        ratio = f"{candidate.score / best:.2f}" if rows else "1, chosen"
-        if rows and candidate.score < best:
+        if (words := _words(candidate, found)) not in told and left[simple]:
+            left[simple] -= 1
+            told[words] = candidate
+    first, *others = told.items()
+    rows: list[list[str]] = []
+    for words, candidate in (first, *sorted(others, key=lambda one: one[1].score)):
+        ratio = f"{candidate.score / found.chosen.score:.2f}" if rows else "1, chosen"
+        if rows and candidate.score < found.chosen.score:
             ratio += ", not better than simpler models in both block sizes"
         rows.append([words, ratio, number(candidate.score * found.problem.deviation)])
     return Table(
