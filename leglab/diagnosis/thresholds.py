@@ -286,7 +286,8 @@ EDGE = 0.5  # [logits]
 VISIBLE = CERTAIN**2
 # Probability above which an effect is named: it is more probable than not.
 NAMED = 0.5
-# Least probability, with some part of the recordings left out, of each effect of a confusion set.
+# Least probability, with some part of the recordings left out, of each effect of a confusion set
+# and, without healthy recordings, of the empty set if nothing is missing.
 POSSIBLE = 0.3
 # TIE: ratio of probabilities below which the data do not distinguish two sets. RESISTING: number of
 # parameters that a rival set may have in place of a drive's gain: inertia, dry, viscous friction.

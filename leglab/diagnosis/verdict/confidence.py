@@ -96,15 +96,17 @@ def judge(table: Table) -> Judgement:
 
 
 def _quiet(table: Table) -> Entry | None:
-    """Returns the empty set if it is probable and leaves only noise, or errors as when healthy.
+    """Returns the empty set if it is possible and leaves only noise, or errors as when healthy.
 
-    With healthy recordings, it must be more probable than all other sets together, since its fit
-    moves the specimen's parameters within the healthy data's uncertainty.
+    It is possible by the same measure as an effect of a confusion set. With healthy recordings, it
+    must be more probable than all other sets together, since its fit moves the specimen's
+    parameters within the healthy data's uncertainty.
     """
     share = _shares(np.array([one.log for one in table.sets]))
-    compared = table.as_it_was is not None
-    for one, own in zip(table.sets, share, strict=True):
-        probable = own > thresholds.NAMED if compared else own >= thresholds.POSSIBLE
+    parts = _shares(np.array([one.apart for one in table.sets])).max(axis=1, initial=0.0)
+    for one, own, most in zip(table.sets, share, np.maximum(share, parts), strict=True):
+        compared = table.as_it_was is not None
+        probable = own > thresholds.NAMED if compared else most >= thresholds.POSSIBLE
         if not one.keys and probable and one.quiet:
             return one
     return None
