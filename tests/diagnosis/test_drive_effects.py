@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -130,10 +131,14 @@ def test_what_is_hidden_in_a_drive_is_named_first(name, tmp_path):
 @pytest.mark.parametrize(("before", "names"), [(0.4, []), (2.0, ["command_saturation"])])
 def test_a_limit_that_healthy_recordings_show_is_no_change(before, names, tmp_path):
     (tmp_path / "model.xml").write_text(model_of(SERVO))
-    new, healthy = (
-        logged(tmp_path, seeds, model_of(SERVO), 0.35, lambda u, m=limit: np.clip(u, -m, m))
-        for seeds, limit in ((range(3), 0.4), (range(10, 12), before))
-    )
+
+    def logs(small, large, limit):
+        """One log with commands that hardly reach the limit, and others beyond it."""
+        reaches = partial(np.clip, a_min=-limit, a_max=limit)
+        sizes = ((small, 0.2), (large, 0.35))
+        return [f for i, s in sizes for f in logged(tmp_path, i, model_of(SERVO), s, reaches)]
+
+    new, healthy = logs([0], [1, 2], 0.4), logs([10], [11], before)
     found = diagnosed(tmp_path, new, "command_saturation", *FEW, healthy=healthy)
     assert [effect["name"] for effect in found["effects"]] == names
     assert found["verdict"] == ("named" if names else "nothing_missing")

@@ -116,7 +116,7 @@ class Explanation:
 
     @property
     def certain(self) -> bool:
-        """True if at most `TOLD` faults fit alike and their probabilities sum up to enough."""
+        """True if at most `TOLD` faults fit equally well and their total probability suffices."""
         enough = self.chance[self.alike].sum() >= self.config.confidence
         return len(self.alike) <= TOLD and bool(enough)
 

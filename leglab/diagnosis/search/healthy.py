@@ -132,8 +132,8 @@ class Specimen:
             tangents[:, :, q] = single[:, :, list(u.singles(q))].sum(axis=2)
         none = np.zeros((*self.errors.shape, 0))
         at = Errors(problem, u, self.at.chosen)
-        # The changes by jumps are those of the fit to all parts, too.
-        columns = Columns(Hypothesis(), np.zeros(len(u)), here[1], tangents, (), none)
+        # Like the tangents, changes by jumps are those of the fit to all parts.
+        columns = Columns(Hypothesis(), np.zeros(len(u)), self.columns.errors, tangents, (), none)
         columns = replace(at.jumped(columns, jumps), errors=self.errors)
         fitter = Fitter(at, self.priors, self.spread)
         return fitter.evidence(columns, *fitter.about(columns.errors), kappa)

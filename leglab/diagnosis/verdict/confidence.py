@@ -103,13 +103,12 @@ def _quiet(table: Table) -> Entry | None:
     parameters within the healthy data's uncertainty.
     """
     share = _shares(np.array([one.log for one in table.sets]))
-    parts = _shares(np.array([one.apart for one in table.sets])).max(axis=1, initial=0.0)
-    for one, own, most in zip(table.sets, share, np.maximum(share, parts), strict=True):
-        compared = table.as_it_was is not None
-        probable = own > thresholds.NAMED if compared else most >= thresholds.POSSIBLE
-        if not one.keys and probable and one.quiet:
-            return one
-    return None
+    enough = share > thresholds.NAMED
+    if table.as_it_was is None:
+        parts = _shares(np.array([one.apart for one in table.sets])).max(axis=1)
+        enough = np.maximum(share, parts) >= thresholds.POSSIBLE
+    empty = (one for one, own in zip(table.sets, enough, strict=True) if own and not one.keys)
+    return next((one for one in empty if one.quiet), None)
 
 
 def _shares(logs: np.ndarray) -> np.ndarray:

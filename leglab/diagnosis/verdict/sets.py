@@ -47,11 +47,6 @@ class Row:
         return float(np.abs(self.score.values[self.places(key)]).max(initial=0.0))
 
 
-def _values(row: Row) -> Iterator[tuple[int, float]]:
-    """Yields the unknowns of a set with their departures."""
-    return zip(row.score.unknowns, row.score.values.tolist(), strict=True)
-
-
 class Sets:
     """All sets of a search in `rows`, most probable first."""
 
@@ -221,12 +216,18 @@ class Sets:
 
         Healthy windows have the same total weight as new windows. Prior odds are not subtracted.
         The fit to the healthy recordings lacks effects that are not `gradual`. If such an effect
-        gains on these recordings, it is more probably older than new, and so it is no change.
+        gains on these recordings, it probably existed before and is no change.
         """
         count = self.at.recording.size / specimen.at.recording.size
         unknowns = {q for row in rows for q in row.score.unknowns}
         jumps = list[Jump]()
-        members = [[self._step(*one, jumps) for one in _values(row)] for row in rows]
+        members = [
+            [
+                self._step(q, float(value), jumps)
+                for q, value in zip(row.score.unknowns, row.score.values, strict=True)
+            ]
+            for row in rows
+        ]
         before = specimen.as_new(self.unknowns.library, unknowns, jumps, self.best.kappa * count)
         nothing, found = before.score(()).log, []
 
@@ -245,7 +246,8 @@ class Sets:
     def _step(self, unknown: int, value: float, jumps: list[Jump]) -> Member:
         """Returns a parameter as a member of a set: by its tangent, or if not `gradual` by a jump.
 
-        The tangent is zero for a limit beyond all commands, e.g. A jump that is missing is added.
+        For example, the tangent of a limit beyond all commands is zero. `jumps` is extended if no
+        jump has a similar value.
         """
         if self.unknowns.gradual[unknown] or abs(value) < NO_FAULT:
             return unknown, None

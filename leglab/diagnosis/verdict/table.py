@@ -71,7 +71,7 @@ class Entry:
     ended: tuple[Key, ...]  #: Effects with a parameter that ended at a bound
     log: float  #: Log evidence [nats]
     fit: float  #: Log evidence without the prior odds of the set [nats]
-    #: Log evidence with each part of the recordings, then each of several, left out [nats].
+    #: Log evidence without each part of the recordings, then without each recording [nats].
     apart: tuple[float, ...]
     drive: float  #: Change of log evidence by dividing errors by commanded motion [nats], <= 0
     numbers: int  #: Number of parameters

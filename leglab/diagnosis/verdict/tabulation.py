@@ -67,11 +67,10 @@ def _finite(log: float) -> float:
 def _as_healthy(sets: Sets, row: Row, specimen: Specimen) -> bool:
     """Tests whether a set's errors are as small as the specimen's in healthy recordings.
 
-    If the set has parameters of effects that are no change, the specimen's own errors are tested.
+    If the set only contains effects that are no change, the errors without these are tested.
     """
-    return specimen.as_it_was(
-        sets.at.problem, Hypothesis() if row.score.members else row.hypothesis
-    )
+    tested = Hypothesis() if row.score.members else row.hypothesis
+    return specimen.as_it_was(sets.at.problem, tested)
 
 
 def _as_noise(sets: Sets, row: Row) -> bool:
