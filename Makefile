@@ -8,6 +8,8 @@ STAMP := $(VENV)/installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --durations=15 --timeout=1200
 # Python compiles at the first import: most files of the packages are never imported.
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile
+# Where Python must not keep what it compiles, each process that a test starts compiles all anew.
+unexport PYTHONDONTWRITEBYTECODE
 SOURCES := pyproject.toml CMakeLists.txt $(shell find leglab/csrc rigs/csrc -type f)
 
 .PHONY: demo test test-all soak sanitize lint docs results clean
