@@ -49,6 +49,7 @@ def test_a_change_that_the_bank_has_not_costs_little():
     assert (bank < 1.4 * base).all()
 
 
+@pytest.mark.slow("half a minute")
 def test_a_play_that_would_eat_the_command_is_not_found(monkeypatch):
     """Of a slow squat, whose commands move by less than the widths that are tried."""
     monkeypatch.setattr(making, "_banks", {})

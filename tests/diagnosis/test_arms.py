@@ -64,12 +64,6 @@ def named(result):
     return {(e.name, e.element): e for e in result.effects}
 
 
-def _rigs(cases):
-    """Cases of each rig; those of the servo joint are the quick ones."""
-    slow = pytest.mark.slow("whole diagnoses of an arm with all effects")
-    return [pytest.param(*c, marks=() if c[0] == "servo_joint" else slow) for c in cases]
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_the_independent_simulator_agrees_with_the_nominal_models(name):
     """Free of leglab altogether: the recorded commands drive the bare model along the recording."""
@@ -88,9 +82,10 @@ def test_a_perfect_model_lacks_nothing(name):
     assert result.gap.after < 1.1
 
 
+@pytest.mark.slow("whole diagnoses of an arm with all effects")
 @pytest.mark.parametrize(
     ("name", "hidden", "expected"),
-    _rigs([(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases]),
+    [(name, hidden, expected) for name, cases in ONE.items() for hidden, expected in cases],
 )
 def test_one_fault_is_named_on_its_joint(name, hidden, expected, tmp_path):
     effect, element, parameter, value = expected

@@ -569,10 +569,8 @@ def test_admitting_twice_changes_nothing(wheel, turning):
 # Whole diagnoses.
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param("uneven", marks=pytest.mark.slow("a second whole diagnosis")), "everything"],
-)
+@pytest.mark.slow("whole diagnoses with all effects")
+@pytest.mark.parametrize("name", ["uneven", "everything"])
 def test_an_unpleasant_case_gets_the_name_and_size_of_a_clean_one(name):
     case = CASES[name]()
     result, _ = diagnose(

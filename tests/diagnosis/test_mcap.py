@@ -39,6 +39,7 @@ def written(case, folder):
     return files
 
 
+@pytest.mark.slow("a whole diagnosis by the command, as in test_diagnosis.py")
 def test_a_bag_with_a_column_map_is_diagnosed(tmp_path):
     files = written("d2", tmp_path)
     (tmp_path / "map.toml").write_text(COLUMN_MAP)

@@ -113,6 +113,7 @@ def test_of_a_friction_one_line_differs(tmp_path):
     assert told["moved"] == []
 
 
+@pytest.mark.slow("a second whole diagnosis by the command")
 def test_includes_and_classes_stay_and_the_element_has_the_change(tmp_path):
     parts = tmp_path / "robot" / "parts"
     parts.mkdir(parents=True)

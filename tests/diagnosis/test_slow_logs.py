@@ -99,7 +99,7 @@ def test_a_window_has_two_bins_for_each_force_that_it_tells(rate, options, lengt
     assert window_length(1.0 / rate, Thresholds(**options)) == length
 
 
-@pytest.mark.parametrize("rate", [25, 30, 50])
+@pytest.mark.parametrize("rate", [25, 50])
 def test_friction_is_named_from_a_slow_log_with_its_size(servo, rate):
     logs = swinging(rate, friction=0.3)
     result, found = told(servo, logs, "coulomb_friction", "viscous_friction")

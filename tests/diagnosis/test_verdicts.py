@@ -456,6 +456,7 @@ def test_what_begins_during_a_recording_is_told_with_its_time(name):
 # Intervals.
 
 
+@pytest.mark.slow("ten seconds")
 def test_intervals_hold_the_truth_whatever_the_noise():
     """Of six sets of recordings of a machine; and they are not so wide as to say nothing."""
     held, errors, halves = [], [], []
@@ -474,7 +475,10 @@ def test_intervals_hold_the_truth_whatever_the_noise():
 # Machines that are off everywhere.
 
 
-@pytest.mark.parametrize("name", ["rough, pulled", "rough, pulled since"])
+@pytest.mark.parametrize(
+    "name",
+    ["rough, pulled", pytest.param("rough, pulled since", marks=pytest.mark.slow("half a minute"))],
+)
 def test_a_change_of_a_machine_that_is_off_everywhere_is_named(name):
     result = told(name)
     assert result.verdict == "named"
@@ -489,6 +493,7 @@ def test_a_change_of_a_machine_that_is_off_everywhere_is_named(name):
     assert 0.1 * 0.4 < high - low < 1.5 * 0.4
 
 
+@pytest.mark.slow("ten seconds")
 def test_of_two_causes_the_one_that_is_not_told_apart_takes_no_name():
     """A late command or a late sensor; and where most of the error is left, nothing has a name."""
     result = told("rough, late and pulled")
@@ -517,6 +522,7 @@ def test_errors_of_a_rough_machine_are_worth_fewer_numbers_than_they_are():
     assert worth["rough"] < 0.5 < worth["nothing"]
 
 
+@pytest.mark.slow("half a minute")
 def test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more():
     result = told("weak, weightless")
     assert result.verdict == "confusion_set"
@@ -573,6 +579,7 @@ def test_what_a_machine_has_had_before_is_no_part_of_the_gap():
     assert {r[0] for r in since.calibration.recordings} == {HELD_OUT, "stairs"}
 
 
+@pytest.mark.slow("a minute")
 def test_a_wave_that_came_since_has_its_own_period():
     """The healthy recordings show no wave, and any period fits that."""
     (effect,) = told("toothed since").effects

@@ -35,8 +35,11 @@ def machine(request, tmp_path):
     return Machine(given)
 
 
-def written(machine, values, folder):
-    problem = SimpleNamespace(machine=machine, library=Library(machine))
+def problem_of(machine):
+    return SimpleNamespace(machine=machine, library=Library(machine))
+
+
+def written(problem, values, folder):
     folder.mkdir(exist_ok=True)
     return write_model(problem, Hypothesis(values), folder)[0]
 
@@ -46,21 +49,22 @@ def usual(site):
 
 
 def test_every_effect_is_written_at_its_bounds(machine, tmp_path):
-    for key, site in Library(machine).sites.items():
+    problem = problem_of(machine)
+    for key, site in problem.library.sites.items():
         for i, p in enumerate(site.parameters):
             # Next to what changes nothing as well: a droop of nothing is an infinite gain.
             for end in (p.lower, p.upper, p.nominal + 1e-9 * (p.upper - p.nominal)):
                 values = usual(site)
                 values[i] = end
                 try:
-                    written(machine, {key: values}, tmp_path)
+                    written(problem, {key: values}, tmp_path)
                 except ValueError as error:
                     pytest.fail(f"{key} {p.name} = {end:g}: {error}")
 
 
 def test_a_leakage_of_1e_13_is_written(tmp_path):
     values = {("internal_leakage", "knee_valve"): np.array([3.14159265e-14])}
-    path = written(Machine("knee_bench"), values, tmp_path)
+    path = written(problem_of(Machine("knee_bench")), values, tmp_path)
     # Six digits, rounded towards the model's 1.7e-13: no bound is passed.
     assert 'value="3.1416e-14"' in path.read_text()
     found = Machine(path).parameter("knee_valve", "internal_leakage")
@@ -69,9 +73,10 @@ def test_a_leakage_of_1e_13_is_written(tmp_path):
 
 def test_an_improved_model_is_improved_again_and_again(machine, tmp_path):
     for turn in range(3):
-        sites = Library(machine).sites
+        problem = problem_of(machine)
+        sites = problem.library.sites
         values = {key: usual(site) for key, site in sites.items() if site.effect.nameable}
-        path = written(machine, values, tmp_path / f"again{turn}")
+        path = written(problem, values, tmp_path / f"again{turn}")
         mujoco.MjModel.from_xml_path(str(path))
         machine = Machine(path)
 
@@ -98,13 +103,13 @@ def test_assets_are_found_from_any_folder(tmp_path, monkeypatch):
       <actuator><general name="a" joint="j" dyntype="filter" dynprm="0.1"/></actuator></mujoco>""")
     monkeypatch.chdir(robot)
     values = {("command_delay", "a"): np.array([0.02])}
-    path = written(Machine("model.xml"), values, tmp_path / "elsewhere")
+    path = written(problem_of(Machine("model.xml")), values, tmp_path / "elsewhere")
     monkeypatch.chdir("/")
     model = mujoco.MjModel.from_xml_path(str(path))
     assert (model.nhfield, model.nmesh, model.nplugin) == (1, 1, 1)
     key = model.key("home")
     assert (key.qpos[0], key.ctrl[0], key.act[0]) == (0.3, 0.2, 0.1)
     # The command path that is there takes the second delay as well.
-    path = written(Machine(path), values, tmp_path / "again")
+    path = written(problem_of(Machine(path)), values, tmp_path / "again")
     (plugin,) = mujoco.MjSpec.from_file(str(path)).plugins
     assert float(plugin.config["delay"]) == pytest.approx(0.04)

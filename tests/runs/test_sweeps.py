@@ -314,7 +314,7 @@ def _be_killed(content, folder):
 
 @pytest.mark.parametrize(
     ("sweeps", "each", "seeds"),
-    [(1, 6, 150), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
+    [(1, 6, 60), pytest.param(2, 15, 300, marks=pytest.mark.slow("thirty kills"))],
 )
 def test_kills_lose_nothing_and_double_nothing(tmp_path, sweeps, each, seeds):
     """Sweeps, killed at random moments: while they start, run, write and put files together."""
