@@ -304,7 +304,7 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
     period = sensors.control_period
     frequencies = np.geomspace(0.05, math.pi / period * 0.999, 4000)
     z = np.exp(1j * frequencies * period)
-    responses = [plant(z).ravel() for plant in sampled_plants(simulation, joint, sensors)]
+    responses = [_response(plant, z) for plant in sampled_plants(simulation, joint, sensors)]
     alpha = velocity_filter_coefficient(period, sensors.velocity_cutoff)
     derivative = alpha * (1 - 1 / z) / period / (1 - (1 - alpha) / z)
 
@@ -313,21 +313,31 @@ def tune(simulation: Simulation, joint: int, *, sensors: SensorConfiguration) ->
         found = [stability_margins(plant * law, frequencies) for plant in responses]
         return np.min([(math.inf,) * 3, *found], axis=0).tolist()
 
+    def stable(kp: float, kv: float) -> bool:
+        gain, phase, _ = margins(kp, kv)
+        return gain >= GAIN_MARGIN_DB and phase >= PHASE_MARGIN_DEG
+
     def greatest(kv: float) -> float:
         low, high = 0.0, most_position
         for _ in range(40):
             middle = 0.5 * (low + high)
-            gain, phase, _ = margins(middle, kv)
-            if gain >= GAIN_MARGIN_DB and phase >= PHASE_MARGIN_DEG:
-                low = middle
-            else:
-                high = middle
+            low, high = (middle, high) if stable(middle, kv) else (low, middle)
         return low
 
-    best = max((greatest(kv), -kv) for kv in np.linspace(0.0, most_velocity, 41))
-    kp, kv = _round_down(best[0]), -float(best[1])
+    best, kv = greatest(0.0), 0.0
+    for tried in np.linspace(0.0, most_velocity, 41).tolist():
+        # The bisection takes 40 times as long as the test whether it can find a greater K_p.
+        if stable(best, tried) and (kp := greatest(tried)) > best:
+            best, kv = kp, tried
+    kp = _round_down(best)
     kv = _round_down(kv) if simulation.actuators[joint] in simulation.native else round(kv, 4)
     return dict(zip(PD.formats, (kp, kv, *margins(kp, kv)), strict=True))
+
+
+def _response(plant: "control.StateSpace", z: np.ndarray) -> np.ndarray:
+    """Computes C (z I - A)^-1 B + D; `plant(z)` does it point by point, 20 times as slowly."""
+    states = np.linalg.solve(z[:, None, None] * np.eye(plant.nstates) - plant.A, plant.B)
+    return (plant.C @ states + plant.D).ravel()
 
 
 def stability_margins(
