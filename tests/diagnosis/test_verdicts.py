@@ -562,6 +562,7 @@ def test_the_less_of_it_the_less_sure_is_a_name():
     assert large.confidence > 0.8
 
 
+@pytest.mark.slow("a minute")
 def test_what_a_machine_has_had_before_is_no_part_of_the_gap():
     without, since = told("rough, pulled"), told("rough, pulled since")
     assert without.gap.healthy is None

@@ -121,7 +121,7 @@ def test_a_model_that_learns_on_stays_with_its_machine_and_follows_it(
 
 
 def test_threads_and_an_interruption_change_no_bit(tmp_path):
-    u = levels(np.random.default_rng(4), 240)
+    u = levels(np.random.default_rng(4), 160)
     data = noisy(u, bent, 0.01)
     (whole,) = identify(data, jobs=1).values()
     journal = Journal(tmp_path / "journal", "key")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache, partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -133,6 +133,8 @@ class Problem:
         self.deviation = float(np.nanstd(y))
         self.variance = (self.deviation / template.output.half_range) ** 2  # in scaled units
         self.count = int(np.isfinite(y).sum())
+        # A search asks for the same structure many times, and its settings are checked when made.
+        self._lagged = lru_cache(maxsize=1000)(partial(replace, template))
 
     @cached_property
     def samples(self) -> dict[str, Array]:
@@ -145,7 +147,7 @@ class Problem:
     def lagged(self, features: Features) -> SplineNarxSettings:
         """Returns the settings of a model of lags; a state space among the features is ignored."""
         chosen = tuple(f for f in features if not isinstance(f, StateSpace))
-        return replace(self.template, features=chosen)
+        return self._lagged(features=chosen)
 
     def model(self, features: Features) -> Settings:
         """Returns the settings of a model of lags, or of a state-space model."""
