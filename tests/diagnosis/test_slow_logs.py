@@ -166,7 +166,9 @@ def test_noise_is_that_of_a_signal_that_moves(servo, early):
     assert (noise < 2.0).all()
 
 
-@pytest.mark.parametrize("count", [1.5e-3, 1e-5])
+@pytest.mark.parametrize(
+    "count", [1.5e-3, pytest.param(1e-5, marks=pytest.mark.slow("ten seconds"))]
+)
 def test_rest_does_not_lead_a_fit(servo, count):
     """The finer converter shows how the servo creeps at rest."""
     logs = {}
