@@ -27,14 +27,15 @@ from benchmarks import results
 
 ROOT = Path(__file__).parents[1]
 _VERDICT = ("tests/diagnosis/test_parts.py", "tests/diagnosis/test_verdicts.py")
+_JUDGING = ("tests/diagnosis/test_judging.py",)
 _MAKE_TEST = ("-m", "not slow and not soak")
 MODULES = {
     "leglab.runs.metrics": ("tests/runs/test_metrics.py",),
     "leglab.runs.clock": ("tests/runs/test_clock.py",),
     "leglab.diagnosis.likelihood.evidence": _VERDICT,
     "leglab.diagnosis.likelihood.priors": _VERDICT,
-    "leglab.diagnosis.verdict.confidence": ("tests/diagnosis/test_judging.py",),
-    "leglab.diagnosis.verdict.table": ("tests/diagnosis/test_judging.py",),
+    "leglab.diagnosis.verdict.confidence": _JUDGING,
+    "leglab.diagnosis.verdict.table": _JUDGING,
     "leglab.diagnosis.verdict.tabulation": _VERDICT,
     "leglab.diagnosis.verdict.outcome": _VERDICT,
     "leglab.diagnosis.verdict.verdict": _VERDICT,
@@ -50,7 +51,7 @@ FAULTS = {
     "rivals that fit as well are no ties": (
         "diagnosis.verdict.confidence",
         "_ties(table, sets[best[0]], next(iter(names))) if alone else ()", "()",
-        "test_a_weak_drive_of_a_joint_without_a_weight_is_a_joint_that_resists_more",
+        "test_a_rival_that_fits_as_well_halves_the_confidence_of_a_gain",
     ),
     "a name may lack a part of the recordings": (
         "diagnosis.verdict.confidence",
@@ -109,7 +110,7 @@ FAULTS = {
         "diagnosis.verdict.outcome",
         "return self.specimen.levels[nearest[problem.replay.recording], 1] ** 2",
         "return np.ones(problem.replay.windows)",
-        "test_what_a_machine_has_had_before_is_no_part_of_the_gap",
+        "test_a_machine_that_errs_as_it_did_lacks_nothing",
     ),
     "the gap is that of fitted recordings": (
         "diagnosis.replay.residual", "return self.held if self.held.any() else self.fitted",
@@ -281,7 +282,8 @@ def _load_packages(tests: tuple[str, ...]) -> None:
 
 def put_in_faults(some: Sequence[str]) -> bool:
     """Puts in the faults of judging, or those named, and tells whether all turn their test red."""
-    _load_packages(_VERDICT)
+    tests = *_VERDICT, *_JUDGING
+    _load_packages(tests)
     noticed = True
     for name in some or FAULTS:
         short, old, new, test = FAULTS[name]
@@ -290,7 +292,7 @@ def put_in_faults(some: Sequence[str]) -> bool:
         source, red = path.read_text(), None
         if source.count(old) == 1:
             mutant = _Mutant(module, str(path), source.replace(old, new))
-            red = first_red(mutant, (*_VERDICT, *_MAKE_TEST, "-k", test))
+            red = first_red(mutant, (*tests, *_MAKE_TEST, "-k", test))
         told = red or ("GREEN" if red == "" else "NOT TRIED: no such text or test, or no end")
         print(f"{name}: {told}", flush=True)
         noticed = noticed and bool(red)

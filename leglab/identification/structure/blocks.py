@@ -17,8 +17,8 @@ Table = tuple[tuple[float, ...], ...]
 def blocks(problem: Problem, depth: int, count: int) -> list[Stretch]:
     """Returns about `count` blocks of the records, each of which is held out once.
 
-    A record is one block at least. Of many records the blocks are some, evenly chosen: each block
-    costs a fit.
+    A record has at least one block. Of many blocks some are chosen, evenly spaced, because each
+    block takes a fit.
     """
     out = []
     total = sum(map(len, problem.records))
@@ -83,8 +83,6 @@ class Held:
 
     def errors(self, fits: Sequence[Fit]) -> Table:
         """Returns mean squared errors by block; the k-th fit was made without the k-th block."""
-        found = [
-            self._problem.error_of(*one) for one in zip(fits, self.all, self._firsts, strict=True)
-        ]
+        errors = list(map(self._problem.error_of, fits, self.all, self._firsts))
         starts = [0, *self._ends[:-1]]
-        return tuple(tuple(found[a:b]) for a, b in zip(starts, self._ends, strict=True))
+        return tuple(tuple(errors[a:b]) for a, b in zip(starts, self._ends, strict=True))

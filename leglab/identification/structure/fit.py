@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, lru_cache, partial
+from operator import add
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -105,12 +106,10 @@ class Simulator:
         by_record: dict[int, list[tuple[int, int]]] = {}
         for record, start, length in stretches:
             by_record.setdefault(record, []).append((start, length))
-        for record, own in sorted(by_record.items()):
-            starts, lengths = np.array(own, dtype=np.int64).T.copy()
-            found = self._runs[record].sums(theta, starts, lengths, sensitivities)
-            total = (
-                found if total is None else tuple(a + b for a, b in zip(total, found, strict=True))
-            )
+        for record, places in sorted(by_record.items()):
+            starts, lengths = np.array(places, dtype=np.int64).T.copy()
+            sums = self._runs[record].sums(theta, starts, lengths, sensitivities)
+            total = sums if total is None else tuple(map(add, total, sums))
         assert total is not None, "no stretch"
         return Sums(*total)
 
@@ -217,10 +216,10 @@ def prior(features: Sequence[Feature], blocks: Sequence[ParameterBlock]) -> Arra
     out = np.eye(sum(block.count for block in blocks))
     at = 0
     for feature, block in zip(features, blocks, strict=True):
-        own = slice(at, at + block.count)
+        rows = slice(at, at + block.count)
         if isinstance(feature, Spline):
-            out[own, own] = roughness(block.count)
-        at = own.stop
+            out[rows, rows] = roughness(block.count)
+        at = rows.stop
     return out
 
 
@@ -269,8 +268,8 @@ def descend(
     Returns:
         Parameters, and the RMS error as a share of the output's standard deviation.
     """
-    found = sums(theta, True)
-    scale = variance * max(found.samples, 1)
+    present = sums(theta, True)
+    scale = variance * max(present.samples, 1)
 
     def cost(error: float, at: Array) -> float:
         if not np.isfinite(error):
@@ -278,28 +277,28 @@ def descend(
         away = at - centre
         return float(np.log(max(error / scale, LEAST_SHARE)) + away @ form @ away)
 
-    error, damping = found.error, _FIRST_DAMPING
+    error, damping = present.error, _FIRST_DAMPING
     best = cost(error, theta)
     for _ in range(iterations):
         level = max(error, LEAST_SHARE * scale)
-        hessian = found.products / level + form
-        downhill = found.gradient / level - form @ (theta - centre)
+        hessian = present.products / level + form
+        downhill = present.gradient / level - form @ (theta - centre)
         for _ in range(_TRIES):
             damped = hessian + damping * np.diag(np.diag(hessian))
             tried = theta + solve(damped, downhill)
-            its_error = sums(tried, False).error
-            its_cost = cost(its_error, tried)
-            if its_cost < best:
+            tried_error = sums(tried, False).error
+            tried_cost = cost(tried_error, tried)
+            if tried_cost < best:
                 break
             damping *= _FACTOR
         else:
             break
-        theta, error = tried, its_error
+        theta, error = tried, tried_error
         damping = max(damping / _FACTOR, _LEAST_DAMPING)
-        fell, best = best - its_cost > _CONVERGED, its_cost
+        fell, best = best - tried_cost > _CONVERGED, tried_cost
         if not fell:
             break
-        found = sums(theta, True)
+        present = sums(theta, True)
     rms = float(np.sqrt(min(error / scale, DIVERGED))) if np.isfinite(error) else DIVERGED
     return theta, rms
 
@@ -320,8 +319,7 @@ def fit(
     def sums(at: Array, sensitivities: bool) -> Sums:
         return simulator.sums(at, stretches, sensitivities=sensitivities)
 
-    found = descend(sums, theta, form, problem.variance, iterations)
-    return Fit(tuple(features), *found)
+    return Fit(tuple(features), *descend(sums, theta, form, problem.variance, iterations))
 
 
 def one_step(
@@ -332,11 +330,11 @@ def one_step(
     simulator = Simulator(settings, problem.records)
     stretches = one_step_stretches(problem, settings.lags, without, _MOST_STARTS)
     theta = np.zeros(sum(block.count for block in settings.blocks))
-    found = simulator.sums(theta, stretches, sensitivities=True)
-    scale = problem.variance * max(found.samples, 1)
+    sums = simulator.sums(theta, stretches, sensitivities=True)
+    scale = problem.variance * max(sums.samples, 1)
     # Weight of the prior if the RMS one-step error is 0.001 standard deviations of the output.
     form = 1e-6 * prior(features, settings.blocks) / problem.count
-    return solve(found.products / scale + form, found.gradient / scale)
+    return solve(sums.products / scale + form, sums.gradient / scale)
 
 
 def one_step_stretches(

@@ -31,10 +31,10 @@ class LagPath:
         problem: Problem,
         start: Fit,
         further: Further,
-        own: list[Stretch],
+        stretches: list[Stretch],
         strength: float,
     ) -> None:
-        self._problem, self._further, self._stretches = problem, further, own
+        self._problem, self._further, self._stretches = problem, further, stretches
         self._strength = strength
         self.fit, self.ended = start, False
 
@@ -60,46 +60,48 @@ class LagPath:
         self._further = self._further.without(taken)
 
     def _fitted(self, features: Features, theta: Array, iterations: int) -> Fit:
-        own = self._problem.lagged(features).features
-        return fit(self._problem, own, theta, self._stretches, self._strength, iterations)
+        lagged = self._problem.lagged(features).features
+        return fit(self._problem, lagged, theta, self._stretches, self._strength, iterations)
 
 
 def promises(
-    problem: Problem, now: Fit, further: Further, own: Sequence[Stretch], strength: float
+    problem: Problem,
+    present: Fit,
+    further: Further,
+    stretches: Sequence[Stretch],
+    strength: float,
 ) -> Array:
     """Estimates the share of the remaining squared error that each candidate feature explains.
 
     To first order the gain is b' G^-1 b with G = D'D - D'J (J'J)^-1 J'D and b = D'r -
     D'J (J'J)^-1 J'r: J and D are sensitivities of the model and of the feature, r the errors.
     """
-    settings = problem.lagged(now.features)
+    settings = problem.lagged(present.features)
     simulator = Simulator(settings, problem.records, further.blocks)
-    found = simulator.sums(now.theta, own, sensitivities=True)
-    scale = max(found.error, LEAST_SHARE)
-    p = len(now.theta)
+    sums = simulator.sums(present.theta, stretches, sensitivities=True)
+    scale = max(sums.error, LEAST_SHARE)
+    p = len(present.theta)
     share = strength / problem.count
     form = share * prior(settings.features, settings.blocks)
-    hessian = found.products[:p] / scale + form
-    downhill = found.gradient[:p] / scale - form @ now.theta
-    cross = found.products[p:] / scale
+    hessian = sums.products[:p] / scale + form
+    downhill = sums.gradient[:p] / scale - form @ present.theta
+    cross = sums.products[p:] / scale
     inner = solve(hessian, np.column_stack([cross.T, downhill]))
-    left = found.gradient[p:] / scale - cross @ inner[:, -1]
+    left = sums.gradient[p:] / scale - cross @ inner[:, -1]
     sizes = np.array([block.count for block in further.blocks])
     ends, corners = np.cumsum(sizes), np.cumsum(sizes * (sizes + 1) // 2)
-    beside = np.einsum("ij,ji->i", cross, inner[:, :-1])  # diagonal of D'J (J'J)^-1 J'D
+    explained = np.einsum("ij,ji->i", cross, inner[:, :-1])  # diagonal of D'J (J'J)^-1 J'D
     gains = np.zeros(len(sizes))
     single = sizes == 1
     at = ends[single] - 1
-    gram = found.squares[corners[single] - 1] / scale + share - beside[at]
+    gram = sums.squares[corners[single] - 1] / scale + share - explained[at]
     # In exact arithmetic gram is at least the prior's `share`, but rounding can make it smaller.
     gains[single] = left[at] ** 2 / np.maximum(gram, share)
     for k in np.flatnonzero(~single):
         n = sizes[k]
         rows = slice(ends[k] - n, ends[k])
         block = np.zeros((n, n))
-        block[np.tril_indices(n)] = (
-            found.squares[corners[k] - n * (n + 1) // 2 : corners[k]] / scale
-        )
+        block[np.tril_indices(n)] = sums.squares[corners[k] - n * (n + 1) // 2 : corners[k]] / scale
         block += np.tril(block, -1).T
         block += share * prior(further.features[k : k + 1], further.blocks[k : k + 1])
         block -= cross[rows] @ inner[:, :-1][:, rows]

@@ -63,21 +63,21 @@ def searched(problem: Problem, plan: Plan, each: Each = map) -> Candidate:
     """
     if plan.sketch and plan.kind == STATES:
         return _sketched(problem, plan, each)
-    depth, begun = _beginning(problem, plan)
+    depth, selection = _selection(problem, plan)
     held = Held(problem, depth, _counts(plan))
-    flat = list(each(begun, held.all))
+    paths = list(each(selection, held.all))
     grown: list[list[Fit]] = []  # [number of added features][held-out block]
 
     def sizes() -> Iterator[Table]:
         while True:
-            grown.append([path.fit for path in flat])
+            grown.append([path.fit for path in paths])
             yield held.errors(grown[-1])
-            if all(path.ended for path in flat):
+            if all(path.ended for path in paths):
                 return
-            list(each(lambda path: path.grow(), flat))
+            list(each(lambda path: path.grow(), paths))
 
     table, tried = _table(sizes(), plan.most)
-    whole = begun(None)
+    whole = selection(None)
     for _ in range(len(table) - 1):
         whole.grow()
     best = whole.fit
@@ -91,8 +91,8 @@ def _best_minimum(problem: Problem, plan: Plan, first: Fit, others: Sequence[Fit
 
     The likelihood counts `plan.strength` samples, whose errors are correlated, as one.
     """
-    fits = [refitted(problem, one, plan.strength, plan.budget) for one in others]
-    best = min(fits, key=lambda one: one.error)
+    fits = [refitted(problem, other, plan.strength, plan.budget) for other in others]
+    best = min(fits, key=lambda fit: fit.error)
     gained = 2 * np.log(first.error / max(best.error, LEAST_SHARE))
     return best if gained * problem.count / plan.strength > 1 else first
 
@@ -101,7 +101,7 @@ def _counts(plan: Plan) -> tuple[int, ...]:
     return BLOCKS[-1:] if plan.sketch else BLOCKS
 
 
-def _beginning(
+def _selection(
     problem: Problem, plan: Plan
 ) -> tuple[int, Callable[[Stretch | None], LagPath | StatePath]]:
     """Returns the number of samples before a free run, and a function that starts a selection."""
@@ -115,14 +115,14 @@ def _beginning(
     further = Further(problem.template, makers(problem, orders) if makers else ())
     depth = problem.model(linear).lags + 1  # a change x(t - k) - x(t - k - 1) needs one lag more
 
-    def begun(block: Stretch | None) -> LagPath:
-        own = stretches(problem, depth, plan.length, plan.budget, block)
+    def start(block: Stretch | None) -> LagPath:
+        rest = stretches(problem, depth, plan.length, plan.budget, block)
         iterations = ITERATIONS if plan.kind != "one step" else 0
         theta = one_step(problem, linear, block)
-        start = fit(problem, linear, theta, own, plan.strength, iterations)
-        return LagPath(problem, start, further, own, plan.strength)
+        first = fit(problem, linear, theta, rest, plan.strength, iterations)
+        return LagPath(problem, first, further, rest, plan.strength)
 
-    return depth, begun
+    return depth, start
 
 
 def _sketched(problem: Problem, plan: Plan, each: Each) -> Candidate:
@@ -163,20 +163,20 @@ def _table(sizes: Iterator[Table], most: int) -> tuple[list[Table], tuple[float,
 def delays(problem: Problem) -> tuple[int, ...]:
     """Estimates each input's delay as the one with the least error of a second-order model."""
     allowed = [d for d in _DELAYS if d <= longest(problem) // 20]
-    found = [0] * len(problem.template.inputs)
-    for j in range(len(found)):
+    out = [0] * len(problem.template.inputs)
+    for j in range(len(out)):
         errors = []
         for d in allowed:
-            orders = Orders(2, 3, (*found[:j], d, *found[j + 1 :]))
+            orders = Orders(2, 3, (*out[:j], d, *out[j + 1 :]))
             features = orders.linear(problem)
-            own = stretches(problem, problem.model(features).lags, LENGTHS[1], SKETCH)
+            samples = stretches(problem, problem.model(features).lags, LENGTHS[1], SKETCH)
             start = one_step(problem, features)
-            errors.append(fit(problem, features, start, own, USUAL).error)
+            errors.append(fit(problem, features, start, samples, USUAL).error)
         # Lags can replace a delay that is too short, but not shorten one that is too long: so the
         # shortest delay whose error is within 1 % of the least error is taken.
         least = min(errors)
-        found[j] = next(d for d, e in zip(allowed, errors, strict=True) if e <= 1.01 * least)
-    return tuple(found)
+        out[j] = next(d for d, e in zip(allowed, errors, strict=True) if e <= 1.01 * least)
+    return tuple(out)
 
 
 # Function called after each structure: number done, total number and name of the present stage.
@@ -202,19 +202,19 @@ def search(
     """
     known, stages = dict(kept or {}), []
 
-    def made(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
-        wanted = list(plans)
+    def results(stage: str, plans: Iterable[Plan]) -> list[Candidate]:
+        todo = list(plans)
         stages.append(stage)
         done = []
         # Fits without a block run in a second pool: a stage's last structures occupy all threads.
         pool, inner = ThreadPoolExecutor(jobs), ThreadPoolExecutor(jobs)
         try:
-            results = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), wanted)
-            for number, candidate in enumerate(results, 1):
+            candidates = pool.map(lambda p: known.get(p) or searched(problem, p, inner.map), todo)
+            for number, candidate in enumerate(candidates, 1):
                 if candidate.plan not in known and keep is not None:
                     keep(candidate)
                 if progress is not None:
-                    progress(number, len(wanted), f"{stage} ({len(stages)} of {_STAGES})")
+                    progress(number, len(todo), f"{stage} ({len(stages)} of {_STAGES})")
                 done.append(candidate)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -222,11 +222,11 @@ def search(
             pool.shutdown()
         return done
 
-    linear = made("linear models", plans_linear(problem, delays(problem)))
-    linear += made("linear models, tuned", plans_tuned(problem, linear))
-    sketched = made("state-space models", plans_states(linear))
-    bent = made("best state-space models", plans_full(sketched))
-    bent += made("models of lags", plans_lags(problem, linear))
-    bent += made("best models of lags", plans_full(bent))
-    bent += made("best model, varied", plans_varied(problem, bent))
+    linear = results("linear models", plans_linear(problem, delays(problem)))
+    linear += results("linear models, tuned", plans_tuned(problem, linear))
+    sketched = results("state-space models", plans_states(linear))
+    bent = results("best state-space models", plans_full(sketched))
+    bent += results("models of lags", plans_lags(problem, linear))
+    bent += results("best models of lags", plans_full(bent))
+    bent += results("best model, varied", plans_varied(problem, bent))
     return chosen_first(linear, bent)

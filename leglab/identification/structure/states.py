@@ -80,15 +80,15 @@ def segments_of(problem: Problem, budget: int, without: Stretch | None = None) -
 
 
 def runs_of(
-    problem: Problem, structure: StateSpace, of: Sequence[Stretch], further: Array = _NONE
+    problem: Problem, structure: StateSpace, segments: Sequence[Stretch], further: Array = _NONE
 ) -> StateRuns:
     """Builds the core's simulations of segments; `further` weighs a candidate's z = v' [x; u]."""
-    segments = []
-    for s in of:
+    data = []
+    for s in segments:
         record, first = problem.records[s.record], max(0, s.start - max(structure.delays))
-        own = slice(first, s.start + s.length)
-        segments.append((record.u[own], record.y[own], s.start - first))
-    return StateRuns(problem.model((structure,)), segments, further)
+        rows = slice(first, s.start + s.length)
+        data.append((record.u[rows], record.y[rows], s.start - first))
+    return StateRuns(problem.model((structure,)), data, further)
 
 
 @dataclass(frozen=True)
@@ -125,18 +125,18 @@ class StatePath:
         start: Array | None = None,
     ) -> None:
         self._problem, self._strength, self._budget = problem, strength, budget
-        self._of = tuple(segments_of(problem, budget, block))
+        self._segments = tuple(segments_of(problem, budget, block))
         # With a seed that depends on the order alone all held-out blocks try the same directions.
         self._rng = np.random.default_rng(structure.states)
         self.ended = False
-        theta = realised(problem, structure, self._of) if start is None else start
-        theta = np.append(theta, np.zeros(len(self._of) * structure.states))
-        theta = self._scaled(structure, theta) if start is None else self._begun(structure, theta)
+        theta = realised(problem, structure, self._segments) if start is None else start
+        theta = np.append(theta, np.zeros(len(self._segments) * structure.states))
+        theta = self._scaled(structure, theta) if start is None else self._started(structure, theta)
         self._model, error = self._fitted(_Model(structure, theta), ITERATIONS)
         if start is None:
             scaled = self._scaled(structure, self._model.theta)
             self._model = replace(self._model, theta=scaled)
-        self.fit = self._told(error)
+        self.fit = self._as_fit(error)
 
     def grow(self) -> None:
         """Adds one curve; ends the selection if the RMS error falls too little (see `_WORTH`)."""
@@ -153,35 +153,35 @@ class StatePath:
             self.ended = True
             return
         self._model = best[0]
-        self.fit = self._told(best[1])
+        self.fit = self._as_fit(best[1])
 
     def without(self, block: Stretch) -> Fit:
         """Refits the model, from its present parameters, to the samples outside a block."""
         return self._elsewhere(segments_of(self._problem, self._budget, block), _ANEW)
 
-    def _elsewhere(self, of: Sequence[Stretch], iterations: int) -> Fit:
+    def _elsewhere(self, segments: Sequence[Stretch], iterations: int) -> Fit:
         """Refits to other segments, whose initial states are initialised by simulation."""
         structure = self._model.structure
         x = self._runs(structure).states(self._model.theta)
-        ends = np.cumsum([s.length for s in self._of])
-        starts = np.zeros((len(of), structure.states))
-        for k, there in enumerate(of):
-            for own, end in zip(self._of, ends, strict=True):
-                if own.record == there.record and 0 <= there.start - own.start < own.length:
-                    starts[k] = x[end - own.length + there.start - own.start]
+        ends = np.cumsum([s.length for s in self._segments])
+        starts = np.zeros((len(segments), structure.states))
+        for k, new in enumerate(segments):
+            for old, end in zip(self._segments, ends, strict=True):
+                if old.record == new.record and 0 <= new.start - old.start < old.length:
+                    starts[k] = x[end - old.length + new.start - old.start]
         other = copy(self)
-        other._of = tuple(of)
+        other._segments = tuple(segments)
         other._model = replace(self._model, theta=np.append(self._model.parameters, starts))
         other._model, error = other._fitted(other._model, iterations)
-        return other._told(error)
+        return other._as_fit(error)
 
-    def _told(self, error: float) -> Fit:
+    def _as_fit(self, error: float) -> Fit:
         variance = max(error**2 * self._problem.variance, 1e-12)
         structure = replace(self._model.structure, noise=variance)
         return Fit((structure,), self._model.parameters.copy(), error)
 
     def _runs(self, structure: StateSpace, further: Array = _NONE) -> StateRuns:
-        return runs_of(self._problem, structure, self._of, further)
+        return runs_of(self._problem, structure, self._segments, further)
 
     def _fitted(self, model: _Model, iterations: int) -> tuple[_Model, float]:
         runs = self._runs(model.structure)
@@ -197,15 +197,15 @@ class StatePath:
         )
         return replace(model, theta=theta), error
 
-    def _begun(self, structure: StateSpace, theta: Array) -> Array:
+    def _started(self, structure: StateSpace, theta: Array) -> Array:
         """Fits the initial states alone, to the first samples of each segment, then to all.
 
         They begin at the smallest states with the first output of each segment. From zeros, a fit
         to all samples at once may end in another minimum.
         """
-        own, parameters = slice(structure.count, None), theta[: structure.count]
+        states, parameters = slice(structure.count, None), theta[: structure.count]
         parts, output = structure.parts(parameters), self._problem.template.output
-        first = [self._problem.records[s.record].y[s.start :][: s.length] for s in self._of]
+        first = [self._problem.records[s.record].y[s.start :][: s.length] for s in self._segments]
         y = np.array([y[np.isfinite(y)][0] for y in first])
         away = (y - output.centre) / output.half_range - parts.d
         starts = (
@@ -215,17 +215,18 @@ class StatePath:
         )
         form = self._strength / self._problem.count * _LINEAR * np.eye(len(starts))
         for length in (OBSERVED * structure.states, None):
-            of = [
-                s if length is None else s._replace(length=min(s.length, length)) for s in self._of
+            segments = [
+                s if length is None else s._replace(length=min(s.length, length))
+                for s in self._segments
             ]
-            runs = runs_of(self._problem, structure, of)
+            runs = runs_of(self._problem, structure, segments)
 
             def sums(at: Array, sensitivities: bool, runs: StateRuns = runs) -> Sums:
-                found = Sums(*runs.sums(np.append(parameters, at), sensitivities))
+                out = Sums(*runs.sums(np.append(parameters, at), sensitivities))
                 if not sensitivities:
-                    return found
-                products, gradient = found.products[own, own], found.gradient[own]
-                return found._replace(products=products, gradient=gradient)
+                    return out
+                products, gradient = out.products[states, states], out.gradient[states]
+                return out._replace(products=products, gradient=gradient)
 
             starts, _ = descend(sums, starts, form, self._problem.variance, ITERATIONS)
         return np.append(parameters, starts)
@@ -252,19 +253,19 @@ class StatePath:
 
     def _promising(self) -> list[_Model]:
         """Returns the `_TRIED` models with one more curve that explain most error to 1st order."""
-        now = self._model.structure
-        structure = replace(now, curves=now.curves + 1)
+        present = self._model.structure
+        structure = replace(present, curves=present.curves + 1)
         at = self._model.theta
         form = self._strength / self._problem.count * self._prior(self._model)
-        found: list[tuple[float, Array]] = []
+        candidates: list[tuple[float, Array]] = []
         for v in self._directions():
-            sums = Sums(*self._runs(now, v).sums(at, True))
+            sums = Sums(*self._runs(present, v).sums(at, True))
             for k, (gain, splines) in enumerate(self._gains(sums, form)):
-                target = np.eye(now.states + 1)[k]
+                target = np.eye(present.states + 1)[k]
                 curve = np.concatenate([v, target, splines])
-                found.append((gain, np.insert(at, now.count, curve)))
-        found.sort(key=lambda one: -one[0])
-        return [_Model(structure, theta) for _, theta in found[:_TRIED]]
+                candidates.append((gain, np.insert(at, present.count, curve)))
+        candidates.sort(key=lambda candidate: -candidate[0])
+        return [_Model(structure, theta) for _, theta in candidates[:_TRIED]]
 
     def _gains(self, sums: Sums, form: Array) -> Iterator[tuple[float, Array]]:
         """Yields gain and spline weights of a curve that acts on state 1, 2, ..., n, or on y.
@@ -280,9 +281,9 @@ class StatePath:
         left = gradient[width:] - cross @ inner[:, -1]
         gram = products[width:, width:] - cross @ inner[:, :-1]
         curve = self._strength / self._problem.count * roughness(structure.splines)
-        for own in np.split(np.arange(len(left)), structure.states + 1):
-            splines = solve(gram[np.ix_(own, own)] + curve, left[own])
-            yield float(left[own] @ splines), splines
+        for rows in np.split(np.arange(len(left)), structure.states + 1):
+            splines = solve(gram[np.ix_(rows, rows)] + curve, left[rows])
+            yield float(left[rows] @ splines), splines
 
     def _directions(self) -> list[Array]:
         """Returns weights v of states and inputs in the argument v' [x; u] of a new curve.
@@ -307,12 +308,12 @@ class StatePath:
     def _inputs(self, structure: StateSpace) -> Array:
         signals = self._problem.template.inputs
         columns = []
-        for s in self._of:
+        for s in self._segments:
             u = self._problem.records[s.record].u
             at = np.arange(s.start, s.start + s.length)
             columns.append(np.column_stack([
-                (u[np.maximum(at - d, 0), j] - one.centre) / one.half_range
-                for j, (d, one) in enumerate(zip(structure.delays, signals, strict=True))
+                (u[np.maximum(at - d, 0), j] - signal.centre) / signal.half_range
+                for j, (d, signal) in enumerate(zip(structure.delays, signals, strict=True))
             ]))  # fmt: skip
         return np.concatenate(columns)
 
@@ -322,12 +323,12 @@ def prior_of(structure: StateSpace) -> Array:
     out = np.diag(np.full(structure.count, _LINEAR))
     curves = np.arange(structure.linear, structure.count)
     out[curves, curves] = 1.0
-    for own in structure.spline_weights:
-        out[np.ix_(own, own)] = roughness(structure.splines)
+    for rows in structure.spline_weights:
+        out[np.ix_(rows, rows)] = roughness(structure.splines)
     return out
 
 
-def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> Array:
+def realised(problem: Problem, structure: StateSpace, segments: Sequence[Stretch]) -> Array:
     """Returns the parameters of a balanced realisation of a high-order ARX model, (count,).
 
     The method of Ho and Kalman realises the impulse response (Kung 1978).
@@ -336,7 +337,7 @@ def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> 
     lags = max(n, min(_ARX, problem.count // (10 * (1 + inputs))))
     output, signals = problem.template.output, problem.template.inputs
     rows, right = [], []
-    for s in of:
+    for s in segments:
         record = problem.records[s.record]
         y = (record.y[s.start : s.start + s.length] - output.centre) / output.half_range
         at = np.arange(lags, s.length)
@@ -351,8 +352,8 @@ def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> 
         right.append(table[:, -1])
     table, wanted = np.concatenate(rows), np.concatenate(right)
     ridge = 1e-6 * max(len(wanted), 1) * np.eye(table.shape[1])
-    found = solve(table.T @ table + ridge, table.T @ wanted)
-    a, b = found[:lags], found[lags:-1].reshape(inputs, lags + 1)
+    arx = solve(table.T @ table + ridge, table.T @ wanted)
+    a, b = arx[:lags], arx[lags:-1].reshape(inputs, lags + 1)
     response = np.zeros((2 * _RESPONSE + 1, inputs))
     for t in range(len(response)):
         past = response[max(t - lags, 0) : t][::-1]
@@ -365,7 +366,7 @@ def realised(problem: Problem, structure: StateSpace, of: Sequence[Stretch]) -> 
     largest = np.abs(np.linalg.eigvals(matrix)).max()
     matrix *= min(1.0, 0.999 / max(largest, _RIDGE))
     reach = (root[:, None] * across)[:, :inputs]
-    return np.concatenate([matrix.ravel(), reach.ravel(), left[0] * root, response[0], [found[-1]]])
+    return np.concatenate([matrix.ravel(), reach.ravel(), left[0] * root, response[0], [arx[-1]]])
 
 
 def _hankel(response: Array, first: int) -> Array:
@@ -388,8 +389,8 @@ def information_of(problem: Problem, fit: Fit, strength: float) -> Array:
     total = strength * fit.error**2 * problem.variance * prior_of(structure)
     for whole in _whole(problem):
         runs = runs_of(problem, structure, [whole])
-        found = Sums(*runs.sums(np.append(fit.theta, np.zeros(structure.states)), True))
-        total += found.products[: structure.count, : structure.count]
+        sums = Sums(*runs.sums(np.append(fit.theta, np.zeros(structure.states)), True))
+        total += sums.products[: structure.count, : structure.count]
     return total
 
 
