@@ -98,8 +98,8 @@ def plugged_in(what: str, code: object) -> Iterator[None]:
     except LeglabError:
         raise
     except (Exception, SystemExit) as error:
-        told = f"{what} failed: {type(error).__name__}: {error} ({origin(error, code)})"
-        raise SettingsError(told) from error
+        text = f"{what} failed: {type(error).__name__}: {error} ({origin(error, code)})"
+        raise SettingsError(text) from error
 
 
 def origin(error: BaseException, code: object = None) -> str:

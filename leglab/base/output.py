@@ -88,13 +88,13 @@ def check_folder(folder: Path, *, mark: str, overwrite: bool = False) -> None:
         if not os.path.lexists(folder):
             return
         if not overwrite:
-            told = f"output folder {str(folder)!r} exists; remove it or give --overwrite"
-            raise FileError(told, given=folder)
+            text = f"output folder {str(folder)!r} exists; remove it or give --overwrite"
+            raise FileError(text, given=folder)
         if not folder.is_dir() or (any(folder.iterdir()) and not (folder / mark).exists()):
             raise FileError(f"{str(folder)!r} holds no {mark}: it is left as it is", given=folder)
         if Path.cwd().is_relative_to(os.path.realpath(folder)):
-            told = f"{str(folder)!r} is or holds the working folder: give another one"
-            raise FileError(told, given=folder)
+            text = f"{str(folder)!r} is or holds the working folder: give another one"
+            raise FileError(text, given=folder)
 
 
 def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
@@ -106,8 +106,8 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
     real = os.path.realpath(folder)
     for path in inputs:
         if Path(os.path.realpath(path)).is_relative_to(real):
-            told = f"{path} lies in the output folder {str(folder)!r}: give another one"
-            raise FileError(told, given=path)
+            text = f"{path} lies in the output folder {str(folder)!r}: give another one"
+            raise FileError(text, given=path)
 
 
 @contextmanager

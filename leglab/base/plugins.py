@@ -84,8 +84,8 @@ def load_entry_points(
             if register is not None and not known(name):
                 register(name, found)
             if not known(name):
-                told = f"it registers nothing called {name!r} among the {kind}"
-                raise SettingsError(told, given=name)
+                text = f"it registers nothing called {name!r} among the {kind}"
+                raise SettingsError(text, given=name)
         except Exception as error:
             _failures[kind, name] = f"{where} cannot be loaded: {_line(error)}"
         else:

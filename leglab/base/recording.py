@@ -59,8 +59,8 @@ class Recording:
         columns = {}
         for name, samples in self.columns.items():
             if not isinstance(name, str) or not name or name == "time":
-                told = f"{name!r} cannot name a column: use "
-                raise RecordingError(told, given=name, allowed="text other than 'time'")
+                text = f"{name!r} cannot name a column: use "
+                raise RecordingError(text, given=name, allowed="text other than 'time'")
             columns[name] = _read_only(samples, name)
             if columns[name].size != time.size:
                 raise RecordingError(
@@ -71,8 +71,8 @@ class Recording:
             try:
                 json.dumps({key: value}, allow_nan=False)
             except (TypeError, ValueError) as error:
-                told = f"metadata {key!r} cannot be stored as JSON: {error}"
-                raise RecordingError(told, given=key) from error
+                text = f"metadata {key!r} cannot be stored as JSON: {error}"
+                raise RecordingError(text, given=key) from error
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "columns", MappingProxyType(columns))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -359,16 +359,16 @@ def _read_only(samples: Any, name: str) -> np.ndarray:
     """Returns the samples as a read-only float64 array (n,) that shares no writable memory."""
     array = np.asarray(samples)
     if array.ndim != 1:
-        told = f"column {name!r} has shape {array.shape}, allowed is "
-        raise RecordingError(told, given=array.shape, allowed="(n,)")
+        text = f"column {name!r} has shape {array.shape}, allowed is "
+        raise RecordingError(text, given=array.shape, allowed="(n,)")
     if array.dtype == np.float64 and array.base is None and not array.flags.writeable:
         return array
     try:
         array = np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         row, value = _first_not_a_number(array)
-        told = f"column {name!r}, row {row}: {value!r} is not "
-        raise RecordingError(told, given=value, allowed="a number") from error
+        text = f"column {name!r}, row {row}: {value!r} is not "
+        raise RecordingError(text, given=value, allowed="a number") from error
     array.setflags(write=False)
     return array
 
@@ -386,8 +386,8 @@ def _check_time(time: np.ndarray) -> None:
     finite = np.isfinite(time)
     if not finite.all():
         row = int(np.argmin(finite))
-        told = f"column 'time', row {row}: {time[row]} is not "
-        raise RecordingError(told, given=float(time[row]), allowed="a finite time")
+        text = f"column 'time', row {row}: {time[row]} is not "
+        raise RecordingError(text, given=float(time[row]), allowed="a finite time")
     backwards = np.diff(time) <= 0
     if backwards.any():
         row = int(np.argmax(backwards)) + 1

@@ -45,19 +45,19 @@ class ParameterChange:
     def __post_init__(self) -> None:
         where = f"change of {self.parameter!r}"
         if self.kind not in _KINDS:
-            told = f"{where}: unknown kind {self.kind!r}: choose {' or '.join(_KINDS)}"
-            raise SettingsError(told, given=self.kind, allowed=_KINDS)
+            text = f"{where}: unknown kind {self.kind!r}: choose {' or '.join(_KINDS)}"
+            raise SettingsError(text, given=self.kind, allowed=_KINDS)
         if not math.isfinite(self.value):
-            told = f"{where}: value {self.value!r} is not finite"
-            raise SettingsError(told, given=self.value, allowed="a finite number")
+            text = f"{where}: value {self.value!r} is not finite"
+            raise SettingsError(text, given=self.value, allowed="a finite number")
         if self.kind == "scale" and self.value < 0:
-            told = f"{where}: factor {self.value!r} is negative, allowed is "
-            raise SettingsError(told, given=self.value, allowed=">= 0")
+            text = f"{where}: factor {self.value!r} is negative, allowed is "
+            raise SettingsError(text, given=self.value, allowed=">= 0")
         for name in ("start", "ramp_duration"):
             seconds = getattr(self, name)
             if not (seconds >= 0 and math.isfinite(seconds)):
-                told = f"{where}: {name} {seconds!r} s is not allowed, must be "
-                raise SettingsError(told, given=seconds, allowed=">= 0")
+                text = f"{where}: {name} {seconds!r} s is not allowed, must be "
+                raise SettingsError(text, given=seconds, allowed=">= 0")
 
     @property
     def end(self) -> float:
@@ -187,8 +187,8 @@ class Scenario:
     def __post_init__(self) -> None:
         where = f"scenario {self.name!r}"
         if not (self.duration > 0 and math.isfinite(self.duration)):
-            told = f"{where}: duration {self.duration!r} s is not allowed, must be "
-            raise SettingsError(told, given=self.duration, allowed="> 0")
+            text = f"{where}: duration {self.duration!r} s is not allowed, must be "
+            raise SettingsError(text, given=self.duration, allowed="> 0")
         for earlier, later in zip(self.changes, self.changes[1:], strict=False):
             if later.start < earlier.start:
                 raise SettingsError(
@@ -374,8 +374,8 @@ def get_scenario(
     if element is not None:
         changes = of_joint(changes, element)
     if ramp_duration and not changes:
-        told = f"scenario {name!r} changes nothing, so it has no ramp_duration"
-        raise SettingsError(told, given=ramp_duration)
+        text = f"scenario {name!r} changes nothing, so it has no ramp_duration"
+        raise SettingsError(text, given=ramp_duration)
     return replace(scenario, changes=changes)
 
 
@@ -418,13 +418,13 @@ def scenario_per_joint(name: str) -> bool:
 def _choose_severity(name: str, severity: Severity | None, asked: float | None) -> float | None:
     if severity is None:
         if asked is not None:
-            told = f"scenario {name!r} has no severity, but {asked!r} was given"
-            raise SettingsError(told, given=asked)
+            text = f"scenario {name!r} has no severity, but {asked!r} was given"
+            raise SettingsError(text, given=asked)
         return None
     if asked is None:
         return severity.default
     if not severity.lowest <= asked <= severity.highest:
         allowed = f"[{severity.lowest:g}, {severity.highest:g}]"
-        told = f"scenario {name!r}: severity {asked!r} is outside {allowed}; it is the "
-        raise SettingsError(told + severity.meaning, given=asked, allowed=allowed)
+        text = f"scenario {name!r}: severity {asked!r} is outside {allowed}; it is the "
+        raise SettingsError(text + severity.meaning, given=asked, allowed=allowed)
     return asked

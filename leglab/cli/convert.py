@@ -88,8 +88,8 @@ def convert(
         model, timestep = _machine_of_run(source, model, form)
         source = source / RECORDING
     if model is not None and form != "mcap":
-        told = f"{form} cannot show a machine; --model goes with mcap"
-        raise SettingsError(told, given=form, allowed="mcap")
+        text = f"{form} cannot show a machine; --model goes with mcap"
+        raise SettingsError(text, given=form, allowed="mcap")
     measured = data.read(source, columns=columns, recording=recording, salvage=salvage)
     measured = _between(measured, since, until, source)
     lost = data.losses(measured, target, form)
@@ -113,8 +113,8 @@ def convert(
     for word, name in (("salvaged", "salvaged"), ("repaired", "repairs"), ("lost", "lost")):
         for line in found[name]:
             terminal.errors.print(f"{word}: {line}", markup=False)
-    told = f"written to {target}: {form}, {len(measured)} samples"
-    terminal.tell(f"{told} of {len(measured.columns)} columns")
+    text = f"written to {target}: {form}, {len(measured)} samples"
+    terminal.tell(f"{text} of {len(measured.columns)} columns")
 
 
 def _check_new(paths: "Iterable[Path | None]", *, overwrite: bool) -> None:
@@ -179,8 +179,8 @@ def inspect(
     from leglab import data
 
     if out is not None and model is None:
-        told = "--out writes the map that is proposed for a model; allowed: "
-        raise SettingsError(told, given=out, allowed="--out with --model")
+        text = "--out writes the map that is proposed for a model; allowed: "
+        raise SettingsError(text, given=out, allowed="--out with --model")
     if plot == Path("-"):
         plot = Path(f"{file.resolve().stem}.png")
     _check_new((out, plot), overwrite=overwrite)
@@ -231,8 +231,8 @@ def _one_recording(path: Path) -> Path:
 
     files = list(recording_files([path])[0])
     if len(files) > 1:
-        told = f"{path}: {len(files)} recordings, one at a time; allowed: "
-        raise FileError(told, given=path, allowed=map(str, files))
+        text = f"{path}: {len(files)} recordings, one at a time; allowed: "
+        raise FileError(text, given=path, allowed=map(str, files))
     return files[0]
 
 

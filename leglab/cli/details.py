@@ -122,8 +122,8 @@ def _sensors() -> dict[str, Any]:
 
 def _settings(section: str, _: str, entry: Any, model: str) -> dict[str, Any]:
     rows = _setting_rows(entry.configuration)
-    told = f"--set {section}.SETTING=VALUE" if rows else "no settings"
-    return {"summary": entry.summary, "options": [told], "rows": rows}
+    text = f"--set {section}.SETTING=VALUE" if rows else "no settings"
+    return {"summary": entry.summary, "options": [text], "rows": rows}
 
 
 def _setting_rows(configuration: type[Configuration]) -> list[dict[str, str]]:

@@ -136,8 +136,8 @@ def _check_given_once(recordings: list[Path], healthy: list[Path]) -> None:
         {path.resolve() for path in recording_files(paths)[0]} for paths in (recordings, healthy)
     )
     if both := now & earlier:
-        told = f"{min(both).name} is given as a recording and as --healthy; allowed: "
-        raise SettingsError(told, given=min(both), allowed="one of both")
+        text = f"{min(both).name} is given as a recording and as --healthy; allowed: "
+        raise SettingsError(text, given=min(both), allowed="one of both")
 
 
 def show_diagnosis(

@@ -122,8 +122,8 @@ def _identified(
             )
     except KeyboardInterrupt:
         kept = journal.path.exists()
-        told = f"the same command goes on from {journal.path}" if kept else "no result is kept yet"
-        complain(told, "warning")
+        text = f"the same command goes on from {journal.path}" if kept else "no result is kept yet"
+        complain(text, "warning")
         raise
     return models, journal
 
@@ -153,8 +153,8 @@ def _read(
             if "time" not in table:
                 apart = period or metadata.get("period", 1.0)
                 if period is None:
-                    told = f"{source} has no time: samples count as {apart:g} s apart; "
-                    complain(told + "--period S sets another period", "warning")
+                    text = f"{source} has no time: samples count as {apart:g} s apart; "
+                    complain(text + "--period S sets another period", "warning")
                 length = len(next(iter(table.values()), ()))
                 table = {"time": np.arange(length) * apart, **table}
             recording = to_recording(table, metadata, source=str(path), repair=True)

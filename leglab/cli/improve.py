@@ -63,11 +63,11 @@ def improve(
         return
     output.print(result.words, markup=False, highlight=False)
     print_table(_table(result))
-    told = "no improved.xml: no gain on held-out recordings"
+    text = "no improved.xml: no gain on held-out recordings"
     if better is not None:
         place = f"; {out}/improved.xml" if result.model else ""
-        told = f"{result.closed_fraction:.0%} of the held-out gap closed{place}"
-    for line in (told, *(f"{name} is missing: {why}" for name, why in result.missing.items())):
+        text = f"{result.closed_fraction:.0%} of the held-out gap closed{place}"
+    for line in (text, *(f"{name} is missing: {why}" for name, why in result.missing.items())):
         output.print(line, markup=False)
 
 

@@ -192,8 +192,8 @@ def check_order(model: str, recordings: Sequence[Path]) -> None:
     """Raises `LeglabError` if a recording is given in place of the model."""
     if Path(model).suffix in RECORDINGS:
         other = next((str(path) for path in recordings if path.suffix == ".xml"), "an MJCF file")
-        told = f"{model} is a recording: the model comes first, "
-        raise SettingsError(told, given=model, allowed=f"{other} {model}")
+        text = f"{model} is a recording: the model comes first, "
+        raise SettingsError(text, given=model, allowed=f"{other} {model}")
 
 
 def check_jobs(jobs: int, name: str = "jobs") -> None:

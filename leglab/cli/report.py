@@ -103,8 +103,8 @@ def report(
     elif only and is_comparison(only):
         _report_comparison(only, out, overwrite=overwrite, as_json=as_json)
     elif only and (page := only / "diagnosis.html").is_file():
-        told = f"{page} is the page of this diagnosis; leglab diagnose has written it"
-        terminal.tell_or_print(told, {"page": str(page)}, as_json=as_json)
+        text = f"{page} is the page of this diagnosis; leglab diagnose has written it"
+        terminal.tell_or_print(text, {"page": str(page)}, as_json=as_json)
     else:
         if films is not None:
             raise SettingsError("--films is for the page of a sweep; a page of runs has one film")
@@ -200,8 +200,8 @@ def _report_sweep(
     from leglab.report.sweep.page import worst_runs, write_sweep_page
 
     if not 0 <= count <= MOST_FILMS:
-        told = f"films is {count}; allowed: "
-        raise SettingsError(told, given=count, allowed=f"0 to {MOST_FILMS}")
+        text = f"films is {count}; allowed: "
+        raise SettingsError(text, given=count, allowed=f"0 to {MOST_FILMS}")
     place = out or folder
     check_out(place, overwrite=overwrite)
     films: dict[int, Path] = {}
@@ -273,8 +273,8 @@ def index(
     broken = sum(entry.state == "broken" for entry in entries)
     if broken:
         terminal.complain(f"{broken} of {len(entries)} cannot be read", "warning")
-    told = f"{len(entries)} listed in {page}"
-    terminal.tell_or_print(told, [asdict(entry) for entry in entries], as_json=as_json)
+    text = f"{len(entries)} listed in {page}"
+    terminal.tell_or_print(text, [asdict(entry) for entry in entries], as_json=as_json)
 
 
 def video(

@@ -90,7 +90,7 @@ def _show(result: "SweepResult", page: Path | None, *, as_json: bool) -> None:
     count, found = len(result.plan), result.tuned() if result.plan.tuned else []
     again = result.done - result.made
     there = f", {again} were there" if again else ""
-    told = f"{result.made} of {count} runs made{there}; written to {page or result.folder}"
+    text = f"{result.made} of {count} runs made{there}; written to {page or result.folder}"
     content = {
         "folder": str(result.folder),
         "runs": count,
@@ -100,7 +100,7 @@ def _show(result: "SweepResult", page: Path | None, *, as_json: bool) -> None:
         "page": None if page is None else str(page),
         "tuned": [asdict(one) for one in found],
     }
-    terminal.tell_or_print("\n".join([told, *map(str, found)]), content, as_json=as_json)
+    terminal.tell_or_print("\n".join([text, *map(str, found)]), content, as_json=as_json)
     if result.failed:
         terminal.complain(
             f"{result.failed} of {count} runs failed; leglab query {result.folder} "

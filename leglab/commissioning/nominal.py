@@ -26,8 +26,8 @@ def nominal_cylinders(simulation: Simulation) -> NominalCylinders:
         LeglabError: An actuator is not a cylinder.
     """
     for name in simulation.native:
-        told = f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
-        raise ModelError(told, given=name, allowed="a cylinder")
+        text = f"the controller needs the data sheets of cylinders, and actuator {name!r} is none"
+        raise ModelError(text, given=name, allowed="a cylinder")
     sheets = [simulation.cylinder_parameters(name) for name in simulation.actuators]
 
     def row(name: str) -> np.ndarray:

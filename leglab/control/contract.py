@@ -163,8 +163,8 @@ class NominalMachine:
         if name == "setpoint":
             return None
         known = sorted(n for n in self.__dict__ if not n.startswith("_"))
-        told = f"the controller needs {name!r} of the machine, which gives "
-        raise ModelError(told + (", ".join(known) or "nothing"), given=name, allowed=known)
+        text = f"the controller needs {name!r} of the machine, which gives "
+        raise ModelError(text + (", ".join(known) or "nothing"), given=name, allowed=known)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,11 +206,11 @@ class ControllerSetup:
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) != len(self.joints):
-            told = f"joints {self.joints!r} of a controller must be "
-            raise SettingsError(told, given=self.joints, allowed="distinct names")
+            text = f"joints {self.joints!r} of a controller must be "
+            raise SettingsError(text, given=self.joints, allowed="distinct names")
         if not (self.control_period > 0 and math.isfinite(self.control_period)):
-            told = f"control_period {self.control_period!r} s must be "
-            raise SettingsError(told, given=self.control_period, allowed="positive")
+            text = f"control_period {self.control_period!r} s must be "
+            raise SettingsError(text, given=self.control_period, allowed="positive")
         object.__setattr__(self, "joints", tuple(self.joints))
 
     def wrong_length(self, name: str, values: Sequence, controller: str) -> SettingsError:
@@ -265,16 +265,16 @@ def _check_contract(name: str, factory: Any) -> None:
     for method, wanted in _METHODS.items():
         own = getattr(factory, method, None)
         if not callable(own):
-            told = f"{where} has no method {method!r}; needed are "
+            text = f"{where} has no method {method!r}; needed are "
             needed = "reset(measurement) and command(measurement, reference)"
-            raise SettingsError(told, given=factory.__qualname__, allowed=needed)
+            raise SettingsError(text, given=factory.__qualname__, allowed=needed)
         taken = inspect.signature(own)
         try:
             taken.bind(None, *wanted)
         except TypeError:
-            told = f"{where}.{method} takes {taken}; needed is "
+            text = f"{where}.{method} takes {taken}; needed is "
             raise SettingsError(
-                told, given=str(taken), allowed=f"{method}({', '.join(wanted)})"
+                text, given=str(taken), allowed=f"{method}({', '.join(wanted)})"
             ) from None
 
 
@@ -331,12 +331,12 @@ def check_command(command: Any, setup: ControllerSetup, controller: str, time: f
     shape = getattr(command, "shape", None)
     if shape != (len(joints),):
         got = f"shape {shape}" if shape is not None else f"{type(command).__name__}"
-        told = f"controller {controller!r} gave {got} at {time:.6g} s, allowed is "
-        raise SimulationError(told, given=got, allowed=f"an array of shape ({len(joints)},)")
+        text = f"controller {controller!r} gave {got} at {time:.6g} s, allowed is "
+        raise SimulationError(text, given=got, allowed=f"an array of shape ({len(joints)},)")
     if command.dtype.kind not in "fiu":
         got = f"an array of {command.dtype}"
-        told = f"controller {controller!r} gave {got} at {time:.6g} s, allowed are "
-        raise SimulationError(told, given=got, allowed="numbers")
+        text = f"controller {controller!r} gave {got} at {time:.6g} s, allowed are "
+        raise SimulationError(text, given=got, allowed="numbers")
     # One dot product is cheaper than isfinite and all: NaN and infinity propagate into it.
     if not math.isfinite(command.dot(command)):
         finite = np.isfinite(command)

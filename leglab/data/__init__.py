@@ -85,8 +85,8 @@ def read(
     """
     tables = read_tables(path, columns=columns, partial=partial, salvage=salvage)
     if recording is None and len(tables) > 1:
-        told = f"{path}: {len(tables)} recordings, one at a time: choose by --recording "
-        raise RecordingError(told, given=path, allowed=tables)
+        text = f"{path}: {len(tables)} recordings, one at a time: choose by --recording "
+        raise RecordingError(text, given=path, allowed=tables)
     if recording is not None and recording not in tables:
         raise RecordingError.unknown(f"recording of {path}", recording, tables)
     table, metadata = tables[recording or next(iter(tables))]
@@ -147,8 +147,8 @@ def read_tables(
         raise error.at(path) from error
     # Any other error of the libraries is caused by the file.
     except Exception as error:
-        told = f"{path}: not a complete {path.suffix or form} file: {first_line(error)}"
-        raise FileError(told, given=path) from error
+        text = f"{path}: not a complete {path.suffix or form} file: {first_line(error)}"
+        raise FileError(text, given=path) from error
     if not found:
         raise RecordingError(f"{path}: there is no recording", given=path)
     return {
@@ -208,8 +208,8 @@ def write(
     path = Path(path)
     module = _module(path, form)
     if scene is not None and module is not mcap:
-        told = f"{path}: {form or format_of(path)} cannot show a machine; allowed: "
-        raise FileError(told, given=form, allowed="mcap")
+        text = f"{path}: {form or format_of(path)} cannot show a machine; allowed: "
+        raise FileError(text, given=form, allowed="mcap")
     module.write(recording, path, *(() if scene is None else (scene,)))
     return path
 

@@ -91,9 +91,9 @@ def _aligned(series: TopicSeries, name: str, clock: np.ndarray, *, hold: bool) -
     interval = np.diff(stamps)
     if (interval < 0).any():
         row = int(np.argmax(interval < 0)) + 1
-        told = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
-        told += f"comes after {stamps[row - 1]} ns: stamps must not go backwards"
-        raise RecordingError(told, given=int(stamps[row]))
+        text = f"topic {series.topic!r}, message {row}: {series.stamped_by} stamp {stamps[row]} ns "
+        text += f"comes after {stamps[row - 1]} ns: stamps must not go backwards"
+        raise RecordingError(text, given=int(stamps[row]))
     latest = np.append(interval > 0, True)  # last of several messages with equal stamps
     stamps, values = stamps[latest], values[latest]
     before = np.searchsorted(stamps, clock, side="right") - 1

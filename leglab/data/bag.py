@@ -91,12 +91,12 @@ def scan(paths: Iterable[Path], *, salvage: bool = False) -> Bag:
         except Exception as error:
             ends = isinstance(error, EndOfFile | struct.error)
             why = "it ends; is the file truncated?" if ends else first_line(error)
-            told = f"after {len(bag.messages) - before[0]} readable messages: {why}"
+            text = f"after {len(bag.messages) - before[0]} readable messages: {why}"
             if not salvage or before == (len(bag.messages), len(bag.channels)):
                 form = "sqlite3" if ".db3" in path.name else "MCAP"
                 way = "" if salvage else "; --salvage reads what is whole"
-                raise FileError(f"{path}: not a complete {form} file: {told}{way}") from error
-            bag.lost.append(f"{path.name}: {told}; the rest is lost")
+                raise FileError(f"{path}: not a complete {form} file: {text}{way}") from error
+            bag.lost.append(f"{path.name}: {text}; the rest is lost")
     bag.messages = [m for m in bag.messages if supported(bag.kind(m.channel_id))]
     return bag
 
@@ -180,10 +180,10 @@ def decode(
             if left_out.salvage:
                 undecoded.setdefault(topic, []).append(first_line(error))
                 continue
-            told = f"topic {topic!r}, message {len(of_topic)}: {first_line(error)}"
+            text = f"topic {topic!r}, message {len(of_topic)}: {first_line(error)}"
             if topic == clock_topic:
-                raise RecordingError(told, given=topic) from error
-            left_out.add(topic.removeprefix("/"), RecordingError(told, given=topic))
+                raise RecordingError(text, given=topic) from error
+            left_out.add(topic.removeprefix("/"), RecordingError(text, given=topic))
             of_topic.clear()
     for topic, reasons in undecoded.items():
         why = f"{len(reasons)} messages cannot be decoded, the first: {reasons[0]}"

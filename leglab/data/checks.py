@@ -44,8 +44,8 @@ def inspect(table: Recording | Mapping[str, np.ndarray]) -> tuple[Finding, ...]:
         table = {"time": table.time, **table.columns}
     if not any(samples.size for samples in table.values()):
         return (_finding("empty", "time", 0, 0, "there is no sample"),)
-    told = f"no column 'time'; {MAP_HINT}"
-    timeless = Finding(kind="no_time", column="time", row=0, count=0, message=told)
+    text = f"no column 'time'; {MAP_HINT}"
+    timeless = Finding(kind="no_time", column="time", row=0, count=0, message=text)
     found = [_inspect_column(name, samples) for name, samples in table.items() if name != "time"]
     return tuple(chain(_inspect_time(table) if "time" in table else (timeless,), *found))
 

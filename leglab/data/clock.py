@@ -170,22 +170,22 @@ def _straight(
         return time, ""
     line = straight_line(np.arange(time.size), time)
     period = float(line[1] - line[0])
-    told = f"float{8 * raw.dtype.itemsize}" if short else "it"
-    told += f" resolves {resolved:.3g} s at {largest:.3g}"
+    text = f"float{8 * raw.dtype.itemsize}" if short else "it"
+    text += f" resolves {resolved:.3g} s at {largest:.3g}"
     # A true time is at most half a step from its stamp, and slightly more from the fitted line.
     even = np.abs(time - line).max() <= 0.75 * resolved
     if even and 0 < resolved / np.sqrt(time.size) <= _KNOWN * period * time.size:
-        return line, f" ({told}; the rows are even: straightened)"
+        return line, f" ({text}; the rows are even: straightened)"
     if raw.dtype.kind == "i":
         resolved = factor * float(np.gcd.reduce(np.diff(raw))) or np.inf
     if not short:
-        told = f"its steps are {resolved:.3g} s" if resolved < np.inf else "it stands"
+        text = f"its steps are {resolved:.3g} s" if resolved < np.inf else "it stands"
     # `inspect` reports a few repeated rows one by one.
     if repeats and (short or resolved > 2.0 * mean):
-        told = f"column {name!r} is the time, and {told}: no use; log "
+        text = f"column {name!r} is the time, and {text}: no use; log "
         finer = "float64, or time since the start" if short else "more digits or a finer unit"
-        raise RecordingError(told, given=name, allowed=finer)
-    return time, f" ({told})" if short else ""
+        raise RecordingError(text, given=name, allowed=finer)
+    return time, f" ({text})" if short else ""
 
 
 def straight_line(ticks: np.ndarray, time: np.ndarray) -> np.ndarray:

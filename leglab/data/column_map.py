@@ -59,10 +59,10 @@ class ColumnMap:
         owners: dict[str, str] = {}
         for theirs, rule in self.rules.items():
             if (other := owners.setdefault(rule.name, theirs)) != theirs:
-                told = (
+                text = (
                     f"{self.source}: {other!r} and {theirs!r} both become {rule.name!r}; allowed: "
                 )
-                raise SettingsError(told, given=rule.name, allowed="one column for a name")
+                raise SettingsError(text, given=rule.name, allowed="one column for a name")
 
     def name_of(self, theirs: str) -> str:
         """Returns leglab's name of a column of the recording."""
@@ -110,11 +110,11 @@ class ColumnMap:
         for theirs, samples in table.items():
             name = self.name_of(theirs)
             if name in mapped:
-                told = (
+                text = (
                     f"{source}: after {self.source} two columns are called {name!r}, one of them "
                 )
                 way = f"{theirs!r}; allowed: give the other one a rule with another name"
-                left_out.add(name, RecordingError(told + way, given=theirs))
+                left_out.add(name, RecordingError(text + way, given=theirs))
             rule = self.rules.get(theirs)
             # `time_axis` applies the time's factor, without losing digits.
             if rule and name != "time" and (rule.factor, rule.offset) != (1.0, 0.0):
@@ -139,18 +139,18 @@ def read_column_map(path: str | Path) -> ColumnMap:
     try:
         settings = parse_toml(content)
     except ValueError as error:
-        told = f"{path}: not a column map in TOML: {error}"
-        raise SettingsError(told, given=path) from error
+        text = f"{path}: not a column map in TOML: {error}"
+        raise SettingsError(text, given=path) from error
     file = validate_configuration(_MapFile, settings, str(path))
     if not file.columns and not file.model_fields_set - {"columns"}:
         raise SettingsError(f"{path} needs the setting 'columns', with a column at least")
     rules = {}
     for theirs, rule in file.columns.items():
         if not isinstance(rule, (dict, str)):
-            told = f"{path}: column {theirs!r} is {rule!r}; allowed: "
+            text = f"{path}: column {theirs!r} is {rule!r}; allowed: "
             ways = ('"our_name"', '{name = "our_name", factor = ..., offset = ...}')
             allowed = " or ".join(f"{theirs} = {way}" for way in ways)
-            raise SettingsError(told, given=rule, allowed=allowed)
+            raise SettingsError(text, given=rule, allowed=allowed)
         rule = {"name": rule} if isinstance(rule, str) else rule
         rules[theirs] = validate_configuration(ColumnRule, rule, f"{path}: column {theirs!r}")
     return ColumnMap(rules=rules, source=str(path), settings=file)

@@ -32,8 +32,8 @@ def to_arrays(
     for name, count in Counter(table.column_names).items():
         try:
             if count > 1:
-                told = f"{path}: column {name!r} is there {count} times"
-                raise RecordingError(told, given=name)
+                text = f"{path}: column {name!r} is there {count} times"
+                raise RecordingError(text, given=name)
             samples = _to_array(table.column(name), name, path, decimal)
         except LeglabError as error:
             left_out.add(name, error)
@@ -68,8 +68,8 @@ def _to_array(column: pa.ChunkedArray, name: str, path: Path, decimal: str) -> n
     cells = enumerate(column.to_pylist())
     others = ((f", row {i}", x) for i, x in cells if not (x is None or _is_number(x, decimal)))
     where, value = next(others, ("", str(kind)))
-    told = f"{path}: column {name!r}{where}: {value!r} is not "
-    raise RecordingError(told, given=value, allowed="a number")
+    text = f"{path}: column {name!r}{where}: {value!r} is not "
+    raise RecordingError(text, given=value, allowed="a number")
 
 
 def _is_list(kind: pa.DataType) -> bool:

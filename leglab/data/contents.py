@@ -86,6 +86,6 @@ def format_of(path: str | Path) -> str:
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        told = f"{path}: suffix {path.suffix!r} is not a known format, allowed: "
-        raise FileError(told, given=path.suffix, allowed=SUFFIXES)
+        text = f"{path}: suffix {path.suffix!r} is not a known format, allowed: "
+        raise FileError(text, given=path.suffix, allowed=SUFFIXES)
     return SUFFIXES[path.suffix.lower()]

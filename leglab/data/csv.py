@@ -58,11 +58,11 @@ def read_table(
     if broken:
         row = broken[0]
         cells = f"{row.actual_columns} cells instead of {row.expected_columns}"
-        told = f"row {row.number - 1} has {cells} ({row.text!r})"
+        message = f"row {row.number - 1} has {cells} ({row.text!r})"
         if not left_out.salvage:
             way = "; is the file truncated? --salvage leaves such rows out"
-            raise FileError(f"{path}: {told}{way}", given=path)
-        metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {told}"]
+            raise FileError(f"{path}: {message}{way}", given=path)
+        metadata["salvaged"] = [f"{len(broken)} rows are left out, the first: {message}"]
     # An extra comma at the end of each line gives an empty, unnamed column.
     filled = [x.null_count < len(x) for x in table.columns]
     kept = [
@@ -81,8 +81,8 @@ def write(recording: Recording, path: Path) -> None:
     table = pa.table({"time": recording.time, **recording.columns})
     broken = [name for name in table.column_names if "\n" in name or "\r" in name]
     if broken:
-        told = f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold"
-        raise RecordingError(told, given=broken[0])
+        text = f"{path}: column {broken[0]!r} has a line break, which CSV cannot hold"
+        raise RecordingError(text, given=broken[0])
     # "needed" quotes all names.
     header = "needed" if {",", '"'} & set("".join(table.column_names)) else "none"
     options = pc.WriteOptions(quoting_style="needed", quoting_header=header)

@@ -110,8 +110,8 @@ def write(recording: Recording, path: Path) -> None:
         options = {"long_field_names": True, "do_compression": True, "oned_as": "column"}
         savemat(stream, {_VARIABLE: content}, **options)
     except ValueError as error:  # scipy's MatWriteError among them.
-        told = f"{path}: does not fit into a MATLAB file: {error}"
-        raise FileError(told, given=path) from error
+        text = f"{path}: does not fit into a MATLAB file: {error}"
+        raise FileError(text, given=path) from error
     written = _HEADER + stream.getvalue()[len(_HEADER) :]
     write_atomically(path, lambda file: file.write(written))
 
@@ -138,11 +138,11 @@ def _allowed(name: str) -> str:
 def _load(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     if content.startswith((b"MATLAB 7.3", _HDF5)) or content[512:520] == _HDF5:
-        told = f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
-        raise FileError(f"{told}save('{path.name}', ..., '-v7')", given="version 7.3")
+        text = f"{path}: a MATLAB file of version 7.3 (HDF5), allowed is version 5; in MATLAB: "
+        raise FileError(f"{text}save('{path.name}', ..., '-v7')", given="version 7.3")
     if content[126:128] not in (b"IM", b"MI"):
-        told = f"{path}: not a MATLAB file: the first 128 bytes are not those of version 5"
-        raise FileError(told, given=path)
+        text = f"{path}: not a MATLAB file: the first 128 bytes are not those of version 5"
+        raise FileError(text, given=path)
     room = _ROOM + _RATIO * len(content)
     command = [sys.executable, "-c", _READER, str(path), str(room)]
     try:
@@ -153,14 +153,14 @@ def _load(path: Path) -> dict[str, Any]:
         raise FileError(f"{path}: not a MATLAB file: reading it does not end") from error
     if found is None:
         why = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        told = f"{path}: not a complete MATLAB file: {why or 'it stops the reader'}"
-        raise FileError(told, given=path)
+        text = f"{path}: not a complete MATLAB file: {why or 'it stops the reader'}"
+        raise FileError(text, given=path)
     for value in found.values():
         if type(value).__name__ == "MatlabOpaque":  # an object: its name, system and class
             name, kind = (value[part].item().decode() for part in ("s0", "s2"))
             way = _WAYS_OUT.get(kind, _WAYS_OUT["timeseries"]).format(name)
-            told = f"{path}: variable {name!r} is a {kind}, which MATLAB alone reads; in MATLAB: "
-            raise FileError(f"{told}{way}; save('log.mat', '-struct', 's', '-v7')", given=path)
+            text = f"{path}: variable {name!r} is a {kind}, which MATLAB alone reads; in MATLAB: "
+            raise FileError(f"{text}{way}; save('log.mat', '-struct', 's', '-v7')", given=path)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -179,8 +179,8 @@ def _own_table(content: Mapping[str, Any], left_out: LeftOut) -> tuple[dict[str,
     for field in dict.fromkeys((*names, *signals)):
         name = names.get(field, field)
         if name in table:
-            told = f"'signals' and 'name_map' of 'recording' give {name!r} twice"
-            raise FileError(told, given=name)
+            text = f"'signals' and 'name_map' of 'recording' give {name!r} twice"
+            raise FileError(text, given=name)
         try:
             table[name] = _vector(signals[field], name)
         except LeglabError as error:
@@ -199,8 +199,8 @@ def _vector(value: Any, name: str) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.ndim > 1:
         found = f"{' x '.join(map(str, array.shape))} array of {array.dtype}"
-        told = f"column {name!r} is a {found}, allowed is "
-        raise RecordingError(told, given=name, allowed="a real vector")
+        text = f"column {name!r} is a {found}, allowed is "
+        raise RecordingError(text, given=name, allowed="a real vector")
     return np.atleast_1d(array).astype(np.float64)
 
 

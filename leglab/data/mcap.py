@@ -77,8 +77,8 @@ def write(recording: Recording, path: Path, scene: Scene | None = None) -> None:
     scaled = np.rint(recording.time * 1e9)
     if scaled[0] < 0 or scaled[-1] >= 2**31 * 1e9:  # Seconds in the header are an int32.
         first, last = recording.time[[0, -1]].tolist()
-        told = f"{path}: time covers [{first:g}, {last:g}] s; allowed in a ROS message: "
-        raise RecordingError(told, given=(first, last), allowed=f"[0, {2**31}) s")
+        text = f"{path}: time covers [{first:g}, {last:g}] s; allowed in a ROS message: "
+        raise RecordingError(text, given=(first, last), allowed=f"[0, {2**31}) s")
     stamps = scaled.astype(np.int64)
     if (same := np.flatnonzero(np.diff(stamps) == 0)).size:
         raise RecordingError(f"{path}: rows {same[0]} and {same[0] + 1} are less than 1 ns apart")
@@ -194,17 +194,17 @@ def _clock_topic(bag: Bag, columns: ColumnMap) -> str:
     if not candidates:
         # In a damaged file the name of a type may contain anything, also line ends.
         found = ", ".join(f"{t!r} ({kind!r})" for t, kind in types.items()) or "no topic"
-        told = f"no topic of type {ros.JOINT_STATE}; found {found}"
+        text = f"no topic of type {ros.JOINT_STATE}; found {found}"
         if forms := {c.message_encoding for c in bag.channels.values()} - {"cdr"}:
-            told += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
-            told += "export them as CSV (PlotJuggler, Foxglove)"
-        raise RecordingError(told, allowed=(ros.JOINT_STATE,))
+            text += f"; messages encoded as {', '.join(map(repr, sorted(forms)))} are not read: "
+            text += "export them as CSV (PlotJuggler, Foxglove)"
+        raise RecordingError(text, allowed=(ros.JOINT_STATE,))
     wanted = columns.settings.clock
     clock = wanted or (candidates[0] if len(candidates) == 1 else _CLOCK_TOPIC)
     if clock in candidates:
         return clock
     if wanted:
         raise RecordingError.unknown(f"clock of {columns.source}", wanted, candidates)
-    told = f"several topics of type {ros.JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
-    told += f"by clock = ... in a column map: {', '.join(map(repr, candidates))}"
-    raise RecordingError(told, allowed=candidates)
+    text = f"several topics of type {ros.JOINT_STATE}, none of them {_CLOCK_TOPIC!r}; choose one "
+    text += f"by clock = ... in a column map: {', '.join(map(repr, candidates))}"
+    raise RecordingError(text, allowed=candidates)

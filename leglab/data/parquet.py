@@ -46,13 +46,13 @@ def read_table(
         table = pq.read_table(path, page_checksum_verification=True)
         shape = [table.num_rows, *table.column_names]
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        told = f"{path}: not a complete Parquet file: {first_line(error)}"
-        raise FileError(told, given=path) from error
+        message = f"{path}: not a complete Parquet file: {first_line(error)}"
+        raise FileError(message, given=path) from error
     stored = table.schema.metadata or {}
     text = stored.get(_METADATA_KEY)
     if _DIGEST_KEY in stored and stored[_DIGEST_KEY] != _digest(shape, text or b""):
-        told = f"{path}: is damaged: names, length and metadata do not fit their checksum"
-        raise FileError(told, given=path)
+        message = f"{path}: is damaged: names, length and metadata do not fit their checksum"
+        raise FileError(message, given=path)
     unused = [name for name in without if name in table.column_names]
     columns = to_arrays(table.drop_columns(unused), path, left_out)
     return columns if text is None else Timed(columns), _metadata(path, text)
@@ -121,8 +121,8 @@ class Growing:
     def _begin(self, names: list[str]) -> None:
         """Starts the file, or rewrites it with more columns."""
         if missing := [name for name in self.names if name not in names]:
-            told = f"column {missing[0]!r} ends before the recording does"
-            raise RecordingError(told, given=missing[0])
+            text = f"column {missing[0]!r} ends before the recording does"
+            raise RecordingError(text, given=missing[0])
         earlier = self._place.with_name(f"{self._place.name}.earlier")
         self.close()
         if self.rows:
@@ -188,8 +188,8 @@ class StoredColumns(Mapping[str, np.ndarray]):
         try:
             samples = self._file.read([name]).column(0).to_numpy()
         except (pa.ArrowException, OSError) as error:
-            told = f"{self._path}: cannot be read: {first_line(error)}"
-            raise FileError(told, given=self._path) from error
+            text = f"{self._path}: cannot be read: {first_line(error)}"
+            raise FileError(text, given=self._path) from error
         samples.setflags(write=False)
         return samples
 
@@ -234,8 +234,8 @@ def _metadata(path: Path, text: bytes | None) -> dict:
         if not isinstance(found, dict):
             raise ValueError(f"it holds {type(found).__name__}, allowed is an object")
     except ValueError as error:
-        told = f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}"
-        raise FileError(told, given=path) from error
+        message = f"{path}: metadata {_METADATA_KEY.decode()!r}: {error}"
+        raise FileError(message, given=path) from error
     return found
 
 

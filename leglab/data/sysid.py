@@ -45,8 +45,8 @@ def to_time_series(recording: Recording) -> "TimeSeries":
         end, kind = _SIGNALS.get(owner and quantity, (quantity, "CustomObs"))
         signal = column.removesuffix(quantity) + end
         if signal in mapping:
-            told = f"two columns become the signal {signal!r}, {column!r} among them"
-            raise RecordingError(told, given=column)
+            text = f"two columns become the signal {signal!r}, {column!r} among them"
+            raise RecordingError(text, given=column)
         mapping[signal] = (SignalType[kind], np.array([index]))
     data = np.column_stack([np.empty((len(recording), 0)), *recording.columns.values()])
     return TimeSeries(times=np.array(recording.time), data=data, signal_mapping=mapping)
@@ -104,9 +104,9 @@ def _arrays(path: Path, left_out: LeftOut) -> dict[str, Any]:
             except ValueError as error:
                 if "allow_pickle" not in str(error):
                     raise
-                told = f"array {name!r} holds Python objects (pickled), which are not read; "
-                told += f"save numbers: numpy.savez({path.name!r}, {name}=...)"
-                left_out.add(name, RecordingError(told, given=name))
+                text = f"array {name!r} holds Python objects (pickled), which are not read; "
+                text += f"save numbers: numpy.savez({path.name!r}, {name}=...)"
+                left_out.add(name, RecordingError(text, given=name))
                 continue
             fields = array.dtype.names or ()
             found |= {f"{name}/{field}": array[field] for field in fields} or {name: array}

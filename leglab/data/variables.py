@@ -99,8 +99,8 @@ def _signals(
         owner = name + place * (len(signals) > 1)
         values = np.asarray(next((signal[v] for v in _VALUES if v in signal), None))
         if values.dtype.kind not in "fiub" or time.size not in values.shape[:1] + values.shape[-1:]:
-            told = f"{owner!r}: values of shape {values.shape} for {time.size} times; allowed: "
-            raise RecordingError(told, given=owner, allowed="numbers, one row a time")
+            text = f"{owner!r}: values of shape {values.shape} for {time.size} times; allowed: "
+            raise RecordingError(text, given=owner, allowed="numbers, one row a time")
         yield owner, time, dict(elements(owner, values, time.size))
 
 

@@ -60,11 +60,11 @@ class Wanted(NamedTuple):
         except ValueError:
             element = ""
         if not (element and name):
-            told = f"--parameter {text!r} is no parameter; allowed: "
-            raise SettingsError(told, given=text, allowed=allowed)
+            message = f"--parameter {text!r} is no parameter; allowed: "
+            raise SettingsError(message, given=text, allowed=allowed)
         if not lower < upper:
-            told = f"--parameter {text!r}: the lower bound is not below the upper one; allowed: "
-            raise SettingsError(told, given=bounds, allowed=allowed)
+            message = f"--parameter {text!r}: the lower bound is not below the upper one; allowed: "
+            raise SettingsError(message, given=bounds, allowed=allowed)
         return cls(element, name, lower, upper)
 
 
@@ -114,8 +114,8 @@ def fit(
         (w for w, p in zip(parameters, places, strict=True) if places.count(p) > 1), None
     ):
         asked = f"{twice.element}:{twice.name}"
-        told = f"--parameter {asked} is given more than once; allowed: "
-        raise SettingsError(told, given=asked, allowed="once")
+        text = f"--parameter {asked} is given more than once; allowed: "
+        raise SettingsError(text, given=asked, allowed="once")
     if held_out is None:
         recordings, held_out = split_held_out(machine, recordings, (), settings.thresholds)
     effects = tuple({key[0] for key, _ in places})

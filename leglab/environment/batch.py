@@ -229,8 +229,8 @@ class Batch:
         )
         reward = np.asarray(self._plan.reward(self.transition()), dtype=float)
         if reward.shape != (self.count,):
-            told = f"the reward of a batch has shape {reward.shape}, allowed is "
-            raise SettingsError(told, given=reward.shape, allowed=f"({self.count},)")
+            text = f"the reward of a batch has shape {reward.shape}, allowed is "
+            raise SettingsError(text, given=reward.shape, allowed=f"({self.count},)")
         return np.where(moves & ~self.diverged, reward, 0.0), rests
 
     def transition(self) -> Transition:

@@ -41,11 +41,11 @@ class Episode:
         if not scenario.changes:
             if self.drawn:
                 return scenario
-            told = f"scenario {scenario.name!r} changes nothing, so it has no onset"
-            raise SettingsError(told, given=scenario.name)
+            text = f"scenario {scenario.name!r} changes nothing, so it has no onset"
+            raise SettingsError(text, given=scenario.name)
         if not (self.onset >= 0 and math.isfinite(self.onset)):
-            told = f"onset {self.onset!r} s is not allowed, must be "
-            raise SettingsError(told, given=self.onset, allowed=">= 0")
+            text = f"onset {self.onset!r} s is not allowed, must be "
+            raise SettingsError(text, given=self.onset, allowed=">= 0")
         first = min(change.start for change in scenario.changes)
         changes = tuple(replace(c, start=self.onset + (c.start - first)) for c in scenario.changes)
         return replace(scenario, changes=changes)
@@ -137,6 +137,6 @@ def _checked(name: str, value: Any) -> Callable[[np.random.RandomState], Any]:
         if not -math.inf < low <= high < math.inf:
             raise ValueError
     except (TypeError, ValueError):
-        told = f"randomize {name!r}: {value!r} is no "
-        raise SettingsError(told, given=value, allowed="range (low, high)") from None
+        text = f"randomize {name!r}: {value!r} is no "
+        raise SettingsError(text, given=value, allowed="range (low, high)") from None
     return lambda random: random.uniform(low, high)

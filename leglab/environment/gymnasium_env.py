@@ -64,8 +64,8 @@ class LegEnv(gymnasium.Env):
     ) -> None:
         if render_mode not in (None, *RENDER_MODES):
             modes = f"{', '.join(RENDER_MODES)}, or None"
-            told = f"render_mode {render_mode!r} is not allowed; choose one of {modes}"
-            raise SettingsError(told, given=render_mode, allowed=RENDER_MODES)
+            text = f"render_mode {render_mode!r} is not allowed; choose one of {modes}"
+            raise SettingsError(text, given=render_mode, allowed=RENDER_MODES)
         if render_mode == "human":
             check_display("render_mode 'human'", 'use render_mode="rgb_array" and MUJOCO_GL=egl')
         shown = [mode for mode in RENDER_MODES if mode != "human" or has_display()]

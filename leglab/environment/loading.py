@@ -133,8 +133,8 @@ def make_batch(
     """
     for name, count in (("num_envs", num_envs), ("threads", threads)):
         if count is not None and count < 1:
-            told = f"{name} {count} is not allowed, must be "
-            raise SettingsError(told, given=count, allowed="1 or more")
+            text = f"{name} {count} is not allowed, must be "
+            raise SettingsError(text, given=count, allowed="1 or more")
     _require("dm_control.mujoco", "gymnasium")
     from leglab.environment.batch import Batch
     from leglab.environment.vector_env import LegVectorEnv

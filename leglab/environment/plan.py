@@ -77,11 +77,11 @@ def made_plan(
     controlled = controller is not None or bool(controller_config)
     _check_actions(action, residual_scale, controlled=controlled)
     if not error_limit > 0:
-        told = f"error_limit {error_limit!r} rad is not allowed, must be "
-        raise SettingsError(told, given=error_limit, allowed="> 0")
+        text = f"error_limit {error_limit!r} rad is not allowed, must be "
+        raise SettingsError(text, given=error_limit, allowed="> 0")
     if not all(0 <= ahead < math.inf for ahead in preview):
-        told = f"preview {tuple(preview)} s is not allowed, all must be "
-        raise SettingsError(told, given=tuple(preview), allowed=">= 0")
+        text = f"preview {tuple(preview)} s is not allowed, all must be "
+        raise SettingsError(text, given=tuple(preview), allowed=">= 0")
     if not callable(reward) and reward not in REWARDS:
         raise SettingsError.unknown("reward", reward, REWARDS)
     timing = {} if control_period is None else {"control_period": control_period}
@@ -115,14 +115,14 @@ def made_plan(
 def _check_actions(action: str, residual_scale: float, *, controlled: bool) -> None:
     """Raises `SettingsError` if actions are of no known kind, or do not fit the controller."""
     if action not in ACTIONS:
-        told = f"action {action!r} is not allowed; choose one of "
-        raise SettingsError(told, given=action, allowed=ACTIONS)
+        text = f"action {action!r} is not allowed; choose one of "
+        raise SettingsError(text, given=action, allowed=ACTIONS)
     if action != "residual" and controlled:
-        told = f"a controller acts with action='residual' only; here it is {action!r}"
-        raise SettingsError(told, given=action, allowed=("residual",))
+        text = f"a controller acts with action='residual' only; here it is {action!r}"
+        raise SettingsError(text, given=action, allowed=("residual",))
     if not 0 < residual_scale <= 2:
-        told = f"residual_scale {residual_scale!r} is outside "
-        raise SettingsError(told, given=residual_scale, allowed="(0, 2]")
+        text = f"residual_scale {residual_scale!r} is outside "
+        raise SettingsError(text, given=residual_scale, allowed="(0, 2]")
 
 
 def _cylinders(preparation: Preparation) -> NominalCylinders:
@@ -146,14 +146,14 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     """
     values = np.asarray(action, dtype=float)
     if values.shape != shape:
-        told = f"action has shape {values.shape}, allowed is "
-        raise SettingsError(told, given=values.shape, allowed=str(shape))
+        text = f"action has shape {values.shape}, allowed is "
+        raise SettingsError(text, given=values.shape, allowed=str(shape))
     fine = np.isfinite(values).all(axis=-1)
     if not fine.all():
         row = int(np.argmin(fine))
         of_batch = values.ndim > 1
         which = f"of machine {row}" if of_batch else str(values.tolist())
         given = values[row] if of_batch else values
-        told = f"action {which} is not finite; allowed: "
-        raise SettingsError(told, given=given, allowed="numbers in [-1, 1]")
+        text = f"action {which} is not finite; allowed: "
+        raise SettingsError(text, given=given, allowed="numbers in [-1, 1]")
     return values

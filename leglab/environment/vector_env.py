@@ -37,8 +37,8 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(self, batch: Batch, *, autoreset: str = "next_step") -> None:
         if autoreset not in AUTORESETS:
-            told = f"autoreset {autoreset!r} is not allowed; choose one of "
-            raise SettingsError(told, given=autoreset, allowed=AUTORESETS)
+            text = f"autoreset {autoreset!r} is not allowed; choose one of "
+            raise SettingsError(text, given=autoreset, allowed=AUTORESETS)
         self.batch = batch
         self.num_envs = batch.count
         self.metadata = {
@@ -76,14 +76,14 @@ class LegVectorEnv(gymnasium.vector.VectorEnv):
             chosen = np.asarray(options["reset_mask"], dtype=bool)
             if chosen.shape != (self.num_envs,) or not self._begun:
                 allowed = f"({self.num_envs},) after a first reset of all"
-                told = f"reset_mask has shape {chosen.shape}, allowed is "
-                raise SettingsError(told, given=chosen.shape, allowed=allowed)
+                text = f"reset_mask has shape {chosen.shape}, allowed is "
+                raise SettingsError(text, given=chosen.shape, allowed=allowed)
         seeds = [None] * self.num_envs if seed is None else seed
         if isinstance(seeds, (int, np.integer)):
             seeds = [int(seeds) + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
-            told = f"{len(seeds)} seeds for {self.num_envs} machines"
-            raise SettingsError(told, given=len(seeds), allowed=str(self.num_envs))
+            text = f"{len(seeds)} seeds for {self.num_envs} machines"
+            raise SettingsError(text, given=len(seeds), allowed=str(self.num_envs))
         for i, each in enumerate(seeds):
             if each is not None and chosen[i]:
                 self.batch.reseed(i, int(each))

@@ -47,14 +47,14 @@ class Basis(checks.Settings):
         object.__setattr__(self, "knots", tuple(float(k) for k in self.knots))
         least = 2 if self.kind == "full" else 6
         if len(self.knots) < least:
-            told = f"basis has {len(self.knots)} knots: kind {self.kind!r} needs "
-            raise SettingsError(told, given=self.knots, allowed=f"at least {least}")
+            text = f"basis has {len(self.knots)} knots: kind {self.kind!r} needs "
+            raise SettingsError(text, given=self.knots, allowed=f"at least {least}")
         for left, right in zip(self.knots, self.knots[1:], strict=False):
             checks.number("basis knot", right, above=left)
         checks.number("basis knot", self.knots[0])
         if self.middle_piece == "printed" and not self.equidistant:
-            told = "basis middle_piece is 'printed': needs "
-            raise SettingsError(told, given=self.knots, allowed="equidistant knots")
+            text = "basis middle_piece is 'printed': needs "
+            raise SettingsError(text, given=self.knots, allowed="equidistant knots")
 
     @classmethod
     def uniform(
@@ -135,8 +135,8 @@ class Basis(checks.Settings):
 
         w = np.asarray(weights, dtype=float)
         if w.shape != (self.count,):
-            told = f"weights have shape {w.shape}: must be "
-            raise SettingsError(told, given=w.shape, allowed=f"({self.count},)")
+            text = f"weights have shape {w.shape}: must be "
+            raise SettingsError(text, given=w.shape, allowed=f"({self.count},)")
         if self.middle_piece == "printed":
             raise SettingsError("basis middle_piece is 'printed': it jumps and is no B-spline")
         if self.kind == "paper":  # the dropped outer splines have weight zero

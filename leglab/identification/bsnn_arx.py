@@ -49,8 +49,8 @@ class Bsnn(checks.Settings):
         if len(self.learning_constant) == 1:
             object.__setattr__(self, "learning_constant", self.learning_constant * inputs)
         if len(self.learning_constant) != inputs:
-            told = f"bsnn has {len(self.learning_constant)} learning constants: must be "
-            raise SettingsError(told, given=self.learning_constant, allowed=str(inputs))
+            text = f"bsnn has {len(self.learning_constant)} learning constants: must be "
+            raise SettingsError(text, given=self.learning_constant, allowed=str(inputs))
         for eta in self.learning_constant:
             checks.number("bsnn learning_constant", eta, least=0.0)
         super().__post_init__()

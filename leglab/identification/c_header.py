@@ -237,8 +237,8 @@ def _block(block: ParameterBlock, theta: np.ndarray) -> str:
         }[block.curve]
         return f"  sum += {_number(theta[0])} * {g}{factor};\n"
     if block.feature != "spline" or block.basis is None:
-        told = f"a {block.feature} feature has no C form; allowed: "
-        raise SettingsError(told, given=block.feature, allowed="lags, constant, spline, term")
+        text = f"a {block.feature} feature has no C form; allowed: "
+        raise SettingsError(text, given=block.feature, allowed="lags, constant, spline, term")
     return _curve(block, theta, x, factor)
 
 

@@ -29,8 +29,8 @@ class Identifier:
         self.settings = settings
         self.joints = joints
         if isinstance(joints, bool) or not isinstance(joints, int) or joints < 1:
-            told = f"joints is {joints!r}: must be "
-            raise SettingsError(told, given=joints, allowed="an integer of at least 1")
+            text = f"joints is {joints!r}: must be "
+            raise SettingsError(text, given=joints, allowed="an integer of at least 1")
         self._bank = self._banks[settings.scalar](settings, joints)
         self.inputs = int(self._bank.inputs)
         self._single = joints == 1 and self.inputs == 1
@@ -166,9 +166,9 @@ class Identifier:
         if y_initial is not None:
             initial = _array("y_initial", y_initial, shape).reshape(-1, self.joints)
             if not self.lags <= len(initial) <= len(u_array):
-                told = f"y_initial has {len(initial)} samples: must have "
+                text = f"y_initial has {len(initial)} samples: must have "
                 allowed = f"{self.lags} (the lags of the model) to {len(u_array)} (those of u)"
-                raise RecordingError(told, given=len(initial), allowed=allowed)
+                raise RecordingError(text, given=len(initial), allowed=allowed)
             _require_finite("y_initial", initial)
         _require_finite("u", u_array)
         prediction = np.empty((len(u_array), self.joints))
@@ -245,13 +245,13 @@ class Identifier:
 
     def _arrays(self, u: ArrayLike, y: ArrayLike, missing: str) -> tuple[Array, Array]:
         if missing not in ("raise", "skip"):
-            told = f"missing is {missing!r}: must be 'raise' or 'skip'"
-            raise SettingsError(told, given=missing, allowed=("raise", "skip"))
+            text = f"missing is {missing!r}: must be 'raise' or 'skip'"
+            raise SettingsError(text, given=missing, allowed=("raise", "skip"))
         u_array = _array("u", u, self._u_shape((None,)))
         y_array = _array("y", y, (None, self.joints) if self.joints > 1 else (None,))
         if len(u_array) != len(y_array):
-            told = f"u has {len(u_array)} samples and y {len(y_array)}: must agree"
-            raise RecordingError(told, given=(len(u_array), len(y_array)))
+            text = f"u has {len(u_array)} samples and y {len(y_array)}: must agree"
+            raise RecordingError(text, given=(len(u_array), len(y_array)))
         if missing == "raise":
             _require_finite("u", u_array)
             _require_finite("y", y_array)
@@ -276,8 +276,8 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     )
     if not fits and not (shape == () and array.size == 1):
         wanted = ", ".join("N" if want is None else str(want) for want in shape)
-        told = f"{name} has shape {array.shape}: must be "
-        raise RecordingError(told, given=array.shape, allowed=f"({wanted})")
+        text = f"{name} has shape {array.shape}: must be "
+        raise RecordingError(text, given=array.shape, allowed=f"({wanted})")
     return array
 
 

@@ -86,8 +86,8 @@ class Rls(checks.Settings):
         object.__setattr__(self, "gain_bound", bound)
         checks.number("rls gain_bound", bound, least=self.initial_gain)
         if self.change is not None and self.change.gain > bound:
-            told = f"change gain is {self.change.gain!r}: must not exceed "
-            raise SettingsError(told, given=self.change.gain, allowed=f"gain_bound {bound!r}")
+            text = f"change gain is {self.change.gain!r}: must not exceed "
+            raise SettingsError(text, given=self.change.gain, allowed=f"gain_bound {bound!r}")
 
     @classmethod
     def adaptive(cls, initial_gain: float = 1e4) -> "Rls":
@@ -128,8 +128,8 @@ class Guard(checks.Settings):
     def check_inputs(self, inputs: int) -> None:
         """Requires limits for all inputs, whose number is `inputs`, or for none."""
         if self.input_limits and len(self.input_limits) != inputs:
-            told = f"guard has limits for {len(self.input_limits)} inputs: the model has "
-            raise SettingsError(told, given=len(self.input_limits), allowed=str(inputs))
+            text = f"guard has limits for {len(self.input_limits)} inputs: the model has "
+            raise SettingsError(text, given=len(self.input_limits), allowed=str(inputs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,8 +161,8 @@ class SignalSettings(checks.Settings):
         checks.whole("number of inputs", len(self.inputs), least=1, most=MAX_INPUTS)
         names = self.names
         if len(set(names)) != len(names):
-            told = f"signal names are {', '.join(names)}: must differ"
-            raise SettingsError(told, given=tuple(names))
+            text = f"signal names are {', '.join(names)}: must differ"
+            raise SettingsError(text, given=tuple(names))
         self.guard.check_inputs(len(self.inputs))
         if self.free_run_limits is not None:
             checks.interval("free_run_limits", self.free_run_limits)

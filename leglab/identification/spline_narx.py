@@ -82,8 +82,8 @@ class SplineNarxSettings(SignalSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.features:
-            told = "features is empty: the model needs "
-            raise SettingsError(told, given=self.features, allowed="at least one")
+            text = "features is empty: the model needs "
+            raise SettingsError(text, given=self.features, allowed="at least one")
         threshold = self.resynchronise_above
         threshold = self.output.half_range / 2 if threshold is None else threshold
         object.__setattr__(self, "resynchronise_above", threshold)
@@ -145,16 +145,16 @@ class SplineNarxSettings(SignalSettings):
         least = 1 if block.signal == 0 and block.feature != "constant" else 0
         name = self.output.name
         if block.lag < least or (block.factor_signal == 0 and block.factor_lag < 1):
-            told = f"a {block.feature} feature has lag 0 of the output {name!r}: must be "
-            raise SettingsError(told, given=0, allowed="at least 1")
+            text = f"a {block.feature} feature has lag 0 of the output {name!r}: must be "
+            raise SettingsError(text, given=0, allowed="at least 1")
         if block.feature != "hammerstein" or block.basis is None:
             return
         if block.signal == 0:
-            told = f"a hammerstein feature is of output {name!r}: must be "
-            raise SettingsError(told, given=name, allowed="of an input")
+            text = f"a hammerstein feature is of output {name!r}: must be "
+            raise SettingsError(text, given=name, allowed="of an input")
         if block.basis.kind != "full":
-            told = "a hammerstein feature has basis kind 'paper': must be 'full'"
-            raise SettingsError(told, given=block.basis.kind, allowed=("full",))
+            text = "a hammerstein feature has basis kind 'paper': must be 'full'"
+            raise SettingsError(text, given=block.basis.kind, allowed=("full",))
 
 
 class SplineNarx(Identifier):
@@ -190,8 +190,8 @@ class SplineNarx(Identifier):
                 self.settings._index(name)
             for i, signal in enumerate(signals):
                 if signal.name not in at:
-                    told = f"operating point lacks signal {signal.name!r}"
-                    raise SettingsError(told, given=tuple(at), allowed=self.settings.names)
+                    text = f"operating point lacks signal {signal.name!r}"
+                    raise SettingsError(text, given=tuple(at), allowed=self.settings.names)
                 point[i] = (at[signal.name] - signal.centre) / signal.half_range
         gains = np.zeros((len(signals), self.lags + 1))
         for block, theta, weights in self.learned_blocks(joint):
@@ -248,8 +248,8 @@ class SplineNarx(Identifier):
         """
         chosen = self.settings.features[feature]
         if not isinstance(chosen, Spline | Hammerstein):
-            told = f"feature {feature} is {type(chosen).__name__}: it has no spline"
-            raise SettingsError(told, given=feature, allowed=("Spline", "Hammerstein"))
+            text = f"feature {feature} is {type(chosen).__name__}: it has no spline"
+            raise SettingsError(text, given=feature, allowed=("Spline", "Hammerstein"))
         block, theta, weights = list(self.learned_blocks(joint))[feature]
         if isinstance(chosen, Spline):
             return chosen.basis.spline(theta * self.settings.output.half_range)

@@ -150,9 +150,9 @@ class SplineStateSpaceSettings(SignalSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.structure.delays) != len(self.inputs):
-            told = f"state space has {len(self.structure.delays)} delays: must be "
+            text = f"state space has {len(self.structure.delays)} delays: must be "
             raise SettingsError(
-                told, given=self.structure.delays, allowed=f"{len(self.inputs)}, one an input"
+                text, given=self.structure.delays, allowed=f"{len(self.inputs)}, one an input"
             )
         self.check_count(self.structure.count)
 
@@ -272,8 +272,8 @@ class SplineStateSpace(Identifier):
     def _scaled(self, inputs: Mapping[str, float]) -> Array:
         for signal in self.settings.inputs:
             if signal.name not in inputs:
-                told = f"operating point lacks input {signal.name!r}"
-                raise SettingsError(told, given=tuple(inputs))
+                text = f"operating point lacks input {signal.name!r}"
+                raise SettingsError(text, given=tuple(inputs))
         return np.array([(inputs[s.name] - s.centre) / s.half_range for s in self.settings.inputs])
 
     def _curves(self, parts: Parts, x: Array, u: Array) -> tuple[list[float], list[float]]:

@@ -116,8 +116,8 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
         raise FileError(f"{path} is no saved identifier", given=path)
     if version != b"%d" % VERSION:
         shown = version[:20].decode(errors="replace")
-        told = f"{path} has version {shown!r}: this leglab reads "
-        raise FileError(told, given=shown, allowed=str(VERSION))
+        text = f"{path} has version {shown!r}: this leglab reads "
+        raise FileError(text, given=shown, allowed=str(VERSION))
     line, _, state = rest.partition(b"\n")
     try:
         header = parse_json(line)
@@ -138,11 +138,11 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes]:
             allowed=f"{native.STATE_VERSION}, {sys.byteorder!r}-endian",
         )
     if len(state) != size:
-        told = f"{path} is truncated: {len(state)} of {size!r} bytes of state"
-        raise FileError(told, given=path)
+        text = f"{path} is truncated: {len(state)} of {size!r} bytes of state"
+        raise FileError(text, given=path)
     if hashlib.sha256(state).hexdigest() != digest:
-        told = f"{path} is damaged: the checksum of its state does not agree"
-        raise FileError(told, given=path)
+        text = f"{path} is damaged: the checksum of its state does not agree"
+        raise FileError(text, given=path)
     # A model of one joint yields the size for all joints, before memory for all is allocated.
     joint = len(_build(path, header, 1)._bank.state())
     if joint * header["joints"] != len(state):

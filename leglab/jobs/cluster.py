@@ -104,8 +104,8 @@ def cluster(address: str, terms: Terms) -> Iterator[Executor]:
             try:
                 client.wait_for_workers(1, timeout=_PATIENCE)
             except TimeoutError as error:
-                told = f"scheduler {address!r} has no workers"
-                raise SettingsError(told, given=address) from error
+                text = f"scheduler {address!r} has no workers"
+                raise SettingsError(text, given=address) from error
             yield partial(_answers, client, address, json.dumps(asdict(terms)), waiting)
         finally:
             with suppress(Exception):  # The scheduler may be gone; keep the original exception.
@@ -142,8 +142,8 @@ def _answers(
             numbers, _ = waiting.pop(str(future.key))
             found, by = _found(future, len(numbers), address)
         except (OSError, CancelledError) as error:
-            told = f"scheduler {address!r} is gone: the same command goes on from here"
-            raise SimulationError(told, given=address) from error
+            message = f"scheduler {address!r} is gone: the same command goes on from here"
+            raise SimulationError(message, given=address) from error
         for number, answer in zip(numbers, found, strict=True):
             yield number, answer, by
         walls = [one["wall_s"] for one in found if isinstance(one.get("wall_s"), float)]

@@ -97,8 +97,8 @@ class Runner:
                 found = self._line(self._terms.timeout)
             except TimedOutError:
                 self._end()
-                told = f"it took longer than {self._terms.timeout:g} s"
-                found = {"error": told, "kind": "time-out"}
+                text = f"it took longer than {self._terms.timeout:g} s"
+                found = {"error": text, "kind": "time-out"}
             except DiedError as death:
                 self._end()
                 tries += 1
@@ -210,8 +210,8 @@ class Runner:
             if not isinstance(found, dict):
                 raise ValueError("it is no object")
         except ValueError as error:
-            told = f"the process that made it gave no answer that can be read: {error}"
-            raise DiedError(told) from error
+            text = f"the process that made it gave no answer that can be read: {error}"
+            raise DiedError(text) from error
         return found
 
     def _death(self) -> str:

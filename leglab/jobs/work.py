@@ -37,14 +37,14 @@ def name_of(work: Work) -> str:
     name = getattr(work, "__qualname__", "")
     if getattr(module, name, None) is not work:
         allowed = "a function defined at the top of a module or file"
-        told = f"{name or work!r} cannot be called by another process; allowed: "
-        raise SettingsError(told, given=name, allowed=allowed)
+        text = f"{name or work!r} cannot be called by another process; allowed: "
+        raise SettingsError(text, given=name, allowed=allowed)
     if work.__module__ != "__main__":
         return f"{work.__module__}:{name}"
     file = getattr(module, "__file__", None)
     if file is None:
-        told = f"{name} is defined at a prompt, where no other process finds it; allowed: "
-        raise SettingsError(told, given=name, allowed="one process")
+        text = f"{name} is defined at a prompt, where no other process finds it; allowed: "
+        raise SettingsError(text, given=name, allowed="one process")
     return f"{Path(file).resolve()}:{name}"
 
 

@@ -376,8 +376,8 @@ class NativeJoints:
                 getattr(self._model, field)[drive.id] = value * self._nominal[field][drive.id]
             return
         if not 0 <= value < np.inf:
-            told = f"joint {element!r}: {name} = {value:g}; allowed: "
-            raise SettingsError(told, given=value, allowed="0 or more")
+            text = f"joint {element!r}: {name} = {value:g}; allowed: "
+            raise SettingsError(text, given=value, allowed="0 or more")
         place = self._place(element, name)
         first, *higher = (f for f in _JOINT_FIELDS[name] if f in self._nominal)
         for field in higher:  # the factor of the first order scales all other orders
@@ -424,8 +424,8 @@ LARGEST = 0.3
 def check_tolerance(tolerance: float) -> None:
     """Raises a `LeglabError` for a tolerance outside [0, 0.3]."""
     if not 0 <= tolerance <= LARGEST:
-        told = f"tolerance {tolerance!r} is outside "
-        raise SettingsError(told, given=tolerance, allowed=f"[0, {LARGEST:g}]")
+        text = f"tolerance {tolerance!r} is outside "
+        raise SettingsError(text, given=tolerance, allowed=f"[0, {LARGEST:g}]")
 
 
 def vary_bodies(model: mujoco.MjModel, tolerance: float, seed: int) -> None:

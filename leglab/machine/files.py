@@ -105,8 +105,8 @@ def model_files(model: str | Path) -> ModelFiles | None:
     try:
         content = {file: file.read_bytes() for file in _files(main)}
     except OSError as error:
-        told = f"{error.filename}: {error.strerror or error}"
-        raise ModelError(f"{main.name}: cannot read {told}", given=main) from error
+        text = f"{error.filename}: {error.strerror or error}"
+        raise ModelError(f"{main.name}: cannot read {text}", given=main) from error
     digest = hashlib.sha256()
     for file in sorted(content):
         name = os.path.relpath(file, main.parent).encode()
@@ -144,8 +144,8 @@ def since(source: Path, digest: str) -> str:
 
 def changed_meanwhile(model: str | Path) -> ModelError:
     """Returns the error for a model whose files changed while a command used them."""
-    told = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
-    return ModelError(told, given=model)
+    text = f"{Path(model).name}: the model's files were changed meanwhile; give the command again"
+    return ModelError(text, given=model)
 
 
 # Cached models with the state of their files, by MJCF file.

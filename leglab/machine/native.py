@@ -112,8 +112,8 @@ class NativeActuator:
         """
         gain = self.gain(data)
         if gain == 0.0:
-            told = f"actuator {self.name!r} has no gain in this pose: no command moves"
-            raise ModelError(told, given=self.name)
+            text = f"actuator {self.name!r} has no gain in this pose: no command moves"
+            raise ModelError(text, given=self.name)
         low, high = self.force_range(data)
         control = (min(max(force, low), high) - self.bias(data)) / gain
         if not low < force < high:
@@ -200,17 +200,17 @@ def _joint_of(model: mujoco.MjModel, number: int, moments: np.ndarray) -> int:
     name = model.actuator(number).name
     where = f"actuator {name!r}" if name else f"actuator {number}"
     if not levers.any():
-        told = f"{where} moves no joint in the rest pose; {_ALLOWED}"
-        raise ModelError(told, given=name)
+        text = f"{where} moves no joint in the rest pose; {_ALLOWED}"
+        raise ModelError(text, given=name)
     dof = int(levers.argmax())
     joint = int(model.dof_jntid[dof])
     others = np.delete(levers, dof)
     if int(model.jnt_type[joint]) not in _SIMPLE or (others > _LEVER_ELSEWHERE * levers[dof]).any():
-        told = f"{where} moves more than one joint; allowed: "
-        raise ModelError(told, given=name, allowed="one hinge or slide joint an actuator")
+        text = f"{where} moves more than one joint; allowed: "
+        raise ModelError(text, given=name, allowed="one hinge or slide joint an actuator")
     if not model.joint(joint).name:
-        told = f"{where} moves joint {joint}, which has no name; a run needs one"
-        raise ModelError(told, given=name)
+        text = f"{where} moves joint {joint}, which has no name; a run needs one"
+        raise ModelError(text, given=name)
     return joint
 
 
@@ -240,8 +240,8 @@ def _control_range(
     if model.actuator_ctrllimited[number]:
         low, high = model.actuator_ctrlrange[number].tolist()
         if not high > low:
-            told = f"{where} has an empty ctrlrange {low:g} to {high:g}"
-            raise ModelError(told, given=(low, high))
+            text = f"{where} has an empty ctrlrange {low:g} to {high:g}"
+            raise ModelError(text, given=(low, high))
         return low, high
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
@@ -254,5 +254,5 @@ def _control_range(
     if model.actuator_forcelimited[number] and gain[0] and not (affine and bias[2]):
         ends = model.actuator_forcerange[number] / gain[0]
         return float(ends.min()), float(ends.max())
-    told = f"{where} has no ctrlrange, and a run commands shares of it; give it a ctrlrange"
-    raise ModelError(told, given=model.actuator(number).name)
+    text = f"{where} has no ctrlrange, and a run commands shares of it; give it a ctrlrange"
+    raise ModelError(text, given=model.actuator(number).name)

@@ -55,8 +55,8 @@ class Parameter:
         number = float(value)
         above = number >= self.minimum if self.minimum_allowed else number > self.minimum
         if not (math.isfinite(number) and above and number <= self.maximum):
-            told = f"{where}: {self.name} = {number:g}; allowed "
-            raise SettingsError(told, given=number, allowed=self.allowed)
+            text = f"{where}: {self.name} = {number:g}; allowed "
+            raise SettingsError(text, given=number, allowed=self.allowed)
         return number
 
 
@@ -204,8 +204,8 @@ def parameter_vector(plugin: str, values: Mapping[str, float]) -> np.ndarray:
     vector = np.empty(len(table.parameters))
     for name, parameter in table.parameters.items():
         if name not in values and math.isnan(parameter.nominal):
-            told = f"{plugin}: {name} is missing; allowed "
-            raise SettingsError(told, allowed=parameter.allowed)
+            text = f"{plugin}: {name} is missing; allowed "
+            raise SettingsError(text, allowed=parameter.allowed)
         vector[parameter.offset] = parameter.check(values.get(name, parameter.nominal), plugin)
     return vector
 
@@ -238,8 +238,8 @@ def placed_parameters(
             known = owned[element] if dot else {row for rows in owned.values() for row in rows}
             raise SettingsError.unknown(f"parameter of {element or 'the model'}", name, known)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            told = f"parameters: {key} is {value!r}; allowed: "
-            raise SettingsError(told, given=value, allowed="a number")
+            text = f"parameters: {key} is {value!r}; allowed: "
+            raise SettingsError(text, given=value, allowed="a number")
         for each in having:
             found[each, name] = owned[each][name].check(value, f"parameters: {each}")
     return found

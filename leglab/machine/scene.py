@@ -200,8 +200,8 @@ def _joints(root: Xml.Element, model: mujoco.MjModel, body: int) -> None:
         kind = _TYPES.get(mujoco.mjtJoint(model.jnt_type[joint]))
         name = model.joint(joint).name or f"joint_{joint}"
         if kind is None:
-            told = f"joint {name!r} is a ball: a URDF has "
-            raise ModelError(told, given=name, allowed="hinges, slides and free joints")
+            text = f"joint {name!r} is a ball: a URDF has "
+            raise ModelError(text, given=name, allowed="hinges, slides and free joints")
         if kind == "floating":
             position, quat = np.zeros(3), _IDENTITY.copy()
         else:

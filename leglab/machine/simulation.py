@@ -49,15 +49,15 @@ def load_model(
         LeglabError: If there is no such model or MuJoCo rejects it; a one-line message.
     """
     if timestep is not None and not (math.isfinite(timestep) and timestep > 0):
-        told = f"timestep = {timestep:g} s; allowed: "
-        raise SettingsError(told, given=timestep, allowed="more than 0")
+        text = f"timestep = {timestep:g} s; allowed: "
+        raise SettingsError(text, given=timestep, allowed="more than 0")
     leglab.machine.plugin.load_plugin()
     path = model_path(model)
     spec = None
     if path.is_file() and (found := _NAN.search(content := path.read_bytes())):
         line, name = content[: found.start()].count(b"\n") + 1, found[1].decode()
-        told = f"{path.name}, line {line}: attribute {name!r} is NaN; allowed: "
-        raise ModelError(told, given="nan", allowed="a finite number")
+        text = f"{path.name}, line {line}: attribute {name!r} is NaN; allowed: "
+        raise ModelError(text, given="nan", allowed="a finite number")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if timestep is not None:
@@ -116,8 +116,8 @@ class Simulation:
         self.data = mujoco.MjData(model)
         count = model.nactuator
         if not count:
-            told = "the model has no actuator; allowed: "
-            raise ModelError(told, allowed="one for each driven joint")
+            text = "the model has no actuator; allowed: "
+            raise ModelError(text, allowed="one for each driven joint")
         self._elements = leglab.machine.plugin.elements(model)
         mujoco.mj_forward(model, self.data)
         moments = actuator_moments(model, self.data)
@@ -133,16 +133,16 @@ class Simulation:
             self.centre[i], self.half[i] = drive.centre, drive.half
         still = [name for name, row in zip(self.actuators, moments, strict=True) if not row.any()]
         if still:
-            told = f"actuator {still[0]!r} moves no joint; allowed: "
-            raise ModelError(told, given=still[0], allowed="actuators on a hinge or slide joint")
+            text = f"actuator {still[0]!r} moves no joint; allowed: "
+            raise ModelError(text, given=still[0], allowed="actuators on a hinge or slide joint")
         self._joint_ids = model.dof_jntid[np.abs(moments).argmax(axis=1)]
         self.joints = tuple(model.joint(i).name for i in self._joint_ids)
         for i, joint in enumerate(self.joints):
             if joint in self.joints[:i]:
                 first = self.actuators[self.joints.index(joint)]
                 both = f"{first!r} and {self.actuators[i]!r}"
-                told = f"joint {joint!r} is driven by actuators {both}; allowed: "
-                raise ModelError(told, given=joint, allowed="one")
+                text = f"joint {joint!r} is driven by actuators {both}; allowed: "
+                raise ModelError(text, given=joint, allowed="one")
         self.qpos_index = model.jnt_qposadr[self._joint_ids]
         self.dof_index = model.jnt_dofadr[self._joint_ids]
         self.reset(keyframe)

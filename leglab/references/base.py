@@ -24,12 +24,12 @@ class Joint:
 
     def __post_init__(self) -> None:
         if not self.lower <= self.rest <= self.upper:
-            told = f"joint {self.name!r}: rest position {self.rest:g} rad is outside "
+            text = f"joint {self.name!r}: rest position {self.rest:g} rad is outside "
             allowed = f"[{self.lower:g}, {self.upper:g}] rad"
-            raise SettingsError(told, given=self.rest, allowed=allowed)
+            raise SettingsError(text, given=self.rest, allowed=allowed)
         if not self.velocity_limit > 0:
-            told = f"joint {self.name!r}: velocity limit {self.velocity_limit:g} rad/s is not "
-            raise SettingsError(told, given=self.velocity_limit, allowed="> 0")
+            text = f"joint {self.name!r}: velocity limit {self.velocity_limit:g} rad/s is not "
+            raise SettingsError(text, given=self.velocity_limit, allowed="> 0")
 
 
 class Samples(NamedTuple):
@@ -70,8 +70,8 @@ class Reference:
         """
         times = np.asarray(times, dtype=np.float64)
         if times.ndim != 1:
-            told = f"times of a reference have shape {times.shape}, allowed is "
-            raise SettingsError(told, given=times.shape, allowed="(n,)")
+            text = f"times of a reference have shape {times.shape}, allowed is "
+            raise SettingsError(text, given=times.shape, allowed="(n,)")
         with plugged_in(f"reference {self.name!r}", self.motion):
             samples = Samples(*self.motion(times))
         self._check_form(times, samples)
@@ -101,8 +101,8 @@ class Reference:
         wanted = (times.size, len(self.joints))
         for name, values in zip(Samples._fields, samples, strict=True):
             if np.shape(values) != wanted:
-                told = f"reference {self.name!r}: {name} has shape {np.shape(values)}, allowed is "
-                raise SettingsError(told, given=np.shape(values), allowed=f"{wanted}")
+                text = f"reference {self.name!r}: {name} has shape {np.shape(values)}, allowed is "
+                raise SettingsError(text, given=np.shape(values), allowed=f"{wanted}")
             bad = np.argwhere(~np.isfinite(values))
             if bad.size:
                 row, column = bad[0]
@@ -128,8 +128,8 @@ class Reference:
                     "rad/s": f"its limit is {joint.velocity_limit:g} rad/s",
                 }
                 where = f"reference {self.name!r}: joint {joint.name!r}"
-                told = f"{where} {verb} {value:.4g} {unit} at {times[row]:.4g} s, "
-                raise SettingsError(told, given=value, allowed=limits[unit])
+                text = f"{where} {verb} {value:.4g} {unit} at {times[row]:.4g} s, "
+                raise SettingsError(text, given=value, allowed=limits[unit])
 
 
 # Test of velocities by central differences: number of times; half step [s]; tolerance as a share of
@@ -210,8 +210,8 @@ def moving_joints(joints: Sequence[Joint], known: Sequence[str], name: str) -> l
     """
     indices = [i for i, joint in enumerate(joints) if joint.name in known]
     if not indices:
-        told = f"reference {name!r} moves {', '.join(known)}, none of which is among the joints "
-        raise SettingsError(told, given=tuple(known), allowed=(joint.name for joint in joints))
+        text = f"reference {name!r} moves {', '.join(known)}, none of which is among the joints "
+        raise SettingsError(text, given=tuple(known), allowed=(joint.name for joint in joints))
     return indices
 
 

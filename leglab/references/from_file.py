@@ -72,11 +72,11 @@ def from_file(joints: tuple[Joint, ...], config: FromFile) -> tuple[Motion, floa
         LeglabError: The file cannot be read, has changed, or has no column for any joint.
     """
     if not config.file:
-        told = "reference 'file' needs the setting "
-        raise SettingsError(told, allowed=("file", "or --reference FILE"))
+        text = "reference 'file' needs the setting "
+        raise SettingsError(text, allowed=("file", "or --reference FILE"))
     if config.digest not in (None, digest_of(config.file)):
-        told = f"{config.file} has changed since these settings were made; to play it as it is: "
-        raise SettingsError(told, given=config.file, allowed=f"--reference {config.file}")
+        text = f"{config.file} has changed since these settings were made; to play it as it is: "
+        raise SettingsError(text, given=config.file, allowed=f"--reference {config.file}")
     times, positions = _positions(joints, config)
     if config.repeat:
         positions = _closed(joints, positions, config.file)
@@ -138,13 +138,13 @@ def played(file: str, joints: Iterable[str]) -> tuple[Recording, dict[str, Named
             continue
         column = split(known[stem])
         if column.si not in ("", "rad", "m"):
-            told = f"{file}: column {known[stem]!r} is no position; allowed are units such as "
-            raise SettingsError(told, given=column.unit, allowed=("rad", "deg", "m", "mm"))
+            text = f"{file}: column {known[stem]!r} is no position; allowed are units such as "
+            raise SettingsError(text, given=column.unit, allowed=("rad", "deg", "m", "mm"))
         found[joint] = column._replace(stem=known[stem])
     if not found:
-        told = f"{file}: none of the columns {', '.join(recording.columns)} is one of "
+        text = f"{file}: none of the columns {', '.join(recording.columns)} is one of "
         wanted = [_COLUMNS[1].format(joint) for joint in joints]
-        raise SettingsError(told, given=tuple(recording.columns), allowed=wanted)
+        raise SettingsError(text, given=tuple(recording.columns), allowed=wanted)
     return recording, found
 
 
@@ -153,8 +153,8 @@ def _positions(joints: tuple[Joint, ...], config: FromFile) -> tuple[np.ndarray,
     recording, found = played(config.file, [joint.name for joint in joints])
     times = recording.time - recording.time[0]
     if len(times) < _FEWEST:
-        told = f"{config.file} has {len(times)} samples; allowed: "
-        raise SettingsError(told, given=len(times), allowed=f"{_FEWEST} or more")
+        text = f"{config.file} has {len(times)} samples; allowed: "
+        raise SettingsError(text, given=len(times), allowed=f"{_FEWEST} or more")
     columns = []
     for joint in joints:
         if joint.name not in found:
@@ -175,8 +175,8 @@ def _closed(joints: tuple[Joint, ...], positions: np.ndarray, file: str) -> np.n
     away = np.abs(positions[-1] - positions[0])
     for joint, missed, most in zip(joints, away, step, strict=True):
         if missed > most:
-            told = f"{file}: {joint.name} ends {missed:.3g} rad off its begin; repeat allows "
-            raise SettingsError(told, given=missed, allowed=f"at most {most:.3g} rad, its step")
+            text = f"{file}: {joint.name} ends {missed:.3g} rad off its begin; repeat allows "
+            raise SettingsError(text, given=missed, allowed=f"at most {most:.3g} rad, its step")
     return np.concatenate([positions[:-1], positions[:1]])
 
 

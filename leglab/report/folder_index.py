@@ -191,8 +191,8 @@ def _diagnosis(place: Path, files: set[str]) -> dict[str, Any]:
     content = _content(place / "diagnosis.json")
     effects = [f"{effect['name']} at {effect['element']}" for effect in content["effects"]]
     verdict = str(content["verdict"]).replace("_", " ")
-    told = f"{verdict}: {', '.join(effects)}" if effects else verdict
-    return {"told": told + "; it has no page" * ("diagnosis.html" not in files)}
+    text = f"{verdict}: {', '.join(effects)}" if effects else verdict
+    return {"told": text + "; it has no page" * ("diagnosis.html" not in files)}
 
 
 def _content(path: Path) -> Any:

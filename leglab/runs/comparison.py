@@ -71,8 +71,8 @@ class Comparison:
 
     def __post_init__(self) -> None:
         if not 1 <= self.seeds <= _MOST_SEEDS:
-            told = f"seeds is {self.seeds}; allowed: "
-            raise SettingsError(told, given=self.seeds, allowed=f"1 to {_MOST_SEEDS}")
+            text = f"seeds is {self.seeds}; allowed: "
+            raise SettingsError(text, given=self.seeds, allowed=f"1 to {_MOST_SEEDS}")
         check_tolerance(self.tolerance)
         for kind in ("scenarios", "controllers"):
             names = getattr(self, kind)

@@ -246,10 +246,10 @@ def check_runs(folders: Sequence[Path | str]) -> None:
     for folder in map(Path, folders):
         for name in RUN_FILES:
             if not (folder / name).is_file():
-                told = f"{str(folder)!r} is not the folder of a run: it has no {name}"
+                text = f"{str(folder)!r} is not the folder of a run: it has no {name}"
                 if folder.name in RUN_FILES:
-                    told += f"; give its folder, {str(folder.parent)!r}"
-                raise FileError(told, given=folder)
+                    text += f"; give its folder, {str(folder.parent)!r}"
+                raise FileError(text, given=folder)
 
 
 def read_run(folder: Path | str) -> ReportedRun:
@@ -277,8 +277,8 @@ def read_run(folder: Path | str) -> ReportedRun:
         for quantity in ("position", "reference"):
             if f"{joint}_{quantity}" not in recording:
                 absent = f"{joint}_{quantity}"
-                told = f"{folder / 'recording.parquet'}: no column {absent!r}"
-                raise RecordingError(told, given=absent, allowed=recording.columns)
+                text = f"{folder / 'recording.parquet'}: no column {absent!r}"
+                raise RecordingError(text, given=absent, allowed=recording.columns)
     return ReportedRun(
         folder=folder,
         label=metrics.controller,

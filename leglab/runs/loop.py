@@ -517,8 +517,8 @@ class _Records:
             if key not in kept:
                 kept[key] = np.full(self._command.shape, np.nan)
             if np.shape(value) not in ((), kept[key].shape[1:]):
-                told = f"{key!r} has shape {np.shape(value)}, allowed is (joints,)"
-                raise ValueError(f"{told} = {kept[key].shape[1:]}")
+                text = f"{key!r} has shape {np.shape(value)}, allowed is (joints,)"
+                raise ValueError(f"{text} = {kept[key].shape[1:]}")
             kept[key][row] = value
         if row == 0:
             try:

@@ -70,8 +70,8 @@ def phase_table(
             allowed=f"({len(time)}, {len(joints)})",
         )
     if "all" in joints:
-        told = "a joint named 'all' cannot be told from all joints: rename it"
-        raise ModelError(told, given="all")
+        text = "a joint named 'all' cannot be told from all joints: rename it"
+        raise ModelError(text, given="all")
     table = []
     for phase, part in _parts(time, phases):
         # The last sample may be one period before the nominal end of the run.
@@ -230,11 +230,11 @@ def _samples(error: np.ndarray) -> np.ndarray:
     """Returns the error as a float array of shape (n, joints), n >= 1, without NaN or infinity."""
     error = np.asarray(error, dtype=np.float64)
     if error.ndim != 2 or error.size == 0:
-        told = f"error has shape {error.shape}, allowed is "
-        raise RecordingError(told, given=error.shape, allowed="(n, joints) with n >= 1")
+        text = f"error has shape {error.shape}, allowed is "
+        raise RecordingError(text, given=error.shape, allowed="(n, joints) with n >= 1")
     finite = np.isfinite(error)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
-        told = f"error, row {row}, joint {column}: {error[row, column]} is not "
-        raise RecordingError(told, given=float(error[row, column]), allowed="finite")
+        text = f"error, row {row}, joint {column}: {error[row, column]} is not "
+        raise RecordingError(text, given=float(error[row, column]), allowed="finite")
     return error

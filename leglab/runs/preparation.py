@@ -105,8 +105,8 @@ def scenario_of(settings: RunSettings, preparation: "Preparation | None" = None)
         SettingsError: The seed, the name or an option of the scenario is not allowed.
     """
     if settings.seed < 0:
-        told = f"seed {settings.seed} is negative; allowed: "
-        raise SettingsError(told, given=settings.seed, allowed="0 or more")
+        text = f"seed {settings.seed} is negative; allowed: "
+        raise SettingsError(text, given=settings.seed, allowed="0 or more")
     if preparation is not None and settings.element is not None:
         joints = preparation.nominal.joints
         if settings.element not in joints:

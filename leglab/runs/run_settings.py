@@ -120,8 +120,8 @@ def check_type(name: str, value: Any, where: str) -> None:
     try:
         _type(name).validate_python(value, strict=True)
     except ValidationError as error:
-        told = f"{where} is {value!r}: "
-        raise SettingsError(told, given=value, allowed=first_problem(error)[1]) from None
+        text = f"{where} is {value!r}: "
+        raise SettingsError(text, given=value, allowed=first_problem(error)[1]) from None
 
 
 @cache
@@ -146,15 +146,15 @@ def with_entries(values: Mapping[str, Any], entries: Sequence[str]) -> dict[str,
         section, dot, key = name.strip().partition(".")
         if not (equals and dot and key and section in SECTIONS):
             form = "SECTION.SETTING=VALUE with one of the sections"
-            told = f"--set {entry!r}: allowed is {form} "
-            raise SettingsError(told, given=entry, allowed=SECTIONS)
+            message = f"--set {entry!r}: allowed is {form} "
+            raise SettingsError(message, given=entry, allowed=SECTIONS)
         target = found[SECTIONS[section]]
         *tables, last = key.split(".")
         for table in tables:
             target = target.setdefault(table, {})
             if not isinstance(target, dict):
-                told = f"--set {entry!r}: {table!r} has a value already"
-                raise SettingsError(told, given=entry)
+                message = f"--set {entry!r}: {table!r} has a value already"
+                raise SettingsError(message, given=entry)
         target[last] = _value(text.strip())
     return found
 
@@ -172,8 +172,8 @@ def _without_tables(content: dict[str, Any], where: str) -> dict[str, Any]:
             found[section] = own.pop("name")
         beside = found.get(SECTIONS[section], {})
         if not isinstance(beside, dict):
-            told = f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: "
-            raise SettingsError(told, given=beside, allowed="a table")
+            text = f"{where}: setting {SECTIONS[section]!r} is {beside!r}; allowed: "
+            raise SettingsError(text, given=beside, allowed="a table")
         found[SECTIONS[section]] = {**beside, **own}
     return found
 

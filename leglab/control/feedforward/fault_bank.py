@@ -44,12 +44,12 @@ class FaultCurve:
         where = f"fault {self.fault!r} of {self.element!r}"
         steps = np.diff(self.sizes)
         if len(self.sizes) < 2 or not (np.all(steps > 0) or np.all(steps < 0)):
-            told = f"{where}: sizes {np.asarray(self.sizes)!r} are not "
-            raise ModelError(told, given=self.sizes, allowed="monotone")
+            text = f"{where}: sizes {np.asarray(self.sizes)!r} are not "
+            raise ModelError(text, given=self.sizes, allowed="monotone")
         if self.shifts.ndim != 3 or len(self.shifts) != len(self.sizes):
-            told = f"{where}: shifts have shape {self.shifts.shape}, allowed is "
+            text = f"{where}: shifts have shape {self.shifts.shape}, allowed is "
             wanted = f"({len(self.sizes)}, joints, parameters)"
-            raise ModelError(told, given=self.shifts.shape, allowed=wanted)
+            raise ModelError(text, given=self.shifts.shape, allowed=wanted)
         if not np.isfinite(self.shifts).all() or np.any(self.shifts[0] != 0):
             raise ModelError(f"{where}: shifts must be finite, and zero at the healthy size")
 
@@ -100,8 +100,8 @@ class FaultBank:
     def __post_init__(self) -> None:
         shapes = {curve.shifts.shape[1:] for curve in self.curves}
         if len(shapes) != 1:
-            told = f"curves of a fault bank have shapes {sorted(shapes)}: need "
-            raise ModelError(told, given=sorted(shapes), allowed="one")
+            text = f"curves of a fault bank have shapes {sorted(shapes)}: need "
+            raise ModelError(text, given=sorted(shapes), allowed="one")
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -126,8 +126,8 @@ class FaultBank:
         """
         for fault in faults:
             if fault not in self.faults:
-                told = f"fault {fault!r} is not in the bank, which has "
-                raise SettingsError(told, given=fault, allowed=self.faults)
+                text = f"fault {fault!r} is not in the bank, which has "
+                raise SettingsError(text, given=fault, allowed=self.faults)
         kept = tuple(curve for curve in self.curves if curve.fault not in faults)
         if not kept:
             raise SettingsError("no fault would be left in the bank")

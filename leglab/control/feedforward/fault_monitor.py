@@ -152,8 +152,8 @@ class FaultMonitor:
     ) -> None:
         had = bank.curves[0].shifts.shape[1]
         if had != len(joints):
-            told = f"the bank of faults is of {had} joints, the machine has "
-            raise ModelError(told, given=had, allowed=str(len(joints)))
+            text = f"the bank of faults is of {had} joints, the machine has "
+            raise ModelError(text, given=had, allowed=str(len(joints)))
         self._bank, self._joints, self._config = bank, joints, config
         self._standings, self._pace = Standings(bank), pace
         self._looks = tuple(pace * look for look in LOOKS if pace * look > PASSING)

@@ -344,11 +344,11 @@ def _check_end(bank: FaultBank, fault: str, size: float) -> None:
     wears = [c for c in bank.curves if c.fault not in CONDITIONS]
     curves = [c for c in wears if c.fault == fault]
     if not curves:
-        told = f"health.end_of_life: {fault!r} is no fault that wears; choose "
-        raise SettingsError(told, given=fault, allowed=dict.fromkeys(c.fault for c in wears))
+        text = f"health.end_of_life: {fault!r} is no fault that wears; choose "
+        raise SettingsError(text, given=fault, allowed=dict.fromkeys(c.fault for c in wears))
     if not any((size - c.sizes[0]) * (c.sizes[-1] - c.sizes[0]) > 0 for c in curves):
         healthy = f"{curves[0].sizes[0]:g}"
         towards = " or ".join(dict.fromkeys(f"{c.sizes[-1]:g}" for c in curves))
         allowed = f"{healthy} is healthy, worn out is beyond it towards {towards}"
-        told = f"health.end_of_life: {fault} {size!r} is not allowed; "
-        raise SettingsError(told, given=size, allowed=allowed)
+        text = f"health.end_of_life: {fault} {size!r} is not allowed; "
+        raise SettingsError(text, given=size, allowed=allowed)

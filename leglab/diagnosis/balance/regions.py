@@ -46,11 +46,11 @@ def worst_region(error: np.ndarray, states: Mapping[str, tuple[np.ndarray, str]]
         ends = np.quantile(values, [0.01, 0.99])  # so that outliers do not extend the range
         low = max(float(values[parts[first]].min()), float(ends[0]))
         high = min(float(values[parts[last]].max()), float(ends[1]))
-        told = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
+        message = f"{low:.3g} to {high:.3g}{unit and ' '}{unit}"
         narrow = low <= 0.0 <= high and high - low < np.ptp(ends) / 3.0
-        best, text = float(size[peak]), f"at a {name} of {told}"
+        best, text = float(size[peak]), f"at a {name} of {message}"
         if narrow and name in ("velocity", "command"):
-            text = f"near zero {name} ({told})"
+            text = f"near zero {name} ({message})"
     return text
 
 

@@ -200,8 +200,8 @@ def register_effect(effect: type[Effect]) -> type[Effect]:
     """
     for attribute in ("name", "group", "physics", "source", "excitation"):
         if not getattr(effect, attribute, ""):
-            told = f"effect class {effect.__qualname__} has no {attribute!r}"
-            raise SettingsError(told, given=effect.__qualname__)
+            text = f"effect class {effect.__qualname__} has no {attribute!r}"
+            raise SettingsError(text, given=effect.__qualname__)
     plugins.note(effect.__module__)
     _REGISTRY[effect.name, effect.__qualname__] = effect()
     return effect

@@ -100,12 +100,12 @@ def refuse_shared(doubts: Iterable[tuple[str, Hashable, str]], count: int) -> No
 def check_roles(usable: Iterable[str], dropped: Mapping[str, str], held: tuple[str, ...]) -> None:
     """Raises an error if no held-out or no fitted recording is usable."""
     if held and not set(held) & set(usable):
-        told = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
-        raise RecordingError(told, given=held[0], allowed="another recording held out")
+        text = f"{held[0]}: {dropped[held[0]]}; it was to be held out; allowed: "
+        raise RecordingError(text, given=held[0], allowed="another recording held out")
     if set(usable) <= set(held):
         if not dropped:
-            told = "every recording is held out; allowed: "
-            raise RecordingError(told, given=held, allowed="at least one to fit")
+            text = "every recording is held out; allowed: "
+            raise RecordingError(text, given=held, allowed="at least one to fit")
         name, why = next(iter(dropped.items()))
         raise RecordingError(f"{name}: {why}; no recording is left to fit", given=name)
 
@@ -316,10 +316,10 @@ def _rates(usable: Mapping[str, _Entry], limits: Thresholds) -> tuple[str, ...]:
             # Clocks that differ by more than one sample over the recording are noted.
             drifting.append(f"{name} {100.0 * off:+.2g} %")
     if faster:
-        told = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
+        text = f"averaged to {1.0 / period:.4g} Hz, the rate of the slowest recording: "
         lost = f"; their motion above {0.5 / period:.4g} Hz is lost"
-        notes.append(told + ", ".join(faster) + lost)
+        notes.append(text + ", ".join(faster) + lost)
     if drifting:
-        told = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
-        notes.append(told + ", ".join(drifting))
+        text = f"clocks differ from a period of {period:.6g} s, resampled by their stamps: "
+        notes.append(text + ", ".join(drifting))
     return tuple(notes)

@@ -28,8 +28,8 @@ def recording_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
         files = _below(path)
         known = [f for f in files if f == path or f.is_dir() or _suffix(f) in data.SUFFIXES]
         if not known:
-            told = f"{path}: a folder without recordings; allowed: "
-            raise FileError(told, given=path, allowed=data.SUFFIXES)
+            text = f"{path}: a folder without recordings; allowed: "
+            raise FileError(text, given=path, allowed=data.SUFFIXES)
         if others := sorted(set(files) - set(known)):
             names = ", ".join(str(other.relative_to(path)) for other in others[:3])
             names += ", ..." * (len(others) > 3)
@@ -110,8 +110,8 @@ def _different_names(paths: Sequence[Path]) -> dict[Path, str]:
         ends = (own[-count:] for count in range(1, len(own) + 1))
         end = next((e for e in ends if sum(p[-len(e) :] == e for p in parts) == 1), ())
         if not end:
-            told = f"two recordings are called {path.name!r}; allowed: "
-            raise SettingsError(told, given=path, allowed="each recording once")
+            text = f"two recordings are called {path.name!r}; allowed: "
+            raise SettingsError(text, given=path, allowed="each recording once")
         names[path] = "/".join(end)
     return names
 

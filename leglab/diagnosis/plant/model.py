@@ -151,18 +151,18 @@ class Machine:
                     allowed=("hinge", "slide"),
                 )
             if not joint:
-                told = f"{self.path.name}: joint {called} is measured by no column: they go by "
-                raise ModelError(f"{told}name; allowed: ", given=number, allowed='name="..."')
+                text = f"{self.path.name}: joint {called} is measured by no column: they go by "
+                raise ModelError(f"{text}name; allowed: ", given=number, allowed='name="..."')
 
     def _check_actuators(self) -> None:
         """Raises `ModelError` if an actuator has no name, or replays cannot command it."""
         for number, actuator in enumerate(self.actuators):
             if not actuator:
-                told = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
-                raise ModelError(f"{told}allowed: ", given=number, allowed='name="..."')
+                text = f"{self.path.name}: actuator {number} has no name, and commands go by it; "
+                raise ModelError(f"{text}allowed: ", given=number, allowed='name="..."')
             if why := unusable(self.base.model, number):
-                told = f"{self.path.name}: actuator {actuator!r} {why}"
-                raise ModelError(told, given=actuator)
+                text = f"{self.path.name}: actuator {actuator!r} {why}"
+                raise ModelError(text, given=actuator)
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -138,6 +138,6 @@ class Table:
             if isinstance(error, ValidationError):
                 first = error.errors()[0]
                 reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-            told = f"{path} is no table of sets ({reason}); allowed: "
+            text = f"{path} is no table of sets ({reason}); allowed: "
             allowed = "sets.json of `leglab diagnose --keep`"
-            raise FileError(told, given=path, allowed=allowed) from error
+            raise FileError(text, given=path, allowed=allowed) from error

@@ -63,8 +63,8 @@ def columns_of(
     guessed_out = tuple(outputs) or tuple(c for c in rest if c.lower().startswith("y"))
     for kind, names in (("input", guessed_in), ("output", guessed_out)):
         if not names:
-            told = f"which column is the {kind}? Give --{kind}, one of "
-            raise SettingsError(told, given=None, allowed=rest or known)
+            text = f"which column is the {kind}? Give --{kind}, one of "
+            raise SettingsError(text, given=None, allowed=rest or known)
     return guessed_in, guessed_out
 
 
@@ -128,12 +128,12 @@ def signals_of(
 
 def _check_recording(name: str, recording: Recording, columns: Sequence[str]) -> None:
     if len(recording) < LEAST_SAMPLES:
-        told = f"{name}: {len(recording)} samples; needed are {LEAST_SAMPLES}"
-        raise RecordingError(told, given=len(recording))
+        text = f"{name}: {len(recording)} samples; needed are {LEAST_SAMPLES}"
+        raise RecordingError(text, given=len(recording))
     for column in columns:
         if column not in recording:
-            told = f"{name}: no column {column!r}, found "
-            raise RecordingError(told, given=column, allowed=recording.columns)
+            text = f"{name}: no column {column!r}, found "
+            raise RecordingError(text, given=column, allowed=recording.columns)
 
 
 def _period(recording: Recording) -> float:
@@ -160,8 +160,8 @@ def _on_grid(
     """Returns columns of a uniformly sampled recording, with NaN for its missing samples."""
     steps = np.diff(recording.time)
     if not _is_uniform(recording.time, period):
-        told = f"{name}: sampled every {steps.min():.4g} to {steps.max():.4g} s, one period is "
-        raise RecordingError(told + f"needed; --period {period:.4g} resamples it", given=name)
+        text = f"{name}: sampled every {steps.min():.4g} to {steps.max():.4g} s, one period is "
+        raise RecordingError(text + f"needed; --period {period:.4g} resamples it", given=name)
     whole = np.maximum(np.round(steps / period), 1)
     at = np.concatenate([[0], np.cumsum(whole)]).astype(int)
     missing = at[-1] + 1 - len(at)
@@ -182,8 +182,8 @@ def _resampled(
     axis = np.arange(time[0], time[-1] + 0.5 * period, period)
     axis = axis[axis <= time[-1]]
     if len(axis) < LEAST_SAMPLES:
-        told = f"{name}: {len(axis)} samples of {period:g} s; needed are {LEAST_SAMPLES}"
-        raise RecordingError(told, given=period)
+        text = f"{name}: {len(axis)} samples of {period:g} s; needed are {LEAST_SAMPLES}"
+        raise RecordingError(text, given=period)
     notes.append(f"{name}: {len(time)} samples became {len(axis)} of {period:g} s")
     steps = np.diff(time)
     usual = max(float(np.median(steps)), period)
@@ -300,11 +300,11 @@ def _note_gaps(
         _, parts = _inputs(table, inputs)
         used = sum(part.stop - part.start for part in parts)
         bridged = sum(int(missing[part].sum()) for part in parts)
-        told = f"{name}: inputs are missing in {missing.sum()} samples"
-        told += f"; {bridged} of them are bridged by straight lines" * (bridged > 0)
+        text = f"{name}: inputs are missing in {missing.sum()} samples"
+        text += f"; {bridged} of them are bridged by straight lines" * (bridged > 0)
         if used < len(u):
-            told += f"; split into {len(parts)} parts, which hold {used} of {len(u)} samples"
-        notes.append(told)
+            text += f"; split into {len(parts)} parts, which hold {used} of {len(u)} samples"
+        notes.append(text)
     for column in inputs:
         if len(np.unique(table[column][np.isfinite(table[column])])) == 2:
             notes.append(

@@ -210,8 +210,8 @@ def parameter_words(p: Estimate) -> tuple[str, str, str]:
     """
     value, ends, nominal, unit = parameter_numbers(p)
     beside = f" ({number(p.value)} {p.unit})" if p.unit in _OIL else ""
-    told = f" {unit}" if unit else ""
-    return f"{value}{told}{beside}", f"{ends}{told}", f"{nominal}{told}"
+    text = f" {unit}" if unit else ""
+    return f"{value}{text}{beside}", f"{ends}{text}", f"{nominal}{text}"
 
 
 def parameter_numbers(p: Estimate) -> tuple[str, str, str, str]:
@@ -364,11 +364,11 @@ def _left(result: Diagnosis) -> str:
 def _error_words(one: Remaining) -> str:
     factor, unit = shown_unit(one.unit)
     before, after = (number(factor * v) for v in (one.before, one.after))
-    told = f"before {before} {unit}, "
+    text = f"before {before} {unit}, "
     if one.learned is not None:
-        told += f"with what was learned {number(factor * one.learned)} {unit}, "
-    told += f"sensor noise {noise_words(one)}"
-    return f"{readable(one.channel)} {after} {unit} off ({told})"
+        text += f"with what was learned {number(factor * one.learned)} {unit}, "
+    text += f"sensor noise {noise_words(one)}"
+    return f"{readable(one.channel)} {after} {unit} off ({text})"
 
 
 def noise_words(one: Remaining) -> str:

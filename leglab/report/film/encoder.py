@@ -66,8 +66,8 @@ def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[
                 stderr=log,
             )
         except OSError as error:
-            told = f"{program} cannot be run: {error.strerror}"
-            raise LeglabError(told, given=program) from error
+            text = f"{program} cannot be run: {error.strerror}"
+            raise LeglabError(text, given=program) from error
         assert process.stdin is not None
         pipe = process.stdin.fileno()
         os.set_blocking(pipe, False)
@@ -86,8 +86,8 @@ def encoding(out: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[
             if status or _said(log) or not partial.stat().st_size:
                 raise _failure(out, log)
         except subprocess.TimeoutExpired:
-            told = f"{out}: cannot be encoded: ffmpeg took nothing for {_PATIENCE:g} s"
-            raise FileError(told, given=out) from None
+            text = f"{out}: cannot be encoded: ffmpeg took nothing for {_PATIENCE:g} s"
+            raise FileError(text, given=out) from None
         finally:
             process.kill()
             process.wait()
@@ -117,10 +117,10 @@ def _failure(out: Path, log: BinaryIO) -> LeglabError:
             "this ffmpeg cannot encode H.264 (it has no libx264); unset IMAGEIO_FFMPEG_EXE "
             "to use the one that comes with imageio-ffmpeg"
         )
-    told = f"{out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}"
+    text = f"{out}: cannot be encoded: {said or 'ffmpeg wrote nothing'}"
     if "No space left" in said:
-        told = f"{out}: cannot be written: no space left on the disk"
-    return FileError(told, given=out)
+        text = f"{out}: cannot be written: no space left on the disk"
+    return FileError(text, given=out)
 
 
 def check_film(path: Path) -> None:
@@ -130,8 +130,8 @@ def check_film(path: Path) -> None:
         LeglabError: The name does not end with .mp4, or the path holds a file that is no film.
     """
     if path.suffix.lower() != ".mp4":
-        told = f"{path}: a film needs a name that ends with "
-        raise FileError(told, given=path, allowed=".mp4")
+        text = f"{path}: a film needs a name that ends with "
+        raise FileError(text, given=path, allowed=".mp4")
     try:
         with regular_file(path).open("rb") as stream:
             head = stream.read(8)
@@ -216,8 +216,8 @@ def _ask(film: Path, *, before: Sequence[str] = (), after: Sequence[str]) -> str
             command, capture_output=True, text=True, check=False, timeout=_PATIENCE_OF_A_FILM
         )
     except subprocess.TimeoutExpired:
-        told = f"{film}: cannot be encoded: ffmpeg took more than {_PATIENCE_OF_A_FILM:g} s"
-        raise FileError(told, given=film) from None
+        text = f"{film}: cannot be encoded: ffmpeg took more than {_PATIENCE_OF_A_FILM:g} s"
+        raise FileError(text, given=film) from None
     except OSError as error:
         raise FileError(f"{film}: cannot be encoded: {error.strerror}", given=film) from error
     if done.returncode:

@@ -53,8 +53,8 @@ def render_film(
     """
     folders, out = [Path(folder) for folder in folders], Path(out)
     if not 1 <= len(folders) <= MAX_RUNS:
-        told = f"{len(folders)} runs side by side; allowed: "
-        raise SettingsError(told, given=len(folders), allowed=f"1 to {MAX_RUNS}")
+        text = f"{len(folders)} runs side by side; allowed: "
+        raise SettingsError(text, given=len(folders), allowed=f"1 to {MAX_RUNS}")
     check_film(out)
     first, last = _span([load_track(folder) for folder in folders], start, duration)
     count = max(round((last - first) * FRAME_RATE), 1)
@@ -103,8 +103,8 @@ def _span(
         latest = min(latest + 2.0, max(track.planned_end for track in tracks))
     first = earliest if start is None else start
     if duration is not None and not (duration > 0 and np.isfinite(duration)):
-        told = f"duration = {duration:g} s; allowed: "
-        raise SettingsError(told, given=duration, allowed="more than 0")
+        text = f"duration = {duration:g} s; allowed: "
+        raise SettingsError(text, given=duration, allowed="more than 0")
     if not earliest <= first < latest:
         allowed = f"within the runs, {earliest:g} to {latest:g} s"
         raise SettingsError(f"start = {first:g} s; allowed: ", given=first, allowed=allowed)

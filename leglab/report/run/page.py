@@ -45,8 +45,8 @@ def check_out(folder: Path, *, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{str(folder)!r} is not a folder", given=folder)
     if (folder / PAGE).exists() and not overwrite:
-        told = f"{str(folder / PAGE)!r} exists; remove it or give --overwrite"
-        raise FileError(told, given=folder / PAGE)
+        text = f"{str(folder / PAGE)!r} exists; remove it or give --overwrite"
+        raise FileError(text, given=folder / PAGE)
 
 
 def write_report(

@@ -240,8 +240,8 @@ def _against(run: ReportedRun, first: ReportedRun) -> str:
     else:
         how = "less closely than"
     both = f"{milli(run.error, run.unit)} against {milli(first.error, first.unit)}"
-    told = f"{run.label} follows the reference {how} {first.label}"
-    return f"{told}: {both} RMS error {run.judged_over}."
+    text = f"{run.label} follows the reference {how} {first.label}"
+    return f"{text}: {both} RMS error {run.judged_over}."
 
 
 def _won_back(runs: Sequence[ReportedRun]) -> list[str]:

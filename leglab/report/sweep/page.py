@@ -236,10 +236,10 @@ def _filled(table: Table) -> Table:
     kept = [i for i in places if i < table.words or any(row[i] for row in table.rows)]
     names = [table.head[i].partition(",")[0] for i in places if i not in kept]
     empty = tuple(name for name in names if name != "failed")
-    told = f". No run has a value of {listed(empty, 'or')}: the summary says why" if empty else ""
+    text = f". No run has a value of {listed(empty, 'or')}: the summary says why" if empty else ""
     return replace(
         table,
-        caption=f"{table.caption}{told}",
+        caption=f"{table.caption}{text}",
         head=[table.head[i] for i in kept],
         rows=[[row[i] or NONE for i in kept] for row in table.rows],
     )

@@ -59,8 +59,8 @@ class SweepResult:
     damaged: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        told = f"{self.done} of {len(self.plan)} runs, {self.failed} failed"
-        return f"SweepResult({told}; {self.folder})"
+        text = f"{self.done} of {len(self.plan)} runs, {self.failed} failed"
+        return f"SweepResult({text}; {self.folder})"
 
     def _repr_html_(self) -> str:
         rows = [
@@ -195,15 +195,15 @@ def record_runs(
     _recall(plan, Path(folder))
     for number in numbers:
         if not 0 <= number < len(plan):
-            told = f"there is no run {number}; allowed: "
-            raise SettingsError(told, given=number, allowed=f"0 to {len(plan) - 1}")
+            text = f"there is no run {number}; allowed: "
+            raise SettingsError(text, given=number, allowed=f"0 to {len(plan) - 1}")
     places = [recording_folder(Path(folder).resolve(), number) for number in numbers]
     settings = [plan.settings(number) for number in numbers]
     models = store.read_record(Path(folder)).models
     for model in {run.model for run in settings}:
         if model_digest(model) != models[model]:
-            told = f"{Path(model).name} has changed since this sweep: its runs cannot be made again"
-            raise FileError(told, given=model)
+            text = f"{Path(model).name} has changed since this sweep: its runs cannot be made again"
+            raise FileError(text, given=model)
     return make_runs(settings, places, overwrite=True, timeout=plan.timeout, progress=progress)
 
 
@@ -257,19 +257,19 @@ def _begin(folder: Path, record: store.SweepRecord, plan: SweepPlan, *, overwrit
             ),
         }
         for what in (name for name, differs in changed.items() if differs):
-            told = f"{str(folder)!r} was begun with other {what}: {other}"
-            raise FileError(told, given=folder)
+            text = f"{str(folder)!r} was begun with other {what}: {other}"
+            raise FileError(text, given=folder)
         if there.digest != record.digest and (reason := grow(folder, record, plan)):
-            told = f"{str(folder)!r} holds another sweep, and {reason}: {other}"
-            raise FileError(told, given=folder)
+            text = f"{str(folder)!r} holds another sweep, and {reason}: {other}"
+            raise FileError(text, given=folder)
         return
     try:
         others = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
     except OSError as error:
         raise cannot_write(folder, error) from error
     if not all(map(store.is_own, others)) and not store.replaces(folder):
-        told = f"{str(folder)!r} holds no sweep but other files: give another"
-        raise FileError(told, given=folder)
+        text = f"{str(folder)!r} holds no sweep but other files: give another"
+        raise FileError(text, given=folder)
     remove(store.own(folder))
     write_json(folder / store.SWEEP, record.model_dump(), indent=1)
 

@@ -232,8 +232,8 @@ class SweepPlan:
             self._blocks.append(Runs(block=block, number=i, first=len(self), **parts))
         self.tuned = [runs for runs in self._blocks if runs.block.tune is not None]
         if len(self) > MOST_RUNS:
-            told = f"{name}: asks for {len(self):,} runs; allowed: "
-            raise SettingsError(told, given=len(self), allowed=f"at most {MOST_RUNS:,}")
+            text = f"{name}: asks for {len(self):,} runs; allowed: "
+            raise SettingsError(text, given=len(self), allowed=f"at most {MOST_RUNS:,}")
         self._content = found
 
     def __len__(self) -> int:
@@ -288,8 +288,8 @@ class SweepPlan:
         """
         found = self._block(number).values(number)
         if found is None:
-            told = f"{self._name}: run {number}: its settings are not proposed yet"
-            raise SettingsError(told, given=number)
+            text = f"{self._name}: run {number}: its settings are not proposed yet"
+            raise SettingsError(text, given=number)
         return found
 
     def _block(self, number: int) -> Runs:
@@ -455,22 +455,22 @@ def _parts(block: Block, shared: Mapping[str, Any], where: str) -> dict[str, Any
     if ranges and block.points is None:
         raise SettingsError(f"{where}: ranges need 'points', the number of points to draw")
     if block.points is not None and not ranges:
-        told = f"{where}: points is {block.points}, but there are no ranges"
-        raise SettingsError(told, given=block.points)
+        text = f"{where}: points is {block.points}, but there are no ranges"
+        raise SettingsError(text, given=block.points)
     proposed = block.draw in ("tpe", "gp")
     if proposed and (block.tune is None or not ranges):
-        told = f"{where}: draw is {block.draw!r}: needs ranges and tune.metric"
-        raise SettingsError(told, given=block.draw)
+        text = f"{where}: draw is {block.draw!r}: needs ranges and tune.metric"
+        raise SettingsError(text, given=block.draw)
     if block.tune is not None:
         if not proposed:
-            told = f"{where}: tune needs draw = 'tpe' or 'gp', not {block.draw!r}"
-            raise SettingsError(told, given=block.draw, allowed=("tpe", "gp"))
+            text = f"{where}: tune needs draw = 'tpe' or 'gp', not {block.draw!r}"
+            raise SettingsError(text, given=block.draw, allowed=("tpe", "gp"))
         if block.tune.metric not in FIGURES:
             error = SettingsError.unknown("number", block.tune.metric, FIGURES)
             raise error.at(f"{where}: tune")
     if "scenario" not in {*settings, *grid}:
-        told = f"{where}: needs 'scenario', in settings or grid"
-        raise SettingsError(told, allowed=("scenario",))
+        text = f"{where}: needs 'scenario', in settings or grid"
+        raise SettingsError(text, allowed=("scenario",))
     return {"settings": settings, "grid": grid, "ranges": ranges}
 
 
@@ -500,8 +500,8 @@ def _flat(
         else:
             allowed = "a value or a list of values"
             allowed = f"a table, or {owner}.NAME" if owner in MAPPINGS else allowed
-            told = f"{where}: {full} is {value!r}; allowed: "
-            raise SettingsError(told, given=value, allowed=allowed)
+            text = f"{where}: {full} is {value!r}; allowed: "
+            raise SettingsError(text, given=value, allowed=allowed)
     return found
 
 
@@ -531,11 +531,11 @@ def _range(name: str, value: Any, where: str) -> Range:
         raise SettingsError(f"{place} is {value!r}; allowed: ", given=value, allowed=allowed)
     found = validate_configuration(Range, value, place)
     if not found.low < found.high:
-        told = f"{place}: low {found.low:g} is not "
-        raise SettingsError(told, given=found.low, allowed=f"below high {found.high:g}")
+        text = f"{place}: low {found.low:g} is not "
+        raise SettingsError(text, given=found.low, allowed=f"below high {found.high:g}")
     if found.log and found.low <= 0:
-        told = f"{place}: low is {found.low:g}; with log = true allowed: "
-        raise SettingsError(told, given=found.low, allowed="more than 0")
+        text = f"{place}: low is {found.low:g}; with log = true allowed: "
+        raise SettingsError(text, given=found.low, allowed="more than 0")
     for end in (found.low, found.high):
         _check_value(name, end, place)
     return found
@@ -543,7 +543,7 @@ def _range(name: str, value: Any, where: str) -> Range:
 
 def _check_value(name: str, value: Any, place: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
-        told = f"{place} is {value!r}; allowed: "
-        raise SettingsError(told, given=value, allowed="a finite number")
+        text = f"{place} is {value!r}; allowed: "
+        raise SettingsError(text, given=value, allowed="a finite number")
     if name in NAMES:  # A setting in a table is checked by the settings class of its owner.
         check_type(name, value, place)

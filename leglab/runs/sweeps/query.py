@@ -31,8 +31,8 @@ class Answer:
         return f"Answer({len(self.rows)} rows; {len(self.names)} columns: {', '.join(self.names)})"
 
     def _repr_html_(self) -> str:
-        told = f"{len(self.rows)} rows" + (f", the first {_SHOWN}" * (len(self.rows) > _SHOWN))
-        return html_table(told, self.names, self.cells()[:_SHOWN])
+        text = f"{len(self.rows)} rows" + (f", the first {_SHOWN}" * (len(self.rows) > _SHOWN))
+        return html_table(text, self.names, self.cells()[:_SHOWN])
 
     def to_pandas(self) -> Any:
         """Returns the rows as a `pandas.DataFrame`.

@@ -113,8 +113,8 @@ def row_of(plan: SweepPlan, number: int, answer: dict[str, Any], by: str) -> dic
             row |= {"status": OK, "failure": None, "error": None}
         except ValidationError as error:
             where, reason = first_problem(error)
-            told = f"it gave no valid figures: {where}: {reason}"
-            row |= {"failure": "ended early", "error": told}
+            text = f"it gave no valid figures: {where}: {reason}"
+            row |= {"failure": "ended early", "error": text}
     return row
 
 
