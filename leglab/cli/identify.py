@@ -71,7 +71,7 @@ def identify(
     span = (since, until)
     learned = _read(recordings, columns, span, salvage, period)
     tested = _read(test or [], columns, span, salvage, period)
-    named = columns_of(learned, input_ or (), output_ or ())
+    named = columns_of(learned, _with_units(input_, learned), _with_units(output_, learned))
     stems = ("model", *map(results.stem_of, named[1]))
     made = (results.PAGE, *(f"{name}{end}" for name in stems for end in (".leglab", ".h")))
     with new_folder(out, mark=results.RESULT, made=made, overwrite=overwrite) as folder:
@@ -85,6 +85,20 @@ def identify(
         print_json(results.summary(models))
         return
     _show(models, out)
+
+
+def _with_units(
+    names: Sequence[str] | None, recordings: "Mapping[str, Recording]"
+) -> tuple[str, ...]:
+    """Completes names that lack their unit: `pump` for the only column `pump [V]`."""
+    from leglab.data.units_in_names import split
+
+    known = {column for recording in recordings.values() for column in recording.columns}
+    out = []
+    for name in names or ():
+        same = [column for column in known if split(column).stem == name]
+        out.append(same[0] if name not in known and len(same) == 1 else name)
+    return tuple(out)
 
 
 def _identified(

@@ -332,13 +332,19 @@ def test_the_command_writes_model_page_and_header(tmp_path, capsys):
     data = noisy(u, bent, 0.01)
     for name, part in (("train", data.between(0, 1.595)), ("test", data.between(1.595, None))):
         write(part, tmp_path / f"{name}.csv")
-    words = ["identify", str(tmp_path / "train.csv"), "--test", str(tmp_path / "test.csv")]
+        head, rows = (tmp_path / f"{name}.csv").read_text().split("\n", 1)
+        (tmp_path / f"{name}.csv").write_text(head.replace("u", "u [V]") + "\n" + rows)
+    train, test = (str(tmp_path / f"{name}.csv") for name in ("train", "test"))
+    words = ["identify", train, "--test", test, "--test", train, "--input", "u"]
     main([*words, "--out", str(tmp_path / "out"), "--json"])
     told = json.loads(capsys.readouterr().out)
     kept = json.loads((tmp_path / "out" / "identify.json").read_text())
     assert told == kept
     (found,) = kept["models"]
-    assert (found["inputs"], found["output"]) == (["u"], "y")
+    assert (found["inputs"], found["output"]) == (["u [V]"], "y")
+    assert (
+        "train.csv: the test data are training data, so their errors test nothing" in found["notes"]
+    )
     assert found["test"][0]["free_run"] < found["test"][0]["mean"]
     assert len(found["transfer_functions"]) == 1
     model = load(tmp_path / "out" / "model.leglab")

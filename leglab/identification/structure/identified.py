@@ -315,6 +315,11 @@ def _identified(
     output, tests = learned.outputs[k], tested.records[k] if tested else ()
     notes = (*learned.notes, *(tested.notes if tested else ()))
     notes += _drift(problem.records, tests, learned.inputs, output)
+    notes += tuple(
+        f"{test.name}: the test data are training data, so their errors test nothing"
+        for test in tests
+        if any(np.array_equal(test.y, record.y, equal_nan=True) for record in problem.records)
+    )
     return Identified(
         output=output,
         inputs=learned.inputs,
